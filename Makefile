@@ -1,0 +1,46 @@
+# make trial | test | check | figures | reproduce | hidden
+# Each sets up .venv first; nothing else is needed than Python 3.11+ and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
+
+.PHONY: trial test check figures reproduce hidden clean
+
+trial: $(VENV)/.installed
+	@mkdir -p out
+	$(BIN)/bowden trial --peak 40 --overwrite --picture out/trial.png -o out/trial.mcap
+
+test: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n 2 --dist=loadfile
+
+check: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n 2 --dist=loadfile
+
+figures: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.figures
+
+reproduce: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.reproduce
+
+hidden: $(VENV)/.installed-test
+	$(BIN)/python -m tests.hidden.run
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; say make PYTHON=python3.x"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out
