@@ -1,0 +1,32 @@
+"""`bowden check eds`: what is wrong with an EDS or DCF, beyond what other checkers find.
+
+The rule of this file: every finding says where it is (file, section, key, line) and how to mend it, and
+no file, however broken, stops the search. The searches themselves stand in `check_sections` (what is
+written), `check_pdos` (maps and COB-IDs) and `check_profiles` (objects against their profile).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from eds import check_pdos, check_profiles, check_sections, ini
+from eds.dictionary import build
+from eds.sheet import Finding, Sheet
+
+__all__ = ["Finding", "findings"]
+
+_SEARCHES: Sequence[Callable[[Sheet], Iterator[Finding]]] = (
+    *check_sections.SEARCHES, *check_pdos.SEARCHES, *check_profiles.SEARCHES,
+)
+_ANY_NODE = 1
+"""Node id for `$NODEID` where the file names none; no finding depends on which."""
+
+
+def findings(path: str | Path) -> list[Finding]:
+    """List everything found in an EDS or DCF, by line; `InputError` only where it cannot be read at all."""
+    sections = ini.read(Path(path))
+    own = build(str(path), sections)
+    sheet = Sheet(str(path), sections, own if own.node_id else build(str(path), sections, _ANY_NODE))
+    found = {finding for search in _SEARCHES for finding in search(sheet)}
+    return sorted(found, key=lambda f: (f.line, f.section, f.key, f.text))

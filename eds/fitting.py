@@ -1,0 +1,118 @@
+"""How a device fits into its place on the bench: its file, the objects that play each part, their units.
+
+The rule of this file: the bench knows parts (position, target, torque …), a fitting says which object of
+a device plays each. The defaults are the profile's objects, whose units the device declares itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from eds.dictionary import Dictionary, Entry
+from eds.notation import number
+from eds.scales import scales
+from parameters import InputError, parameter
+
+_OBJECT: Final = "as index or index:sub-index in hexadecimal"
+_FILE: Final = "EDS or DCF of the device; empty: the one that ships with this project"
+
+
+def _part(default: str, text: str) -> str:
+    part: str = parameter(default, "", f"object of {text}, {_OBJECT}", source="CiA 402-2 and CiA 404")
+    return part
+
+
+def _scale(unit: str, text: str) -> float:
+    scale: float = parameter(0.0, unit, f"{text}; 0: as the device's unit objects say", low=-1e3, high=1e3,
+                             source="the device's manual")
+    return scale
+
+
+@dataclass(frozen=True)
+class ServoFitting:
+    """`[servo]` of the configuration."""
+
+    file: str = parameter("", "", _FILE, source="the device's maker")
+    statusword: str = _part("6041", "the statusword")
+    controlword: str = _part("6040", "the controlword")
+    position: str = _part("6064", "the actual rope position")
+    target: str = _part("607A", "the target rope position")
+    torque: str = _part("6077", "the actual torque")
+    tension: str = _part("2011", "START's tension, which the drive watches itself; empty: it cannot")
+    position_scale: float = _scale("m", "rope per count of position and target")
+    torque_scale: float = _scale("N·m", "torque at the drum per count of torque")
+    tension_scale: float = parameter(0.01, "N", "tension per count of tension", low=1e-6, high=1e3,
+                                     source="comments of servo_drive.eds")
+
+
+@dataclass(frozen=True)
+class KneeFitting:
+    """`[knee]` of the configuration."""
+
+    file: str = parameter("", "", _FILE, source="the device's maker")
+    statusword: str = _part("6041", "the statusword")
+    controlword: str = _part("6040", "the controlword")
+    position: str = _part("6064", "the actual knee position")
+    target: str = _part("607A", "the target knee position")
+    position_scale: float = _scale("rad", "knee angle per count of position and target")
+
+
+@dataclass(frozen=True)
+class SensorFitting:
+    """`[start]` and `[end]` of the configuration."""
+
+    file: str = parameter("", "", _FILE, source="the device's maker")
+    value: str = _part("7130:01", "the tension")
+    value_scale: float = _scale("N", "tension per count of value")
+
+
+Fitting = ServoFitting | KneeFitting | SensorFitting
+
+_SCALED_BY: Final = {"position": "position_scale", "target": "position_scale", "torque": "torque_scale",
+                     "tension": "tension_scale", "value": "value_scale"}
+
+
+_TAKEN: Final = ("target", "controlword", "tension")
+"""Parts that a device takes from the bus; the others it sends."""
+
+
+class Part(NamedTuple):
+    """A part and the object that plays it; `scale` is SI per count."""
+
+    entry: Entry
+    scale: float
+
+    @property
+    def word(self) -> int:
+        """Its mapping word."""
+        return self.entry.key << 8 | self.entry.data_type.bits
+
+    @property
+    def dummy(self) -> int:
+        """The mapping word that skips it."""
+        return self.entry.data_type << 16 | self.entry.data_type.bits
+
+    def unit(self, symbol: str) -> str:
+        """Say what a count is worth."""
+        return f"{self.scale:g} {symbol} in {self.entry.data_type.name}"
+
+
+def part(device: Dictionary, fitting: Fitting, name: str) -> Part:
+    """Find the object that plays a part; `InputError` where it is missing, unfit for a PDO, or of no known unit."""
+    given = str(getattr(fitting, name))
+    index, _, sub = given.partition(":")
+    at = number(f"0x{index}"), number(f"0x{sub or 0}")
+    entry = None if None in at else device.entries.get((at[0] or 0) << 8 | (at[1] or 0))
+    if entry is None:
+        raise InputError(f"{device.path}: no object {given}, which should be the {name}; name another ({_OBJECT}).")
+    if not entry.mappable or (name in _TAKEN and entry.access in ("ro", "const", "rwr")):
+        raise InputError(f"{device.path}: {given} {entry.name}, which should be the {name}, has PDOMapping="
+                         f"{int(entry.mappable)}, AccessType={entry.access}; name another ({_OBJECT}).")
+    if name not in _SCALED_BY:
+        return Part(entry, 1.0)
+    stated = float(getattr(fitting, _SCALED_BY[name]))
+    scale = stated or scales(device).get(entry.key)
+    if scale is None:
+        raise InputError(f"{device.path}: the unit of {given} ({name}) is not declared; give {_SCALED_BY[name]}.")
+    return Part(entry, scale)

@@ -1,0 +1,78 @@
+"""How EDS and DCF files write numbers, limits, values and section names.
+
+The rule of this file: every notation met in the field is read, nothing is guessed; what is no number
+is None.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from eds.datatype import DataType, Value
+
+_OBJECT: Final = re.compile(r"(?:0x)?([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"[+-]?(?:0x[+-]?([0-9a-f]+)|([0-9a-f]+)h|(0[0-7]+)|([0-9]+))", re.IGNORECASE)
+_NODE_ID: Final = re.compile(r"\+?\$?NODEID\+?", re.IGNORECASE)
+
+
+def object_section(name: str) -> tuple[int, int | None] | None:
+    """Read a section name as (index, subindex or None); None where it names no object."""
+    match = _OBJECT.fullmatch(name.strip())
+    return None if match is None else (int(match[1], 16), int(match[2], 16) if match[2] else None)
+
+
+def number(text: str | None, node_id: int | None = None) -> int | None:
+    """Read a number as EDS files write it: decimal, 0x…, C octal, …h, signed hex, `$NODEID` forms; None if it is none.
+
+    A `$NODEID` form without a node id is None too.
+    """
+    word = (text or "").replace(" ", "")
+    rest = _NODE_ID.sub("", word)
+    if rest != word:
+        offset = number(rest) if rest else 0
+        return None if node_id is None or offset is None else node_id + offset
+    match = _NUMBER.fullmatch(word)
+    if match is None:
+        return None
+    hexadecimal, suffixed, octal, decimal = match.groups()
+    base = 16 if hexadecimal or suffixed else 8 if octal else 10
+    magnitude = int(hexadecimal or suffixed or octal or decimal, base)
+    return -magnitude if "-" in word else magnitude
+
+
+def value(data_type: DataType, text: str | None, node_id: int | None = None) -> Value | None:
+    """Read a value of a type; None where the text is absent or is none."""
+    if text is None:
+        return None
+    if data_type.integer:
+        return _wrapped(data_type, number(text, node_id))
+    if data_type is DataType.VISIBLE_STRING:
+        return text.encode("latin-1", "replace")
+    if data_type is DataType.UNICODE_STRING:
+        return text.encode("utf-16-le")
+    try:
+        return float(text) if data_type.real else bytes.fromhex(text)
+    except ValueError:
+        return None
+
+
+def limit(data_type: DataType, text: str | None, node_id: int | None = None) -> int | None:
+    """Read a LowLimit or HighLimit; None where the type has no order or the text is none."""
+    if data_type.real:
+        try:
+            return int(float(text or ""))
+        except (ValueError, OverflowError):
+            return None
+    return _wrapped(data_type, number(text, node_id)) if data_type.integer else None
+
+
+def _wrapped(data_type: DataType, given: int | None) -> int | None:
+    """Bring two's complement (0xFFFF for -1, sign-extended or not; -1 for 0xFFFF) into the type; None if too wide."""
+    if given is None or data_type.low <= given <= data_type.high:
+        return given
+    if not data_type.signed:
+        turned = given + (1 << data_type.bits)
+        return turned if given < 0 <= turned else None
+    turns = (given - (1 << width) for width in (data_type.bits, 32, 64))
+    return next((turned for turned in turns if data_type.low <= turned < 0), None)

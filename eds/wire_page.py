@@ -1,0 +1,143 @@
+"""Writes docs/wire.md from the wire's own declarations: `python -m eds.wire_page [FILE]`.
+
+The rule of this file: the page repeats what the code says and adds only the sentences between.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from eds import bus_load, cia402
+from eds.bench import NAMES, SENSORS, Network, Wire, wire
+from eds.bus_load import Kind
+from eds.plan import PdoPlan
+from eds.setup import TPDO, Pdo
+
+_HEAD = """\
+# The wire
+
+One page on what goes over the bus, with the default `[network]`. Generated from `eds/` by
+`python -m eds.wire_page docs/wire.md`; change the declarations, not this page.
+
+Node ids: {nodes}. The master makes the SYNC. Every node and the master send a heartbeat
+every {heartbeat} ms; each node misses the master's after {timeout} ms (0x1016).
+"""
+_CYCLE = """
+## A cycle
+
+SYNC k latches every input; four TPDOs follow; the master steps; its targets are taken over at SYNC k+1 and first seen
+in the inputs of k+2. With every frame at its longest, a cycle of {period} µs holds:
+
+| from SYNC, at worst | µs | made of |
+|---|---|---|
+| the last input is there | {inputs} | SYNC, {turnaround} of the nodes, four TPDOs; before each, a frame already begun |
+| it is due | {deadline} | {period} less {targets} (a frame already begun, the targets) and {compute} for the master |
+
+A network whose inputs can come later than they are due is refused. The chain counts the sustained traffic; an EMCY or
+an SDO may cost one cycle its deadline, which the master counts as a miss. The sustained load is **{load:.2f} %** of the
+bus ({cyclic} bits each cycle, heartbeats and EMCY at their periods), the goal {goal:g} %.
+
+## Frames
+
+`bits` is the longest frame of its size, 55 + 10·n with the interframe space. `response` bounds the time from queueing
+to the end of the frame with everything on the bus at once, EMCY and SDO too (Davis et al. 2007).
+
+| COB-ID | frame | bytes | bits | sent | response, µs |
+|---|---|---|---|---|---|
+"""
+_PLANS = """
+## Payloads
+
+Little-endian, objects in the order shown, nothing between them.
+
+| COB-ID | from | objects (bits), SI per count |
+|---|---|---|
+"""
+_PDOS = """
+A drive maps the other's half of a shared frame as a dummy, so that one frame carries both targets, and one both
+controlwords. `deadline` is 0x14xx:05; past it the drive acts by itself (EMCY 8250h, 0x6007). The servo takes START's
+tension straight from START's own TPDO, and so holds the tension limit whatever the master does.
+
+| node | PDO | COB-ID | type | deadline, ms | mapping words |
+|---|---|---|---|---|---|
+"""
+_STATES = """
+## The drives' state machine
+
+CiA 402-2, as `eds/cia402.py` holds it in one table; numbers are the profile's. Transition 13 leaves every other state.
+
+```mermaid
+stateDiagram-v2
+"""
+
+
+def page(network: Network = Network()) -> str:  # noqa: B008
+    """Give the whole page for a network."""
+    built = wire(network)
+    return "".join((_head(network), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n"))
+
+
+def diagram() -> str:
+    """Give the state machine's table as lines of a mermaid state diagram; parallel rows are one arrow."""
+    return "".join(f"    {line}\n" for line in _arrows())
+
+
+def _arrows() -> Iterator[str]:
+    for state in cia402.State:
+        yield f"{state.name}: {state.title}"
+    for row in cia402.TRANSITIONS:
+        words = " / ".join(event.value for event in row.events)
+        if row.number == 13:
+            yield f"OPERATION_ENABLED --> {row.target.name}: 13 {words}"
+            continue
+        for source in row.sources:
+            yield f"{source.name if source else '[*]'} --> {row.target.name}: {row.number} {words}"
+
+
+def _head(network: Network) -> str:
+    nodes = ", ".join(f"{name} {node}" for node, name in NAMES.items())
+    return _HEAD.format(nodes=nodes, heartbeat=network.heartbeat_ms, timeout=network.heartbeat_timeout_ms)
+
+
+def _cycle(built: Wire) -> str:
+    network, found = built.network, bus_load.budget(built)
+    cyclic = sum(stream.bits() for stream, _ in found.responses if stream.kind is Kind.CYCLIC)
+    text = _CYCLE.format(
+        period=network.period_us, inputs=found.inputs_ns // 1000, turnaround=network.node_turnaround_us,
+        deadline=found.deadline_ns // 1000, targets=found.targets_ns // 1000, compute=found.compute_ns // 1000,
+        load=found.load_percent, cyclic=cyclic, goal=bus_load.LOAD_GOAL_PERCENT)
+    return text + "".join(
+        f"| {s.can_id:03X}h | {s.name} | {s.size} | {s.bits()} | {s.kind.value} | "
+        f"{'no bound' if response is None else response // 1000} |\n" for s, response in found.responses)
+
+
+def _plans(built: Wire) -> str:
+    rows: Sequence[tuple[str, PdoPlan]] = (
+        *((NAMES[plan.cob_id & 0x7F], plan) for plan in built.tpdo.values()),
+        ("master", built.targets), ("master", built.controlwords),
+    )
+    return _PLANS + "".join(f"| {plan.cob_id:03X}h | {sender} | {_fields(plan)} |\n" for sender, plan in rows)
+
+
+def _fields(plan: PdoPlan) -> str:
+    return " · ".join(
+        f"{f.key >> 8:04X}:{f.key & 0xFF:02X} {f.name} ({f.bits})" + (f", {f.scale:.6g}" if f.scale != 1.0 else "")
+        for f in plan.fields)
+
+
+def _pdos(built: Wire) -> str:
+    nodes = (node for node in built.nodes if node not in SENSORS)
+    return _PDOS + "".join(_pdo(NAMES[node], pdo) for node in nodes for pdo in built.pdos(node))
+
+
+def _pdo(name: str, pdo: Pdo) -> str:
+    way = "TPDO" if pdo.base == TPDO else "RPDO"
+    words = " ".join(f"{word:08X}" for word in pdo.mapping)
+    return (f"| {name} | {way}{pdo.number} | {pdo.cob_id:03X}h | {pdo.transmission_type} | {pdo.deadline_ms or '—'} "
+            f"| {words} |\n")
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1] if len(sys.argv) > 1 else "docs/wire.md").write_text(page(), encoding="utf-8")
