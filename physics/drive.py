@@ -1,0 +1,108 @@
+"""The drives' own loops: PI position loop, PI velocity loop.
+
+The rule of this file: laws on flat float64 arrays, compiled, no clock; whoever ticks them says how much time has
+passed.  Units are the axis's own: m for the servo (rope at the drum), rad for the knee; torque in N·m.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from parameters import parameter
+from physics.laws import Array
+
+DRIVE_TICK_NS: Final = 250_000
+"""The period at which a drive runs its loops."""
+
+
+class Loop(NamedTuple):
+    """Where the loops' memory lives in their state array."""
+
+    position_integral: int = 0
+    velocity_integral: int = 1
+    limited: int = 2
+    following_error: int = 3
+    velocity_demand: int = 4
+
+
+LOOP: Final = Loop()
+
+
+@dataclass(frozen=True)
+class Gains:
+    """The gains and limits of one axis; [u] is m or rad."""
+
+    position_gain: float = parameter(
+        125.0, "1/s", "position loop, proportional", low=0.0, high=2000.0, source="assumed: 25 Hz on the nominal bench")
+    position_integral: float = parameter(
+        300.0, "1/s²", "position loop, integral", low=0.0, high=1e5, source="assumed: as position_gain")
+    velocity_gain: float = parameter(
+        31.0, "N·m·s/[u]", "velocity loop, proportional", low=0.0, high=1e4,
+        source="assumed: 100 Hz on the nominal inertia")
+    velocity_integral: float = parameter(
+        2000.0, "N·m/[u]", "velocity loop, integral", low=0.0, high=1e6, source="assumed: a tenth of the crossover")
+    torque_limit: float = parameter(6.0, "N·m", "torque limit", low=0.0, high=500.0, source="assumed: maker's class")
+    velocity_limit: float = parameter(
+        1.0, "[u]/s", "velocity limit", low=0.0, high=100.0, source="assumed: no-load speed of the motor")
+
+    def vector(self) -> Array:
+        """Return the gains as the flat array that `loop` reads, in the order of their declaration."""
+        return np.array(astuple(self))
+
+
+SERVO_GAINS: Final = Gains()
+KNEE_GAINS: Final = Gains(
+    position_gain=80.0, position_integral=200.0, velocity_gain=10.0, velocity_integral=200.0,
+    torque_limit=17.0, velocity_limit=12.0,
+)
+
+
+def loop_state() -> Array:
+    """Return the loops' memory at rest."""
+    return np.zeros(len(LOOP))
+
+
+@njit(cache=True)
+def loop(
+    state: Any, gains: Any, position: float, velocity: float, target: float, target_velocity: float, dt_s: float
+) -> float:
+    """Return the torque demand, N·m: PI on position gives the velocity demand, PI on velocity the torque.
+
+    `target_velocity` is fed forward.  Each integral stands still while its loop's limit is reached and the
+    error would drive it further in: no wind-up.
+    """
+    error = target - position
+    free = target_velocity + gains[0] * error + state[0]
+    demand = min(gains[5], max(-gains[5], free))
+    if demand == free or (free - demand) * error < 0.0:
+        state[0] += gains[1] * error * dt_s
+    lag = demand - velocity
+    wanted = gains[2] * lag + state[1]
+    torque: float = min(gains[4], max(-gains[4], wanted))
+    if torque == wanted or (wanted - torque) * lag < 0.0:
+        state[1] += gains[3] * lag * dt_s
+    state[2] = 0.0 if torque == wanted else math.copysign(1.0, wanted)
+    state[3] = error
+    state[4] = demand
+    return torque
+
+
+@njit(cache=True)
+def velocity_loop(state: Any, gains: Any, velocity: float, target_velocity: float, dt_s: float) -> float:
+    """Return the torque demand, N·m, of the velocity loop alone (CSV, quick stop); memory and limits as in `loop`."""
+    demand = min(gains[5], max(-gains[5], target_velocity))
+    lag = demand - velocity
+    wanted = gains[2] * lag + state[1]
+    torque: float = min(gains[4], max(-gains[4], wanted))
+    if torque == wanted or (wanted - torque) * lag < 0.0:
+        state[1] += gains[3] * lag * dt_s
+    state[2] = 0.0 if torque == wanted else math.copysign(1.0, wanted)
+    state[0] = 0.0
+    state[3] = 0.0
+    state[4] = demand
+    return torque

@@ -1,0 +1,181 @@
+"""The paper's formulas (1)–(15), each once, as pure functions.
+
+The rule of this file: SI and radians in and out, arrays welcome, the equation number in the docstring.
+Paper: Li, Ma, Wang, Appl. Sci. 2023, 13, 11766. Its constants are in mm, N, degrees and % of the gait
+cycle; they stand here in those units, under names that say so, and are converted where they are used.
+Signs: rope position and velocity > 0 pulling; knee flexion negative; strain rate > 0 stretching.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+T = TypeVar("T", float, Array)
+
+MILLI: Final = 1e-3
+DEGREE: Final = np.pi / 180.0
+
+KNEE_AMPLITUDE_DEG: Final = (48.16, 525.2, 540.2)
+KNEE_RATE_PER_PERCENT: Final = (0.01951, 0.1239, 0.1232)
+KNEE_PHASE: Final = (-3.112, -0.02836, -3.159)
+
+FORCE_START_PERCENT: Final = 10.0
+FORCE_PEAK_PERCENT: Final = 20.0
+FORCE_END_PERCENT: Final = 30.0
+
+STIFFNESS_A_MM_N2: Final = -0.0017
+STIFFNESS_B_MM_N: Final = 0.3
+STIFFNESS_C_MM: Final = 9.7
+STIFFNESS_TURNING_N: Final = STIFFNESS_B_MM_N / (-2.0 * STIFFNESS_A_MM_N2)
+STIFFNESS_KNEE_PERCENT: Final = 13.0
+
+SWING_K_MM_DEG: Final = 0.706
+SWING_P_MM: Final = 22.17
+
+IMPEDANCE_B: Final = 0.1 / MILLI
+IMPEDANCE_K: Final = 0.3 / MILLI
+
+
+def knee_angle(percent: T, derivative: int = 0) -> T:
+    """Return the knee angle of (1), rad, or its derivative of the given order, rad/%^n.
+
+    `percent`: gait phase, 0…100 %. The formula does not close: see `physics.reference`.
+    """
+    turned = derivative * np.pi / 2.0
+    total: Any = 0.0
+    for a, b, c in zip(KNEE_AMPLITUDE_DEG, KNEE_RATE_PER_PERCENT, KNEE_PHASE, strict=True):
+        total = total + a * b**derivative * np.sin(b * percent + c + turned)
+    angle: T = total * DEGREE
+    return angle
+
+
+def desired_force(percent: T, peak_n: float) -> T:
+    """Return the desired END force of (2), N: two quarter sines between 10, 20 and 30 % of the gait."""
+    start, peak, end = FORCE_START_PERCENT, FORCE_PEAK_PERCENT, FORCE_END_PERCENT
+    rising = np.sin(np.pi * (percent - start) / (2.0 * (peak - start)))
+    falling = np.sin(np.pi * (end - percent) / (2.0 * (end - peak)))
+    loaded = (percent >= start) & (percent < end)
+    shape = np.where(np.less(percent, peak), rising, falling)
+    force: Any = np.where(loaded, shape, 0.0)[()]
+    desired: T = peak_n * force
+    return desired
+
+
+def cable_output(tension_in_n: T, exponent: float, velocity: T) -> T:
+    """Return the cable's output tension of (3), N; `exponent` is μ1·θ, `velocity` the rope's.
+
+    The text of the paper prints v̇; Coulomb friction turns with the sign of the velocity itself.
+    """
+    tension: T = tension_in_n * np.exp(-exponent * np.sign(velocity))
+    return tension
+
+
+def cable_loss(desired_n: T, exponent: float, velocity: T) -> T:
+    """Return the cable's friction force fL of (4), N, when its output is to be `desired_n`."""
+    loss: T = desired_n * np.expm1(exponent * np.sign(velocity))
+    return loss
+
+
+def cable_input(desired_n: T, exponent: float, velocity: T) -> T:
+    """Return the tension FA of (5), N, that the cable must be given."""
+    return desired_n + cable_loss(desired_n, exponent, velocity)
+
+
+def capstan(tension_n: T, exponent: float | T) -> T:
+    """Return the tight side's tension of (6), N; `exponent` is μ2·φ."""
+    tight: T = tension_n * np.exp(exponent)
+    return tight
+
+
+def fabric_output(tension_in_n: T, exponent: float | T, strain_rate: T) -> T:
+    """Return the fabric's output tension of (7), N; `exponent` is μ2·φ(t), `strain_rate` the fabric's."""
+    tension: T = tension_in_n * np.exp(-exponent * np.sign(strain_rate))
+    return tension
+
+
+def fabric_loss(desired_n: T, exponent: float | T, strain_rate: T) -> T:
+    """Return the fabric's friction force fT of (8), N, when its output is to be `desired_n`."""
+    loss: T = desired_n * np.expm1(exponent * np.sign(strain_rate))
+    return loss
+
+
+def fabric_input(desired_n: T, exponent: float | T, strain_rate: T) -> T:
+    """Return the tension TA of (9), N, that the fabric must be given."""
+    return desired_n + fabric_loss(desired_n, exponent, strain_rate)
+
+
+def series_input(
+    desired_n: T, cable_exponent: float, velocity: T, fabric_exponent: float | T, strain_rate: T
+) -> T:
+    """Return START tension, N, for `desired_n` at END: (9) then (5), in series.
+
+    fL and fT added separately drop the product term, 1.8 % at exponents of 0.157 and 0.1.
+    """
+    start: T = desired_n * np.exp(cable_exponent * np.sign(velocity) + fabric_exponent * np.sign(strain_rate))
+    return start
+
+
+def stiffness_displacement(force_n: T) -> T:
+    """Return the encoder position x1 of (10), m, in the paper's own zero; fitted from 20 to 60 N."""
+    return MILLI * (STIFFNESS_A_MM_N2 * force_n**2 + STIFFNESS_B_MM_N * force_n + STIFFNESS_C_MM)
+
+
+def stiffness_slope(force_n: T) -> T:
+    """Return dx1/dF of (10), m/N."""
+    return MILLI * (2.0 * STIFFNESS_A_MM_N2 * force_n + STIFFNESS_B_MM_N)
+
+
+def stiffness_force(displacement_m: T) -> T:
+    """Return the force, N, at the encoder position x1 of (10): its inverse, below the turning point at 88 N.
+
+    NaN beyond the turning point, where no force answers; negative below ck, where the law is extrapolated.
+    """
+    a, b = STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
+    root = b * b - 4.0 * a * (STIFFNESS_C_MM - np.asarray(displacement_m) / MILLI)
+    force: Any = (np.sqrt(np.where(root >= 0.0, root, np.nan)) - b) / (2.0 * a)
+    inverse: T = force[()]
+    return inverse
+
+
+def swing_displacement(knee_rad: T) -> T:
+    """Return the rope displacement x2 of (11), m, in the paper's own zero, which is not that of (10)."""
+    return MILLI * (SWING_K_MM_DEG * (knee_rad / DEGREE) + SWING_P_MM)
+
+
+def rope_position(force_n: T, knee_rad: T) -> T:
+    """Return x1(F) + k2·(θk − θk(13 %)), m: (10) and (11) joined in the encoder zero of (10)."""
+    at_fit = knee_angle(STIFFNESS_KNEE_PERCENT)
+    return stiffness_displacement(force_n) + (swing_displacement(knee_rad) - swing_displacement(at_fit))
+
+
+def impedance_force(
+    mass: float, damping: float, stiffness: float,
+    displacement: T, velocity: T, acceleration: T,
+) -> T:
+    """Return Fe = M·Δẍ + B·Δẋ + K·Δx, N: (12) and (13) in kg, N·s/m, N/m, with Δx = xr − x."""
+    return mass * acceleration + damping * velocity + stiffness * displacement
+
+
+def impedance_response(
+    s: complex, damping: float = IMPEDANCE_B, stiffness: float = IMPEDANCE_K, mass: float = 0.0
+) -> complex:
+    """Return H(s) = Δx/Fe = 1/(M·s² + B·s + K), m/N: (14) solved for the transfer function (15)."""
+    return 1.0 / (mass * s * s + damping * s + stiffness)
+
+
+def impedance_step(
+    displacement_m: float, error_n: float, dt_s: float,
+    damping: float = IMPEDANCE_B, stiffness: float = IMPEDANCE_K,
+) -> float:
+    """Return Δx, m, after `dt_s` of a held force error: (15) with M neglected, integrated exactly.
+
+    `damping` > 0 in N·s/m; `stiffness` ≥ 0 in N/m.
+    """
+    if stiffness == 0.0:
+        return displacement_m + error_n * dt_s / damping
+    settled = error_n / stiffness
+    return settled + (displacement_m - settled) * float(np.exp(-stiffness / damping * dt_s))

@@ -1,0 +1,226 @@
+"""Tension along fabric and cable from measured signals, with elasticity on both sides of the friction.
+
+The rule of this file: compiled, one sample after another, the few nodes that a relation needs (the plant's own
+chain has many and moves in time; this one is solved at rest in each sample).  Friction at a node is
+T·e^(s·μθ) with ds/du = (1 − s·sgn du)/δ over the node's own sliding u: the rope's in the sheath, the
+fabric's on the knee, whose surface moves with the leg.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CABLE_NODES: Final = 3
+FABRIC_NODES: Final = 2
+SPREAD: Final = np.array([0.4, 1.0, 2.5])
+"""Pre-sliding distances of the cable's nodes against the mean: a segmented rope turns over gradually."""
+SHARE_AFTER: Final = 0.4
+SHARE_OVER: Final = 0.35
+ITERATIONS: Final = 50
+TOE_N: Final = 6.0
+CLOSE_N: Final = 1e-6
+CLOSE_M: Final = 1e-9
+
+
+@njit(inline="always")
+def slid(s: float, step: float, distance: float) -> float:
+    """Return the pre-sliding state after a sliding `step`, exact for one direction."""
+    end = 1.0 if step > 0.0 else -1.0
+    return end + (s - end) * math.exp(-abs(step) / distance)
+
+
+@njit(inline="always")
+def grip(force: float, speed: float, load: float, ratio: float, calm: float) -> float:
+    """Return the friction's factor at a tension and a sliding speed: load dependence times Stribeck."""
+    factor = max(0.05, 1.0 + load * (force / 40.0 - 1.0))
+    if ratio != 1.0:
+        factor *= 1.0 + (ratio - 1.0) * math.exp(-((speed / calm) ** 2))
+    return factor
+
+
+@njit(inline="always")
+def stretch_of_10(force: float, linear: float, bend: float) -> float:
+    """Return the stretch of (10), m, continued along its tangent from 90 % of the turning point."""
+    if bend < 0.0:
+        last = -0.45 * linear / bend
+        if force > last:
+            return linear * last + bend * last * last + (linear + 2.0 * bend * last) * (force - last)
+    return linear * force + bend * force * force
+
+
+@njit(inline="always")
+def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
+    """Return the stretch at a tension, m: (10), continued along its tangent from 90 % of the turning point.
+
+    `toe`: what the first newtons take more than (10), which was fitted from 20 N up.
+    """
+    force = max(force, 0.0)
+    if toe != 0.0:
+        return toe * (1.0 - math.exp(-force / TOE_N)) + stretch_of_10(force, linear, bend)
+    return stretch_of_10(force, linear, bend)
+
+
+@njit(cache=True)
+def over_fabric(
+    end: Array, exponent: Array, speed: Array, creep: Array, fresh: Mask,
+    linear: float, bend: float, toe: float, distance: float, load: float, ratio: float, calm: float, slack_n: float,
+) -> Array:
+    """Return the tension before the knee, N, from that behind it; `exponent` is μ2·φ at each sample."""
+    out = np.empty(end.size)
+    s, q = np.zeros(FABRIC_NODES), np.zeros(FABRIC_NODES)
+    for k in range(end.size):
+        force = end[k]
+        for i in range(FABRIC_NODES):
+            share = SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES
+            at = share * (stretch_of(force, linear, bend, toe) + creep[k])
+            if fresh[k] or end[k] < slack_n:
+                s[i] = 0.0
+            else:
+                s[i] = slid(s[i], at - q[i], distance)
+            q[i] = at
+            force *= math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, speed[k], load, ratio, calm))
+        out[k] = force
+    return out
+
+
+@njit(cache=True)
+def along_cable(
+    tension: Array, position: Array, exponent: Array, speed: Array, fresh: Mask,
+    distance: float, compliance: float, load: float, ratio: float, calm: float, slack_n: float, gain: float,
+) -> tuple[Array, Array]:
+    """Return (START tension, N, mean slip state) from the tension behind the cable and the drum's position.
+
+    The rope slides by x − c·T_START, c the `compliance` before the friction: T_START is solved for in each
+    sample (monotone, with a kink where the rope turns: Newton while it halves the miss, else bisection).
+    `gain`: START per tension behind the cable without friction.
+    """
+    start, mean = np.empty(tension.size), np.empty(tension.size)
+    s, u = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
+    trial = np.zeros(CABLE_NODES)
+    for k in range(tension.size):
+        base = gain * tension[k]
+        whole = exponent[k] * grip(tension[k], speed[k], load, ratio, calm) / CABLE_NODES
+        if fresh[k] or tension[k] < slack_n:
+            force = base
+            for i in range(CABLE_NODES):
+                s[i], u[i] = 0.0, position[k] - compliance * force
+        else:
+            low, high = -abs(base) * math.exp(abs(whole) * CABLE_NODES), abs(base) * math.exp(abs(whole) * CABLE_NODES)
+            force, last = min(max(start[k - 1], low), high), np.inf
+            for _ in range(ITERATIONS):
+                turn, steep = 0.0, 0.0
+                for i in range(CABLE_NODES):
+                    step = position[k] - compliance * force - u[i]
+                    trial[i] = slid(s[i], step, distance * SPREAD[i])
+                    turn += trial[i]
+                    steep += abs((1.0 if step > 0.0 else -1.0) - trial[i]) / (distance * SPREAD[i])
+                target = base * math.exp(whole * turn)
+                miss = force - target
+                if abs(miss) < CLOSE_N:
+                    break
+                if miss > 0.0:
+                    high = force
+                else:
+                    low = force
+                newton = force - miss / (1.0 + abs(target * whole) * steep * compliance)
+                falls = abs(miss) < 0.5 * last and low < newton < high
+                force, last = newton if falls else 0.5 * (low + high), abs(miss)
+            for i in range(CABLE_NODES):
+                s[i], u[i] = trial[i], position[k] - compliance * force
+            force = base * math.exp(whole * turn)
+        start[k], mean[k] = force, (s[0] + s[1] + s[2]) / CABLE_NODES
+    return start, mean
+
+
+@njit(inline="always")
+def _reach(
+    end: float, creep: float, fabric: float, cable: float, slide_f: float, slide_c: float, s: Array, u: Array,
+    new_s: Array, new_u: Array, anchor: float, own: float, bend: float, toe: float, compliance: float,
+    distance_f: float, distance: float, load: float, ratio: float, calm: float,
+) -> tuple[float, float]:
+    """Return (drum position, START tension) that an END tension needs, and the memory it would leave."""
+    force = end
+    before = 0.0
+    for i in range(FABRIC_NODES):
+        share = SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES
+        at = share * (stretch_of(force, own, bend, toe) + creep)
+        new_u[i] = at
+        new_s[i] = slid(s[i], at - u[i], distance_f)
+        force *= math.exp(new_s[i] * fabric / FABRIC_NODES * grip(force, slide_f, load, ratio, calm))
+        before = at
+    rest = 1.0 - SHARE_AFTER - SHARE_OVER * (1.0 - 0.5 / FABRIC_NODES)
+    at = anchor + before + rest * (stretch_of(force, own, bend, toe) + creep)
+    whole = cable * grip(force, slide_c, load, ratio, calm) / CABLE_NODES
+    turn = 0.0
+    for i in range(CABLE_NODES):
+        j = FABRIC_NODES + i
+        new_u[j] = at
+        new_s[j] = slid(s[j], at - u[j], distance * SPREAD[i])
+        turn += new_s[j]
+    force *= math.exp(whole * turn)
+    return at + compliance * force, force
+
+
+@njit(cache=True)
+def from_motion(
+    drum: Array, anchor: Array, time: Array, fresh: Mask, fabric: Array, cable: Array, slide_f: Array, slide_c: Array,
+    linear: float, bend: float, toe: float, compliance: float, creep_rate: float, creep_time: float, distance_f: float,
+    distance: float, load: float, ratio: float, calm: float,
+) -> tuple[Array, Array]:
+    """Return (END, START) tension, N, that the positions of drum and leg anchor, m, ask for: (10), (11), (3), (7).
+
+    `linear`, `bend`: the whole path's stretch, of which `compliance` is the rope's own, before the friction.
+    END is found in each sample by a secant kept in its bracket (monotone); zero where the rope is slack.
+    """
+    n, nodes = drum.size, FABRIC_NODES + CABLE_NODES
+    end_out, start_out = np.zeros(n), np.zeros(n)
+    s, u, new_s, new_u = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
+    own = max(linear - compliance, 1e-6)
+    gamma, end, slope, before = 0.0, 0.0, linear, 0.0
+    for k in range(n):
+        if fresh[k]:
+            gamma = 0.0
+        elif creep_rate > 0.0:
+            fade = math.exp(-(time[k] - time[k - 1]) / creep_time)
+            gamma = gamma * fade + creep_rate * end * (1.0 - fade)
+        if drum[k] - anchor[k] - gamma <= 0.0 or fresh[k]:
+            end = 0.0
+            s[:] = 0.0
+            for i in range(FABRIC_NODES):
+                u[i] = (SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES) * gamma
+            u[FABRIC_NODES:] = anchor[k] + gamma
+            before = 0.0
+            continue
+        low, high, start = 0.0, 1e6, 0.0
+        guess = max(end + (drum[k] - anchor[k] - before) / slope, 1e-3)
+        last, f_last = end, -np.inf
+        for i in range(ITERATIONS):
+            end = guess
+            at, start = _reach(end, gamma, fabric[k], cable[k], slide_f[k], slide_c[k], s, u, new_s, new_u, anchor[k],
+                               own, bend, toe, compliance, distance_f, distance, load, ratio, calm)
+            f = at - drum[k]
+            if abs(f) < CLOSE_M or high - low < CLOSE_N:
+                break
+            if f > 0.0:
+                high = end
+            else:
+                low = end
+            if i > 0 and abs(end - last) > 1e-9:
+                slope = min(max((f - f_last) / (end - last), 0.2 * own), 20.0 * own)
+            guess = end - f / slope
+            if not low < guess < high or (i > 1 and abs(f) > 0.5 * abs(f_last)):
+                guess = 0.5 * (low + min(high, 2.0 * end + 1.0))
+            last, f_last = end, f
+        s[:] = new_s
+        u[:] = new_u
+        before = drum[k] - anchor[k]
+        end_out[k], start_out[k] = end, start
+    return end_out, start_out

@@ -1,0 +1,177 @@
+"""The desired motion and force of one gait cycle, periodic and without a step.
+
+The rule of this file: everything is tabulated once, by phase, into piecewise cubics; a look-up is a
+multiplication and a Horner scheme in plain floats, since the master makes one in every control cycle.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from parameters import InputError
+from physics import laws
+from physics.closure import CLOSED_PERCENT, CYCLE_POINTS, closed
+from physics.laws import Array
+
+_PERCENT: Final = np.linspace(0.0, 100.0, CYCLE_POINTS + 1)
+_STEP: Final = 100.0 / CYCLE_POINTS
+
+
+class Desired(NamedTuple):
+    """What is wanted at one instant: rad, rad/s, N, N/s."""
+
+    knee_angle_rad: float
+    knee_velocity_rad_s: float
+    force_n: float
+    force_rate_n_s: float
+
+
+class Reference:
+    """One desired motion and force, periodic in `period_s`; `phase` counts cycles and may exceed 1."""
+
+    __slots__ = ("_angle", "_force", "_rate", "departs_from_eq1_rad", "peak_n", "period_s")
+
+    def __init__(
+        self, period_s: float, angle: tuple[Array, Array], force: tuple[Array, Array, Array]
+    ) -> None:
+        """Tabulate one cycle at `CYCLE_POINTS` + 1 equal phases.
+
+        `angle`: value (rad) and slope (rad per %) at each point. `force`: value (N), and slope (N per %)
+        leaving and reaching each point, which differ where the curve has a corner.
+        """
+        self.period_s = period_s
+        self._rate = CYCLE_POINTS / period_s
+        self._angle = _cubics(angle[0], angle[1], angle[1])
+        self._force = _cubics(*force)
+        self.peak_n = float(np.max(force[0]))
+        self.departs_from_eq1_rad = float(np.max(np.abs(angle[0] - laws.knee_angle(_PERCENT))))
+
+    def knee_angle(self, phase: float) -> float:
+        """Return the knee angle, rad, at `phase` (cycles)."""
+        a, b, c, d, u = self._cell(self._angle, phase)
+        return a + u * (b + u * (c + u * d))
+
+    def knee_velocity(self, phase: float) -> float:
+        """Return the knee velocity, rad/s, at `phase` (cycles)."""
+        _, b, c, d, u = self._cell(self._angle, phase)
+        return (b + u * (2.0 * c + u * 3.0 * d)) * self._rate
+
+    def desired_force(self, phase: float) -> float:
+        """Return the desired END force, N, at `phase` (cycles)."""
+        a, b, c, d, u = self._cell(self._force, phase)
+        return a + u * (b + u * (c + u * d))
+
+    def at(self, phase: float) -> Desired:
+        """Return everything that is wanted at `phase` (cycles), in one look-up."""
+        x = (phase - math.floor(phase)) * CYCLE_POINTS
+        i = int(x)
+        u = x - i
+        a, b, c, d = self._angle[i]
+        p, q, r, s = self._force[i]
+        rate = self._rate
+        return Desired(
+            a + u * (b + u * (c + u * d)),
+            (b + u * (2.0 * c + u * 3.0 * d)) * rate,
+            p + u * (q + u * (r + u * s)),
+            (q + u * (2.0 * r + u * 3.0 * s)) * rate,
+        )
+
+    @staticmethod
+    def _cell(
+        table: tuple[tuple[float, float, float, float], ...], phase: float
+    ) -> tuple[float, float, float, float, float]:
+        x = (phase - math.floor(phase)) * CYCLE_POINTS
+        i = int(x)
+        return *table[i], x - i
+
+
+def _cubics(value: Array, leaving: Array, reaching: Array) -> tuple[tuple[float, float, float, float], ...]:
+    """Return Hermite cubics over each step, u in 0…1; one more cell catches a phase that rounds up to 1."""
+    p, q = value[:-1], value[1:]
+    m, n = leaving[:-1] * _STEP, reaching[1:] * _STEP
+    cells = np.stack([p, m, 3.0 * (q - p) - 2.0 * m - n, 2.0 * (p - q) + m + n], axis=1)
+    return tuple(tuple(map(float, cell)) for cell in [*cells, cells[0]])  # type: ignore[misc]
+
+
+def paper_angle() -> tuple[Array, Array]:
+    """Return (1) closed over ±10 % of the seam, exact to it in between: rad and rad per %, by phase."""
+    return closed(lambda percent, order: laws.knee_angle(percent, order))(_PERCENT)
+
+
+def paper_force(peak_n: float) -> tuple[Array, Array, Array]:
+    """Return (2) in N and its slopes, N per %, leaving and reaching each point: corners at 10 and 30 %."""
+    start, peak, end = laws.FORCE_START_PERCENT, laws.FORCE_PEAK_PERCENT, laws.FORCE_END_PERCENT
+    rise = np.pi / (2.0 * (peak - start))
+    fall = np.pi / (2.0 * (end - peak))
+    rising = peak_n * rise * np.cos(rise * (_PERCENT - start))
+    falling = -peak_n * fall * np.cos(fall * (end - _PERCENT))
+    i, j, k = (round(p / _STEP) for p in (start, peak, end))
+    points = np.arange(_PERCENT.size)
+    leaving = np.where((points >= i) & (points < j), rising, np.where((points >= j) & (points < k), falling, 0.0))
+    reaching = np.where((points > i) & (points <= j), rising, np.where((points > j) & (points <= k), falling, 0.0))
+    force = laws.desired_force(_PERCENT, peak_n)
+    force[[i, k]] = 0.0
+    return force, leaving, reaching
+
+
+def paper_reference(peak_n: float, period_s: float) -> Reference:
+    """Return the paper's experiment: (1), closed, and (2) with the peak `peak_n`, over `period_s`."""
+    return Reference(period_s, paper_angle(), paper_force(peak_n))
+
+
+def close_cycle(percent: Array, angle_rad: Array) -> Array:
+    """Return a recorded knee cycle at `CYCLE_POINTS` equal phases, closed in angle, slope and curvature.
+
+    `percent` rises and reaches into both ±10 % windows around the seam; raises `InputError` if not.
+    """
+    angle: Array = recorded_angle(percent, angle_rad)[0][:-1]
+    return angle
+
+
+def recorded_angle(percent: Array, angle_rad: Array) -> tuple[Array, Array]:
+    """Return a recorded knee cycle, closed, for `Reference`: rad and rad per %, by phase."""
+    t, y = np.asarray(percent, dtype=np.float64), np.asarray(angle_rad, dtype=np.float64)
+    _check_cycle(t, y)
+    spline = CubicSpline(t, y)
+
+    def curve(at: Array, order: int) -> Array:
+        inside = np.clip(at, t[0], t[-1])
+        value: Array = spline(inside, order)
+        if order == 0:
+            value = value + (at - inside) * spline(inside, 1)
+        return value
+
+    return closed(curve)(_PERCENT)
+
+
+def recorded_force(percent: Array, force_n: Array) -> tuple[Array, Array, Array]:
+    """Return a desired-force curve for `Reference`, N and N per %: monotone between its points, periodic."""
+    t, y = np.asarray(percent, dtype=np.float64), np.asarray(force_n, dtype=np.float64)
+    _check_cycle(t, y)
+    around = PchipInterpolator(
+        np.concatenate([t[-3:] - 100.0, t, t[:3] + 100.0] if t[-1] - t[0] < 100.0 else [t]),
+        np.concatenate([y[-3:], y, y[:3]] if t[-1] - t[0] < 100.0 else [y]),
+    )
+    value, slope = around(_PERCENT), around(_PERCENT, 1)
+    return value, slope, slope
+
+
+def _check_cycle(t: Array, y: Array) -> None:
+    if t.shape != y.shape or t.ndim != 1 or t.size < 8:
+        raise InputError(f"gait cycle: {t.size} phases and {y.size} values, expected at least 8 of each; add points.")
+    for name, column in (("gait_percent", t), ("value", y)):
+        bad = np.flatnonzero(~np.isfinite(column))
+        if bad.size:
+            raise InputError(f"gait cycle: {name} in row {bad[0] + 1} is not a number; fill or drop the row.")
+    back = np.flatnonzero(np.diff(t) <= 0.0)
+    if back.size:
+        row = int(back[0]) + 2
+        raise InputError(f"gait cycle: gait_percent = {t[row - 1]:g} in row {row} does not rise; sort the rows.")
+    if not (0.0 <= t[0] <= CLOSED_PERCENT and 100.0 - CLOSED_PERCENT <= t[-1] <= 100.0):
+        raise InputError(
+            f"gait cycle: gait_percent runs from {t[0]:g} to {t[-1]:g}, expected 0 to 100; give one whole cycle."
+        )

@@ -1,0 +1,127 @@
+"""A tension sensor's bridge and converter: from the force it feels to 24-bit counts.
+
+The rule of this file: what a sample is depends on the force's history, the instant and the seed, never on who
+asked for it; the noise of one instant is drawn from a counter, so that leaving a sample out changes no other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from parameters import parameter
+from physics.laws import Array
+
+FULL_COUNTS: Final = 2**23
+RING: Final = 1024
+"""Samples kept for a delayed sensor: at 4 kHz more than the longest delay."""
+
+
+@dataclass(frozen=True)
+class SensorParameters:
+    """HYLY-019 bridge and AD7192 converter; the last eight are what can be wrong with them."""
+
+    full_scale_n: float = parameter(
+        200.0, "N", "force at full scale, either way", low=1.0, high=1e4, source="assumed: maker's range")
+    cutoff_hz: float = parameter(
+        200.0, "Hz", "converter's low-pass, first order", low=1.0, high=1e4, source="assumed: sinc filter at 1 kHz")
+    noise_n: float = parameter(
+        0.15, "N", "noise of a sample, rms", low=0.0, high=20.0, source="assumed: 0.075 % of full scale")
+    gain: float = parameter(1.0, "", "gain", low=0.1, high=3.0, source="assumed: calibrated")
+    offset_n: float = parameter(0.0, "N", "error of the zero", low=-100.0, high=100.0, source="assumed: tared")
+    drift_n: float = parameter(
+        0.0, "N", "change of the zero over drift_s", low=-100.0, high=100.0, source="assumed: warmed up")
+    drift_s: float = parameter(
+        20.0, "s", "time, from the start, that drift_n refers to", low=0.1, high=1e6,
+        source="assumed: ten gait cycles of 2 s")
+    delay_s: float = parameter(0.0, "s", "dead time of the signal", low=0.0, high=0.1, source="assumed: none")
+    lag_s: float = parameter(
+        0.0, "s", "time constant of a further low-pass", low=0.0, high=1.0, source="assumed: none")
+    quantum_n: float = parameter(
+        0.0, "N", "step to which the signal is rounded; 0: the converter's own", low=0.0, high=20.0,
+        source="assumed: 24 bits")
+    skew_s: float = parameter(
+        0.0, "s", "what its time stamps are early by, with those of the other sensor", low=0.0, high=0.1,
+        source="assumed: none")
+
+
+@njit
+def _mix(z: Any) -> Any:
+    """Return 64 well-mixed bits (splitmix64's finaliser)."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@njit(cache=True)
+def normal(seed: Any, counter: int) -> float:
+    """Return the standard normal number of (`seed`, `counter`): uint64 and int64, the same in any order of calls."""
+    z = _mix(np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15) + _mix(seed))
+    u = float((z >> np.uint64(11)) + np.uint64(1)) * 2.0**-53
+    w = float(_mix(z + np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)) * 2.0**-53
+    return math.sqrt(-2.0 * math.log(u)) * math.cos(2.0 * math.pi * w)
+
+
+@njit
+def _delayed(ring: Any, count: int, at_s: float) -> float:
+    """Return the ring's signal at `at_s`, s, linear between its samples; the oldest where it does not reach."""
+    later = (count - 1) % RING
+    for back in range(1, min(count, RING)):
+        earlier = (count - 1 - back) % RING
+        if ring[earlier, 0] <= at_s:
+            span = ring[later, 0] - ring[earlier, 0]
+            part = min(1.0, (at_s - ring[earlier, 0]) / span)
+            between: float = ring[earlier, 1] + part * (ring[later, 1] - ring[earlier, 1])
+            return between
+        later = earlier
+    oldest: float = ring[later, 1]
+    return oldest
+
+
+@njit(cache=True)
+def convert(state: Any, ring: Any, p: Any, seed: Any, time_ns: int, force_n: float) -> float:
+    """Return the counts of one sample; `state` is (last time, filtered, lagged, samples so far), `p` the parameters."""
+    now = time_ns * 1e-9
+    count = int(state[3])
+    if count == 0:
+        state[1], state[2] = force_n, force_n
+    else:
+        dt = now - state[0]
+        state[1] += -math.expm1(-2.0 * math.pi * p[1] * dt) * (force_n - state[1])
+        state[2] = state[1] if p[8] <= 0.0 else state[2] - math.expm1(-dt / p[8]) * (state[1] - state[2])
+    state[0] = now
+    ring[count % RING, 0], ring[count % RING, 1] = now, state[2]
+    state[3] = count + 1
+    late = p[7] + p[10]
+    signal = state[2] if late <= 0.0 else _delayed(ring, count + 1, now - late)
+    signal = signal * p[3] + p[4] + p[5] * (now - state[4]) / p[6] + p[2] * normal(seed, time_ns)
+    if p[9] > 0.0:
+        signal = p[9] * round(signal / p[9])
+    counts: float = round(signal / p[0] * FULL_COUNTS)
+    return min(FULL_COUNTS - 1.0, max(-float(FULL_COUNTS), counts))
+
+
+class Converter:
+    """One sensor's bridge and converter; the same parameters, seed, times and forces give the same counts."""
+
+    __slots__ = ("_p", "_ring", "_seed", "_state", "newton_per_count", "parameters")
+
+    def __init__(self, parameters: SensorParameters, seed: int, time_ns: int = 0) -> None:
+        self.parameters = parameters
+        self.newton_per_count = parameters.full_scale_n / FULL_COUNTS
+        self._p: Array = np.array(astuple(parameters))
+        self._seed = np.uint64(seed & 0xFFFF_FFFF_FFFF_FFFF)
+        self.reset(time_ns)
+
+    def reset(self, time_ns: int) -> None:
+        """Forget the signal's history; drift counts from `time_ns`."""
+        self._state: Array = np.array([0.0, 0.0, 0.0, 0.0, time_ns * 1e-9])
+        self._ring: Array = np.zeros((RING, 2))
+
+    def sample(self, time_ns: int, force_n: float) -> int:
+        """Return the counts, −2²³ … 2²³ − 1, of the force felt at `time_ns`, N; times must not fall."""
+        return int(convert(self._state, self._ring, self._p, self._seed, time_ns, force_n))
