@@ -1,0 +1,264 @@
+"""What one axis does in one drive tick: bounds, following positions, braking, tightening the rope.
+
+The rule of this file: compiled laws over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis
+(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive`'s.  numba's cache does not
+see a change in an imported module, so that module's digest is a constant of the compiled functions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from physics import drive
+from physics.drive import loop, velocity_loop
+
+POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
+    TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
+    STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, EVENTS, STATES = range(29)
+"""Slots of `s`, the first five `physics.drive.LOOP`; `STATES` is their number."""
+
+KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
+    TORQUE_LOW, UNTRUSTED_TORQUE, HOLD_TORQUE, MODE, PERIOD_S, LOW, HIGH, RESOLUTION, WINDOW, WINDOW_S, \
+    DECELERATION, STILL_SPEED, STILL_FOR_S, TENSION_LIMIT, YIELD_PER_N, PRELOAD, SEARCH_SPEED, ZERO_SPEED, \
+    HOMING_ACCELERATION, TRAVEL, TARGET_VELOCITY, TARGET_TORQUE, RAW_PER_SI, ORIGIN, MILLE_PER_NM, \
+    SETTINGS = range(37)
+"""Slots of `g`, the first six those of `physics.drive.Gains`; `SETTINGS` is their number."""
+
+LOOP_STATES: Final = len(drive.LOOP)
+GAINS: Final = 6
+
+OFF, FOLLOW, SPEED, PUSH, STOP, TIGHTEN = range(6)
+"""Values of `g[MODE]`: no torque; follow positions; follow a velocity; give a torque; brake; wind in to a tension."""
+
+STOPPED, LOST_TRACK, TIGHT, NOT_TIGHT = 1, 2, 4, 8
+"""Bits of `s[EVENTS]`, set here, cleared by the reader: at rest; following error timed out; preload held; preload not
+found within the travel, or without a trusted tension."""
+
+COUNTS: Final = 9
+"""Integers that `counts` writes."""
+IS_LIMITED, IS_OFF_TRACK, IS_YIELDING, IS_MOVING = 1, 2, 4, 8
+"""Bits of the last integer of `counts`."""
+
+MAX_DT_S: Final = 0.01
+TRUST_S: Final = 0.05
+"""Age beyond which a tension is not trusted; the deadline of its PDO is shorter."""
+YIELD_RATE: Final = 160.0
+"""1/s: how fast the tension limiter closes on its limit, on a rope of the stiffness it assumes; well damped with the
+3 ms between bridge and drum."""
+TIGHTEN_PER_N: Final = 0.002
+"""m/s of rope for each newton short of the preload: a time constant of 0.2 s on the soft rope, which averages noise."""
+TIGHT_N: Final = 0.6
+"""Band about the preload, four times the assumed noise of the bridge."""
+TIGHT_S: Final = 0.25
+
+
+def arrays() -> tuple[Any, Any]:
+    """Return (s, g) of an axis at rest, off, without limits, gains zero."""
+    s, g = np.zeros(STATES), np.zeros(SETTINGS)
+    s[TENSION_AGE_S] = math.inf
+    g[[TORQUE_BOUND, TORQUE_MAX, TORQUE_HIGH, UNTRUSTED_TORQUE]] = math.inf
+    g[[SPEED_MAX, HIGH, WINDOW, TENSION_LIMIT, TRAVEL]] = math.inf
+    g[LOW], g[TORQUE_LOW] = -math.inf, -math.inf
+    g[PERIOD_S], g[RAW_PER_SI], g[MILLE_PER_NM] = 1e-3, 1.0, 1.0
+    return s, g
+
+
+@njit
+def tell(s: Any, event: int) -> None:
+    """Note an event for the reader."""
+    s[EVENTS] = float(int(s[EVENTS]) | event)
+
+
+@njit
+def bound(s: Any, g: Any, mode: int, position: float) -> None:
+    """Set the bounds: greatest speed, tension limit, near a position limit the speed that still stops there; torque.
+
+    The tension's bound falls in proportion to what is left below the limit and turns to paying out above it; without a
+    trusted tension the torque itself is bounded.
+    """
+    high = g[SPEED_MAX]
+    low = -high
+    if mode in (SPEED, PUSH):
+        high = min(high, g[KP] * (g[HIGH] - position))
+        low = max(low, g[KP] * (g[LOW] - position))
+    trusted = s[TENSION_AGE_S] <= TRUST_S
+    g[TORQUE_BOUND] = g[TORQUE_MAX] if trusted else min(g[TORQUE_MAX], g[UNTRUSTED_TORQUE])
+    s[FREE_HIGH], s[TENSION_HIGH] = high, math.inf
+    if trusted and g[TENSION_LIMIT] < math.inf:
+        s[TENSION_HIGH] = max(-g[SPEED_MAX], g[YIELD_PER_N] * (g[TENSION_LIMIT] - s[TENSION]))
+    s[SPEED_HIGH] = min(high, s[TENSION_HIGH])
+    s[SPEED_LOW] = min(low, s[SPEED_HIGH])
+
+
+@njit
+def run(s: Any, g: Any, wanted: float, velocity: float, dt_s: float) -> float:
+    """Return the torque of the velocity loop within the bounds."""
+    given = min(s[SPEED_HIGH], max(s[SPEED_LOW], wanted))
+    if given != wanted:
+        s[LIMITED] = 1.0
+    return float(velocity_loop(s[:LOOP_STATES], g[:GAINS], velocity, given, dt_s))
+
+
+@njit
+def interpolate(s: Any, g: Any, dt_s: float) -> None:
+    """Move the demand along a straight line to the newest target, over one interpolation period.
+
+    The target keeps `g[LOW]` … `g[HIGH]`, the line's slope `g[SPEED_MAX]`: a line too steep is drawn out.
+    """
+    target = min(g[HIGH], max(g[LOW], s[TARGET]))
+    if s[FRESH] != 0.0:
+        s[FRESH] = 0.0
+        way = target - s[DEMAND]
+        slope = min(g[SPEED_MAX], max(-g[SPEED_MAX], way / g[PERIOD_S]))
+        s[SEGMENT_VELOCITY] = slope
+        s[SEGMENT_LEFT_S] = way / slope if slope != 0.0 else 0.0
+    spent = min(dt_s, s[SEGMENT_LEFT_S])
+    s[DEMAND] += s[SEGMENT_VELOCITY] * spent
+    s[SEGMENT_LEFT_S] -= spent
+    s[RAMP] = s[SEGMENT_VELOCITY] * spent / dt_s if dt_s > 0.0 else 0.0
+    if target != s[TARGET] or s[SEGMENT_LEFT_S] > g[PERIOD_S]:
+        s[LIMITED] = 1.0
+
+
+@njit
+def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
+    """Return the torque that follows the interpolated positions; tells of an error that outlasts its window's time.
+
+    While the rope's tension holds the axis back, the error is nobody's fault and is not timed.
+    """
+    interpolate(s, g, dt_s)
+    forward = g[FEED_FORWARD] * s[RAMP] + g[VELOCITY_OFFSET]
+    error = s[DEMAND] - position
+    wanted = forward + g[KP] * error + s[POSITION_INTEGRAL]
+    s[YIELDING] = 1.0 if wanted > s[SPEED_HIGH] and s[SPEED_HIGH] < g[SPEED_MAX] else 0.0
+    if abs(error) <= g[WINDOW] or s[YIELDING] != 0.0:
+        s[FOLLOWING_S] = 0.0
+    else:
+        s[FOLLOWING_S] += dt_s
+        if s[FOLLOWING_S] > g[WINDOW_S]:
+            tell(s, LOST_TRACK)
+    if s[SPEED_LOW] <= wanted <= s[SPEED_HIGH]:
+        torque = loop(s[:LOOP_STATES], g[:GAINS], position, velocity, s[DEMAND], forward, dt_s)
+    else:
+        torque = run(s, g, wanted, velocity, dt_s)
+    s[FOLLOWING] = error
+    return float(torque)
+
+
+@njit
+def push(s: Any, g: Any, velocity: float) -> float:
+    """Return the wanted torque, less what the speed bounds take; the tension's bound leaves what holds its limit."""
+    high = min(g[KV] * (s[FREE_HIGH] - velocity), g[HOLD_TORQUE] + g[KV] * (s[TENSION_HIGH] - velocity))
+    given = max(g[KV] * (s[SPEED_LOW] - velocity), min(high, g[TARGET_TORQUE]))
+    if given != g[TARGET_TORQUE]:
+        s[LIMITED] = 1.0
+    return float(given)
+
+
+@njit
+def brake(s: Any, g: Any, velocity: float, dt_s: float) -> float:
+    """Return the torque that slows down by `g[DECELERATION]`; tells of rest, or of the end of the time given for it."""
+    ramp, change = s[RAMP], g[DECELERATION] * dt_s
+    ramp = max(0.0, ramp - change) if ramp > 0.0 else min(0.0, ramp + change)
+    s[RAMP] = ramp
+    s[STOP_LEFT_S] -= dt_s
+    still = ramp == 0.0 and abs(velocity) < g[STILL_SPEED]
+    s[STILL_S] = s[STILL_S] + dt_s if still else 0.0
+    if s[STILL_S] >= g[STILL_FOR_S] or s[STOP_LEFT_S] <= 0.0:
+        tell(s, STOPPED)
+    return float(run(s, g, ramp, velocity, dt_s))
+
+
+@njit
+def tighten(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
+    """Return the torque that winds in until the tension holds `g[PRELOAD]`; slower once half of it is there."""
+    missing = g[PRELOAD] - s[TENSION]
+    speed = g[SEARCH_SPEED] if missing > 0.5 * g[PRELOAD] else g[ZERO_SPEED]
+    wanted = min(speed, max(-speed, TIGHTEN_PER_N * missing))
+    change = g[HOMING_ACCELERATION] * dt_s
+    s[RAMP] = min(s[RAMP] + change, max(s[RAMP] - change, wanted))
+    s[STILL_S] = s[STILL_S] + dt_s if abs(missing) <= TIGHT_N else 0.0
+    if s[TENSION_AGE_S] > TRUST_S or abs(position - s[START]) > g[TRAVEL]:
+        tell(s, NOT_TIGHT)
+    elif s[STILL_S] >= TIGHT_S:
+        tell(s, TIGHT)
+    return float(run(s, g, s[RAMP], velocity, dt_s))
+
+
+@njit
+def act(s: Any, g: Any, mode: int, position: float, velocity: float, dt_s: float) -> float:
+    """Return the torque of a mode in which the drive function is on, within its bound."""
+    if mode == FOLLOW:
+        torque = follow(s, g, position, velocity, dt_s)
+    else:
+        s[DEMAND], s[FOLLOWING], s[YIELDING] = position, 0.0, 0.0
+        if mode == SPEED:
+            s[RAMP] = g[TARGET_VELOCITY] + g[VELOCITY_OFFSET]
+            torque = run(s, g, s[RAMP], velocity, dt_s)
+        elif mode == PUSH:
+            torque = push(s, g, velocity)
+        elif mode == STOP:
+            torque = brake(s, g, velocity, dt_s)
+        else:
+            torque = tighten(s, g, position, velocity, dt_s)
+    torque += g[TORQUE_OFFSET]
+    high, low = min(g[TORQUE_BOUND], g[TORQUE_HIGH]), max(-g[TORQUE_BOUND], g[TORQUE_LOW])
+    given = min(high, max(low, torque))
+    if given != torque or s[SATURATED] != 0.0:
+        s[LIMITED] = 1.0
+    return float(given)
+
+
+def _compile(digest: int) -> tuple[Any, Any]:
+    @njit(cache=True)
+    def step(s: Any, g: Any, now_ns: int, position: float, velocity: float) -> float:
+        _ = digest
+        dt_s = min(MAX_DT_S, (now_ns - s[TIME_NS]) * 1e-9)
+        if g[RESOLUTION] > 0.0:
+            position = math.floor(position / g[RESOLUTION] + 0.5) * g[RESOLUTION]
+        mode = int(g[MODE])
+        s[TIME_NS], s[POSITION], s[VELOCITY], s[LIMITED] = now_ns, position, velocity, 0.0
+        s[TENSION_AGE_S] += dt_s
+        torque = 0.0
+        if mode == OFF:
+            s[DEMAND], s[RAMP], s[FOLLOWING], s[VELOCITY_DEMAND], s[YIELDING] = position, 0.0, 0.0, 0.0, 0.0
+        else:
+            bound(s, g, mode, position)
+            torque = act(s, g, mode, position, velocity, dt_s)
+        s[TORQUE] = torque
+        return torque
+
+    @njit(cache=True)
+    def counts(s: Any, g: Any, out: Any) -> None:
+        unit, origin = g[RAW_PER_SI], g[ORIGIN]
+        increments = s[POSITION] / g[RESOLUTION] if g[RESOLUTION] > 0.0 else 0.0
+        for n, value in enumerate((
+            (s[POSITION] - origin) * unit, s[VELOCITY] * unit, s[TORQUE] * g[MILLE_PER_NM],
+            (s[DEMAND] - origin) * unit, s[RAMP] * unit, s[FOLLOWING] * unit, s[VELOCITY_DEMAND] * unit, increments,
+        )):
+            out[n] = math.floor(min(2147483647.0, max(-2147483648.0, value)) + 0.5)
+        out[8] = (
+            (IS_LIMITED if s[LIMITED] != 0.0 else 0) + (IS_OFF_TRACK if abs(s[FOLLOWING]) > g[WINDOW] else 0)
+            + (IS_YIELDING if s[YIELDING] != 0.0 else 0) + (IS_MOVING if abs(s[VELOCITY]) >= g[STILL_SPEED] else 0))
+
+    return step, counts
+
+
+step, counts = _compile(int.from_bytes(hashlib.sha256(Path(drive.__file__).read_bytes()).digest()[:7], "big"))
+"""`step(s, g, now_ns, position, velocity)` → torque, N·m: one drive tick; the position is rounded to the encoder's
+`g[RESOLUTION]`.  `counts(s, g, out)` writes nine integers: position, velocity, torque ‰, demanded position and
+velocity, following error, the position loop's output, encoder increments, and the `IS_…` flags."""
+
+
+def prepare() -> bool:
+    """Compile both, or load them from numba's cache, before time matters; return whether they had to be compiled."""
+    s, g = arrays()
+    step(s, g, 0, 0.0, 0.0)
+    counts(s, g, np.zeros(COUNTS, np.int64))
+    return bool(sum(step.stats.cache_misses.values()) + sum(counts.stats.cache_misses.values()))

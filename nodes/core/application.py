@@ -1,0 +1,59 @@
+"""What a device profile adds to the core.
+
+The rule of this file: every method is optional and does nothing here; the core tells, the profile decides.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from eds.cia301 import Emcy, NmtState
+from eds.datatype import Value
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
+
+
+class Application:
+    """A profile behind a `Device`; subclass it and override what the profile needs.
+
+    Times are nanoseconds of the caller's clock, keys are `eds.dictionary.key(index, subindex)`, values raw.
+    """
+
+    watched: frozenset[int] = frozenset()
+    """Keys whose writes `written` hears of; read once, after `attach`."""
+
+    unstored: frozenset[int] = frozenset()
+    """Keys that 0x1010 never saves, beyond those that an RPDO may write; read once, after `attach`."""
+
+    def attach(self, device: Device) -> None:
+        """Keep `device`; called once, before power-on, when `device.values` already holds the defaults."""
+
+    def check_write(self, key: int, value: Value) -> int:
+        """Return 0 or an SDO abort code; asked for SDO writes above 0x1FFF and for watched keys in an RPDO."""
+        return 0
+
+    def written(self, key: int, value: Value, now_ns: int) -> None:
+        """A watched object was written, by SDO or RPDO; `device.values` already holds it."""
+
+    def latch(self, now_ns: int) -> None:
+        """Bring process inputs into `device.values`: at SYNC, before the TPDOs are packed (OPERATIONAL only)."""
+
+    def refresh(self, now_ns: int) -> None:
+        """Bring process values up to date without a SYNC: before an SDO upload, an event-driven or requested TPDO."""
+
+    def nmt_changed(self, state: NmtState, now_ns: int) -> None:
+        """The NMT state is now `state`; INITIALISING stands for either reset."""
+
+    def communication_lost(self, reason: Emcy, now_ns: int) -> None:
+        """A heartbeat, an RPDO deadline or the bus itself was lost; 0x1029 acts on the NMT state afterwards."""
+
+    def reset(self, now_ns: int) -> None:
+        """Power-on or reset node: `device.values` holds stored or default values; forget everything else."""
+
+    def poll(self, now_ns: int) -> None:
+        """Run what is due."""
+
+    def next_ns(self) -> int | None:
+        """Say when `poll` has work, or None."""
+        return None

@@ -1,0 +1,50 @@
+"""COB-ID objects: which identifiers a device may be given, and when.
+
+The rule of this file: an identifier changes only while its object does not exist, and never to one that CiA 301
+reserves or that this device already uses.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from eds.cia301 import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, Abort
+
+CAN_ID: Final = 0x7FF
+INVALID: Final = COB_ID_INVALID
+_EXTENDED_BITS: Final = 0x1FFFF800
+_IDENTITY: Final = COB_ID_EXTENDED | _EXTENDED_BITS | CAN_ID
+
+RESTRICTED: Final = (
+    (0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF),
+)
+"""Identifiers that no configurable object may take (CiA 301, table 41)."""
+
+
+def restricted(can_id: int) -> bool:
+    """Say whether CiA 301 keeps `can_id` from SYNC, EMCY and PDOs."""
+    return any(low <= can_id <= high for low, high in RESTRICTED)
+
+
+def exists(cob_id: int) -> bool:
+    """Say whether an EMCY or PDO COB-ID entry is valid."""
+    return not cob_id & COB_ID_INVALID
+
+
+def check(old: int, new: int) -> Abort | None:
+    """Return the abort for changing an EMCY or PDO COB-ID from `old` to `new`, else None."""
+    if new & (COB_ID_EXTENDED | _EXTENDED_BITS):
+        return Abort.INVALID_VALUE
+    if not exists(new):
+        return None
+    if restricted(new & CAN_ID) or (exists(old) and (old ^ new) & _IDENTITY):
+        return Abort.INVALID_VALUE
+    return None
+
+
+def check_sync(old: int, new: int) -> Abort | None:
+    """Return the abort for changing 0x1005; bit 30 says that the device makes the SYNC."""
+    if new & (COB_ID_EXTENDED | _EXTENDED_BITS) or restricted(new & CAN_ID):
+        return Abort.INVALID_VALUE
+    making = old & new & COB_ID_NO_RTR
+    return Abort.INVALID_VALUE if making and (old ^ new) & _IDENTITY else None

@@ -1,0 +1,237 @@
+"""A CANopen device, sans-IO: frames and times in, frames out.
+
+The rule of this file: it joins the parts and knows no protocol itself.  Which COB-IDs are heard follows from the NMT
+state, so that a service the state forbids cannot be reached at all.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+from eds.cia301 import NMT_COB_ID, SERVICES, Abort, Emcy, NmtState, Service
+from eds.datatype import Value
+from eds.dictionary import Dictionary, read
+from eds.frame import Frame
+from nodes.core.application import Application
+from nodes.core.emergency import Emergency
+from nodes.core.heartbeat import Consumer, Producer
+from nodes.core.nmt import Nmt
+from nodes.core.objects import Objects, outside
+from nodes.core.parts import FAR_NS, Applied, Check, Command, Handler, Part
+from nodes.core.pdo import Pdos
+from nodes.core.sdo_server import SdoServer
+from nodes.core.store import Store
+from nodes.core.sync import Sync
+from parameters import InputError
+
+__all__ = ["Application", "Device"]
+
+
+class Device:
+    """A CiA 301 device with an `Application` behind it; silent until `power_on`.
+
+    `values` holds object values by key, `filters` the COB-IDs it wants now (a new object when they change), `outbox`
+    the frames to send, oldest first, `now_ns` the time of the last call.  Raises `InputError` for an unusable
+    dictionary or node id.
+    """
+
+    def __init__(
+        self, dictionary: Dictionary | Path, node_id: int, application: Application, *, store: Path | None = None
+    ) -> None:
+        if not 1 <= node_id <= 127:
+            raise InputError(f"node id {node_id} is outside 1 … 127; give each device its own.")
+        self.node_id = node_id
+        self.objects = Objects(read(dictionary, node_id) if isinstance(dictionary, Path) else dictionary)
+        self.values = self.objects.values
+        self.outbox: deque[Frame] = deque()
+        self.filters: frozenset[int] = frozenset()
+        self.now_ns = 0
+        self.application = application
+        self.watched: frozenset[int] = frozenset()
+        self.guarded = False
+        self._handlers: dict[int, Handler] = {}
+        self.wake_ns = FAR_NS
+        self._join(store)
+        application.attach(self)
+        self.watched = frozenset(application.watched)
+        kind, base = type(application), Application
+        self.guarded = kind.check_write is not base.check_write
+        self._refreshed = kind.refresh is not base.refresh
+        self._polled = kind.poll is not base.poll or kind.next_ns is not base.next_ns
+
+    def _join(self, store: Path | None) -> None:
+        self.nmt = Nmt(self)
+        self.emcy = Emergency(self)
+        self.store = Store(self, store)
+        self.sync = Sync(self)
+        self.pdos = Pdos(self)
+        self.consumer = Consumer(self)
+        self.producer = Producer(self)
+        self.sdo = SdoServer(self)
+        self._parts: tuple[Part, ...] = (
+            self.emcy, self.store, self.sync, self.pdos, self.consumer, self.producer, self.sdo)
+        self._checks: dict[int, Check] = {}
+        self._applied: dict[int, Applied] = {}
+        self._commands: dict[int, Command] = {}
+        for part in self._parts:
+            self._checks.update(part.checks)
+            self._applied.update(part.applied)
+            self._commands.update(part.commands)
+
+    @property
+    def state(self) -> NmtState:
+        """The NMT state."""
+        return self.nmt.state
+
+    def power_on(self, now_ns: int) -> None:
+        """Initialise from stored or default values, send the boot-up, enter PRE-OPERATIONAL."""
+        self.now_ns = now_ns
+        self.store.load()
+        self.nmt.initialise(True, now_ns)
+
+    def receive(self, frame: Frame, now_ns: int) -> None:
+        """Act on a frame from the bus; whatever is not for this device, or not now, changes nothing."""
+        self.now_ns = now_ns
+        can_id, data, remote, extended, error, _dlc = frame
+        if remote or extended or error:
+            if remote and not extended and not error and can_id in self.filters:
+                self.pdos.requested(can_id, now_ns)
+            return
+        handler = self._handlers.get(can_id)
+        if handler is not None:
+            handler(data, now_ns)
+
+    def poll(self, now_ns: int) -> None:
+        """Run what is due: heartbeats, timers, deadlines, the application."""
+        self.now_ns = now_ns
+        if self._polled and self.state is not NmtState.INITIALISING:
+            self.application.poll(now_ns)
+            self.pdos.look(now_ns)
+        if self.wake_ns <= now_ns:
+            self.wake_ns = FAR_NS
+            for part in self._parts:
+                self.wake(part.poll(now_ns))
+
+    def next_ns(self) -> int | None:
+        """Say when `poll` has work; None for never."""
+        due_ns = self.wake_ns
+        if self._polled and self.state is not NmtState.INITIALISING:
+            application_ns = self.application.next_ns()
+            if application_ns is not None and application_ns < due_ns:
+                return application_ns
+        return due_ns if due_ns < FAR_NS else None
+
+    def changed(self, now_ns: int) -> None:
+        """The application changed process values outside `receive` and `poll`: event-driven TPDOs may be due."""
+        self.now_ns = now_ns
+        self.pdos.look(now_ns)
+
+    def emergency(self, code: int, register: int, vendor: bytes = b"") -> None:
+        """Report an error of the application: EMCY, 0x1001, 0x1003; once while it lasts."""
+        self.emcy.set(code, register, vendor)
+
+    def recover(self, code: int) -> None:
+        """Report that an error is gone."""
+        self.emcy.clear(code)
+
+    def bus_off(self, now_ns: int) -> None:
+        """The controller went bus-off: nothing queued is sent; 0x1029 and the application act."""
+        self.now_ns = now_ns
+        self.outbox.clear()
+        self.application.communication_lost(Emcy.BUS_OFF_RECOVERED, now_ns)
+        self.nmt.communication_error(now_ns)
+
+    def bus_recovered(self, now_ns: int) -> None:
+        """The controller is back on the bus: EMCY 0x8140 (CiA 301, table 26)."""
+        self.now_ns = now_ns
+        self.emcy.set(Emcy.BUS_OFF_RECOVERED, Emcy.BUS_OFF_RECOVERED.register)
+        self.emcy.clear(Emcy.BUS_OFF_RECOVERED)
+
+    # ---- what the parts ask of their device ----
+
+    def wake(self, due_ns: int) -> None:
+        """Make `poll` run its parts at `due_ns` at the latest; too early is harmless."""
+        if due_ns < self.wake_ns:
+            self.wake_ns = due_ns
+
+    def listen(self) -> None:
+        """Rebuild the table of handlers from the NMT state and the COB-IDs in force."""
+        allowed = SERVICES[self.state]
+        self._handlers = {NMT_COB_ID: self.nmt.receive} if Service.NMT in allowed else {}
+        for part in self._parts:
+            if part.service in allowed:
+                self._handlers.update(part.handlers())
+        wanted = frozenset(self._handlers) | self.pdos.requestable()
+        if wanted != self.filters:
+            self.filters = wanted
+
+    def state_entered(self, state: NmtState, now_ns: int) -> None:
+        """Tell parts and application of a new NMT state."""
+        for part in self._parts:
+            part.state_entered(state, now_ns)
+        self.listen()
+        self.application.nmt_changed(state, now_ns)
+        self.pdos.look(now_ns)
+
+    def restart(self, whole_node: bool, now_ns: int) -> None:
+        """Give objects their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
+        if whole_node:
+            self.emcy.forget_all()
+        self.store.restore(whole_node)
+        for part in self._parts:
+            part.reset(now_ns)
+        if whole_node:
+            self.application.reset(now_ns)
+
+    def refresh(self, now_ns: int) -> None:
+        """Let the application bring its process values up to date."""
+        if self._refreshed:
+            self.application.refresh(now_ns)
+
+    def communication_lost(self, reason: Emcy, now_ns: int, source: int) -> None:
+        """Report a lost heartbeat or RPDO; only the heartbeat acts on the NMT state (CiA 301, 7.5.2.32)."""
+        self.emcy.set(reason, reason.register, bytes((source & 0xFF,)), source)
+        self.application.communication_lost(reason, now_ns)
+        if reason is Emcy.HEARTBEAT:
+            self.nmt.communication_error(now_ns)
+
+    def taken(self, key: int, can_id: int) -> bool:
+        """Say whether a COB-ID object other than `key` already uses `can_id`."""
+        return any(at != key and used == can_id for part in self._parts for at, used in part.cob_ids())
+
+    def upload(self, key: int, now_ns: int) -> bytes | Abort:
+        """Read an object as an SDO client does."""
+        self.refresh(now_ns)
+        return self.objects.upload(key)
+
+    def download(self, key: int, data: bytes, now_ns: int) -> int:
+        """Write an object as an SDO client does; return 0 or the abort code."""
+        refusal = self.objects.may_download(key, len(data))
+        if refusal:
+            return refusal
+        value = self.objects.decode(key, data)
+        if isinstance(value, Abort):
+            return value
+        index, subindex = key >> 8, key & 0xFF
+        command = self._commands.get(index)
+        if command is not None:
+            return command(subindex, value, now_ns) or 0
+        check = self._checks.get(index)
+        refusal = (check and check(subindex, value)) or outside(self.objects.entries[key], value)
+        if refusal:
+            return refusal
+        if self.guarded and index > 0x1FFF and (code := self.application.check_write(key, value)):
+            return code
+        self._write(key, value, now_ns)
+        return 0
+
+    def _write(self, key: int, value: Value, now_ns: int) -> None:
+        self.store.wrote(key, value)
+        self.values[key] = value
+        applied = self._applied.get(key >> 8)
+        if applied is not None:
+            applied(key & 0xFF, value, now_ns)
+        if key in self.watched:
+            self.application.written(key, value, now_ns)
+        self.pdos.look(now_ns)

@@ -1,0 +1,150 @@
+"""EMCY producer: error register 0x1001, error history 0x1003, COB-ID 0x1014, inhibit time 0x1015.
+
+The rule of this file: one message when an error comes, one when it goes, none while it lasts (CiA 301, 7.2.7);
+what the inhibit time or STOPPED holds back is sent later, from STOPPED only the newest.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, NmtState, Service
+from eds.datatype import Value
+from eds.dictionary import key
+from eds.frame import Frame
+from nodes.core import cob_id
+from nodes.core.parts import FAR_NS, US, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
+
+REGISTER: Final = key(0x1001)
+HISTORY: Final = 0x1003
+COB_ID: Final = 0x1014
+INHIBIT: Final = 0x1015
+
+QUEUE: Final = 16
+"""Messages kept while the inhibit time holds them back; the oldest give way."""
+
+_LAYOUT: Final = struct.Struct("<HB5s")
+
+
+class Emergency(Part):
+    """The errors of one device: which are active, what was said of them, what is still to be said."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._active: dict[tuple[int, int], int] = {}
+        self._pending: deque[bytes] = deque(maxlen=QUEUE)
+        self._free_ns = 0
+        self._depth = sum(1 for sub in range(1, 255) if key(HISTORY, sub) in device.objects.entries)
+        self.checks = {HISTORY: _check_history, COB_ID: self._check_cob_id}
+        self.applied = {HISTORY: lambda _sub, _value, _now: self._forget()}
+
+    def reset(self, now_ns: int) -> None:
+        """Forget communication errors and what was not sent; a device error outlives a communication reset."""
+        self._pending.clear()
+        self._free_ns = now_ns
+        self._active = {at: bits for at, bits in self._active.items() if not _of_communication(at[0])}
+        self._show_register()
+        self._forget()
+
+    def forget_all(self) -> None:
+        """Power-on and reset node: no error is active."""
+        self._active.clear()
+
+    def set(self, code: int, register: int, vendor: bytes = b"", source: int = 0) -> None:
+        """Report error `code` of `source`, once while it lasts."""
+        bits = int(register | ErrorRegister.GENERIC)
+        if self._active.get((code, source)) == bits:
+            return
+        self._active[code, source] = bits
+        self._show_register()
+        self._remember(code, vendor)
+        self._send(code, vendor)
+
+    def clear(self, code: int, source: int | None = None) -> None:
+        """Report that error `code` is gone (of every source where none is named); what remains is in the register."""
+        gone = [at for at in self._active if at[0] == code and source in (None, at[1])]
+        if not gone:
+            return
+        for at in gone:
+            del self._active[at]
+        self._show_register()
+        left = next(reversed(self._active), (0, 0))[0]
+        self._send(Emcy.NO_ERROR, left.to_bytes(2, "little") if left else b"")
+
+    def state_entered(self, state: NmtState, now_ns: int) -> None:
+        """Send what INITIALISING or STOPPED held back."""
+        if self._pending:
+            self._device.wake(self.poll(now_ns))
+
+    def poll(self, now_ns: int) -> int:
+        """Send what the inhibit time held back."""
+        while self._pending and self._free_ns <= now_ns and self._may_send():
+            self._emit(self._pending.popleft(), now_ns)
+        return self._free_ns if self._pending and self._may_send() else FAR_NS
+
+    def cob_ids(self) -> Iterator[tuple[int, int]]:
+        """Give the identifier in use."""
+        word = self._device.objects.number(key(COB_ID), cob_id.INVALID)
+        if cob_id.exists(word):
+            yield key(COB_ID), word & cob_id.CAN_ID
+
+    def _send(self, code: int, vendor: bytes) -> None:
+        if self._device.nmt.state is NmtState.STOPPED:
+            self._pending.clear()
+        register = self._device.objects.number(REGISTER)
+        self._pending.append(_LAYOUT.pack(code, register, vendor[:5]))
+        self._device.wake(self.poll(self._device.now_ns))
+
+    def _emit(self, data: bytes, now_ns: int) -> None:
+        for _at, can_id in self.cob_ids():
+            self._device.outbox.append(Frame(can_id, data))
+            self._free_ns = now_ns + self._device.objects.number(key(INHIBIT)) * 100 * US
+
+    def _may_send(self) -> bool:
+        return Service.EMCY in SERVICES[self._device.nmt.state]
+
+    def _show_register(self) -> None:
+        register = 0
+        for bits in self._active.values():
+            register |= bits
+        self._device.values[REGISTER] = register
+
+    def _remember(self, code: int, vendor: bytes) -> None:
+        """Put the error at 0x1003:01 and push the older ones down."""
+        values, depth = self._device.values, self._depth
+        if not depth:
+            return
+        count = min(self._device.objects.number(key(HISTORY)) + 1, depth)
+        for sub in range(count, 1, -1):
+            values[key(HISTORY, sub)] = values[key(HISTORY, sub - 1)]
+        values[key(HISTORY, 1)] = code | int.from_bytes(vendor[:2], "little") << 16
+        values[key(HISTORY)] = count
+
+    def _forget(self) -> None:
+        values = self._device.values
+        for sub in range(1, self._depth + 1):
+            values.pop(key(HISTORY, sub), None)
+        if self._depth:
+            values[key(HISTORY)] = 0
+
+    def _check_cob_id(self, _subindex: int, value: Value) -> Abort | None:
+        new = int(value)
+        refusal = cob_id.check(self._device.objects.number(key(COB_ID)), new)
+        if not refusal and cob_id.exists(new) and self._device.taken(key(COB_ID), new & cob_id.CAN_ID):
+            return Abort.INCOMPATIBLE
+        return refusal
+
+
+def _check_history(_subindex: int, value: Value) -> Abort | None:
+    """0x1003:00 takes only 0, which clears it (CiA 301, 7.5.2.4)."""
+    return None if value == 0 else Abort.INVALID_VALUE
+
+
+def _of_communication(code: int) -> bool:
+    return code >> 8 in (0x81, 0x82)

@@ -1,0 +1,139 @@
+"""Heartbeat producer (0x1017) and consumer (0x1016).
+
+The rule of this file: the producer keeps its period without drift; the consumer starts at the first heartbeat it
+hears and reports each loss once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from eds.cia301 import HEARTBEAT_BASE, Abort, Emcy, NmtState, Service
+from eds.datatype import Value
+from eds.dictionary import key
+from eds.frame import Frame
+from nodes.core.parts import FAR_NS, MS, Handler, Part
+
+if TYPE_CHECKING:
+    from nodes.core.device import Device
+
+PRODUCER: Final = 0x1017
+CONSUMER: Final = 0x1016
+
+
+class Producer(Part):
+    """Says every 0x1017 ms that this node lives, and in which state; a boot-up is its first heartbeat."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._due_ns = FAR_NS
+        self.applied = {PRODUCER: self._configured}
+
+    def state_entered(self, state: NmtState, now_ns: int) -> None:
+        """Start counting from the boot-up."""
+        if state is NmtState.INITIALISING:
+            self._due_ns = FAR_NS
+        elif self._due_ns == FAR_NS:
+            self._restart(now_ns + self._period_ns())
+
+    def poll(self, now_ns: int) -> int:
+        """Send what is due."""
+        if self._due_ns <= now_ns:
+            device = self._device
+            device.outbox.append(Frame(HEARTBEAT_BASE + device.node_id, bytes((device.nmt.state,))))
+            late = (now_ns - self._due_ns) // self._period_ns()
+            self._due_ns += (1 + late) * self._period_ns()
+        return self._due_ns
+
+    def _configured(self, _subindex: int, _value: Value, now_ns: int) -> None:
+        self._restart(now_ns)
+
+    def _restart(self, first_ns: int) -> None:
+        self._due_ns = first_ns if self._period_ns() else FAR_NS
+        self._device.wake(self._due_ns)
+
+    def _period_ns(self) -> int:
+        return self._device.objects.number(key(PRODUCER)) * MS
+
+
+class _Watched:
+    """One node whose heartbeat is awaited."""
+
+    __slots__ = ("_consumer", "due_ns", "lost", "node_id", "timeout_ns")
+
+    def __init__(self, consumer: Consumer, node_id: int, timeout_ns: int) -> None:
+        self._consumer = consumer
+        self.node_id, self.timeout_ns = node_id, timeout_ns
+        self.due_ns, self.lost = FAR_NS, False
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        if len(data) == 1:
+            self.due_ns = now_ns + self.timeout_ns
+            self._consumer.heard(self)
+
+
+class Consumer(Part):
+    """Watches the nodes that 0x1016 lists; a loss is EMCY 0x8130, then 0x1029 and the application."""
+
+    service = Service.ERROR_CONTROL
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._watched: list[_Watched] = []
+        self.checks = {CONSUMER: self._check}
+        self.applied = {CONSUMER: lambda _sub, _value, _now: self._read()}
+
+    def reset(self, now_ns: int) -> None:
+        """Begin anew with what 0x1016 says; nothing is awaited before it was heard once."""
+        self._watched.clear()
+        self._read()
+
+    def handlers(self) -> Iterator[tuple[int, Handler]]:
+        """Listen to the heartbeats of the nodes listed."""
+        for watched in self._watched:
+            yield HEARTBEAT_BASE + watched.node_id, watched.receive
+
+    def heard(self, watched: _Watched) -> None:
+        """A heartbeat came: it is awaited again, and no longer lost."""
+        self._device.wake(watched.due_ns)
+        if watched.lost:
+            watched.lost = False
+            self._device.emcy.clear(Emcy.HEARTBEAT, watched.node_id)
+
+    def poll(self, now_ns: int) -> int:
+        """Report who is overdue."""
+        for watched in [w for w in self._watched if w.due_ns <= now_ns]:
+            watched.due_ns, watched.lost = FAR_NS, True
+            self._device.communication_lost(Emcy.HEARTBEAT, now_ns, watched.node_id)
+        return min((watched.due_ns for watched in self._watched), default=FAR_NS)
+
+    def _read(self) -> None:
+        """Keep watching entries that did not change, begin the others anew."""
+        before = {(w.node_id, w.timeout_ns): w for w in self._watched}
+        wanted = [_entry(word) for word in self._words().values()]
+        self._watched = [before.pop(w) if w in before else _Watched(self, *w) for w in wanted if _active(*w)]
+        for gone in before.values():
+            if gone.lost:
+                self._device.emcy.clear(Emcy.HEARTBEAT, gone.node_id)
+        self._device.listen()
+
+    def _check(self, subindex: int, value: Value) -> Abort | None:
+        """Refuse a second entry for a node that is already watched (CiA 301, 7.5.2.19)."""
+        node_id, timeout_ns = _entry(int(value))
+        others = [_entry(word) for sub, word in self._words().items() if sub != subindex]
+        taken = any(_active(*other) and other[0] == node_id for other in others)
+        return Abort.INCOMPATIBLE if taken and _active(node_id, timeout_ns) else None
+
+    def _words(self) -> dict[int, int]:
+        objects = self._device.objects
+        return {sub: objects.number(at) for sub in range(1, 128) if (at := key(CONSUMER, sub)) in objects.entries}
+
+
+def _entry(word: int) -> tuple[int, int]:
+    """Split an entry of 0x1016 into node id and time in ns."""
+    return word >> 16 & 0xFF, (word & 0xFFFF) * MS
+
+
+def _active(node_id: int, timeout_ns: int) -> bool:
+    return 1 <= node_id <= 127 and timeout_ns > 0

@@ -1,0 +1,60 @@
+"""What the core's parts have in common: the device hands each of them states, frames and time.
+
+The rule of this file: a part reaches other parts only through its device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final
+
+from eds.cia301 import Abort, NmtState, Service
+from eds.datatype import Value
+
+FAR_NS: Final = 1 << 62
+"""Later than any time: nothing is due."""
+
+US: Final = 1_000
+MS: Final = 1_000_000
+
+Handler = Callable[[bytes, int], None]
+"""Takes the data of a frame and the time of its arrival, ns."""
+
+Check = Callable[[int, Value], Abort | None]
+"""(sub-index, value) → None or the abort that refuses a write."""
+
+Applied = Callable[[int, Value, int], None]
+"""(sub-index, value, now_ns): told after a write."""
+
+Command = Callable[[int, Value, int], Abort | None]
+"""(sub-index, value, now_ns) → None or the abort: does what the write asks, in place of keeping the value."""
+
+
+class Part:
+    """One service of the device core; the device asks it for handlers, rules of its objects, and what is due."""
+
+    service: Service = Service.NMT
+    """Its handlers are heard where the NMT state lets this service through."""
+
+    checks: Mapping[int, Check] = {}
+    applied: Mapping[int, Applied] = {}
+    commands: Mapping[int, Command] = {}
+    """By index: the rules for writing the objects that this part owns."""
+
+    def reset(self, now_ns: int) -> None:
+        """The communication objects hold power-on values: begin anew."""
+
+    def state_entered(self, state: NmtState, now_ns: int) -> None:
+        """The NMT state is now `state`."""
+
+    def handlers(self) -> Iterable[tuple[int, Handler]]:
+        """Give the COB-IDs listened to, each with its handler."""
+        return ()
+
+    def cob_ids(self) -> Iterable[tuple[int, int]]:
+        """Give the configurable identifiers in use, each with the key of the object that holds it."""
+        return ()
+
+    def poll(self, now_ns: int) -> int:
+        """Do what is due; return when the next thing is, `FAR_NS` for never."""
+        return FAR_NS

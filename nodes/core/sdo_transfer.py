@@ -1,0 +1,88 @@
+"""What every SDO transfer is: the multiplexer it is about, what it answers, when it is over.
+
+The rule of this file: a transfer never sends; it returns the frame to send, or raises `RefusedError`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from eds.cia301 import Abort
+from eds.datatype import DataType
+from nodes.core.objects import MAX_BYTES
+from nodes.core.parts import FAR_NS
+
+SEGMENT: Final = 7
+"""Bytes of data in a segment."""
+
+
+class RefusedError(Exception):
+    """The transfer ends here, with this abort code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"{code:08X}")
+        self.code = code
+
+
+class Transfer:
+    """A transfer that takes more than one exchange; `finished` when there is nothing left to say."""
+
+    __slots__ = ("due_ns", "finished", "key")
+
+    def __init__(self, key: int) -> None:
+        self.key = key
+        self.finished = False
+        self.due_ns = FAR_NS
+
+    def receive(self, data: bytes, now_ns: int) -> bytes | None:
+        """Take the client's next frame of 8 bytes; return the answer, if it has one."""
+        raise NotImplementedError
+
+    def poll(self, now_ns: int) -> bytes | None:
+        """Return the frame that is due by itself, if any; `due_ns` says when."""
+        return None
+
+
+class Received:
+    """The bytes of a download so far, held to what was announced and to what the object can take."""
+
+    __slots__ = ("_announced", "_limit", "data")
+
+    def __init__(self, data_type: DataType, announced: int | None) -> None:
+        self.data = bytearray()
+        self._announced = announced
+        self._limit = data_type.size or MAX_BYTES
+
+    def append(self, segment: bytes) -> None:
+        """Take a segment; refuse it where it is too much."""
+        self.data += segment
+        self._check(len(self.data))
+
+    def append_block(self, segment: bytes) -> None:
+        """Take a block's segment: how many bytes of the last one count, only the end of the transfer says."""
+        self.data += segment
+        self._check(len(self.data) - SEGMENT + 1)
+
+    def whole(self) -> bytes:
+        """Return all bytes; refuse fewer than were announced."""
+        if self._announced is not None and len(self.data) < self._announced:
+            raise RefusedError(Abort.TOO_SHORT)
+        return bytes(self.data)
+
+    def whole_block(self, unused: int) -> bytes:
+        """Return all bytes but the `unused` ones of the last segment."""
+        if unused:
+            del self.data[-unused:]
+        self._check(len(self.data))
+        return self.whole()
+
+    def _check(self, size: int) -> None:
+        if size > self._limit:
+            raise RefusedError(Abort.MEMORY if self._limit == MAX_BYTES else Abort.TOO_LONG)
+        if self._announced is not None and size > self._announced:
+            raise RefusedError(Abort.TOO_LONG)
+
+
+def multiplexer(key: int) -> bytes:
+    """Lay index and sub-index out as SDO frames carry them."""
+    return bytes((key >> 8 & 0xFF, key >> 16, key & 0xFF))

@@ -1,0 +1,138 @@
+"""A CiA 402 drive behind a CANopen device: its objects, its latch, its drive tick.
+
+The rule of this file: it joins the device core to the state machine and the modes; it decides nothing itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from eds.cia301 import Emcy, NmtState
+from eds.cia402 import Event, Mode, State
+from eds.datatype import Value
+from eds.dictionary import key
+from nodes import axis_law as law
+from nodes import rules
+from nodes.axis import Axis
+from nodes.core.device import Device
+from nodes.homing import Phase
+from nodes.modes import MODE_DISPLAY, ModesOfOperation
+from nodes.state_machine import ERROR_CODE, RELEASE
+
+CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
+TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE = key(0x607A), key(0x60FF), key(0x6071)
+POSITION_OFFSET, VELOCITY_OFFSET, TORQUE_OFFSET = key(0x60B0), key(0x60B1), key(0x60B2)
+POSITION, VELOCITY, TORQUE, INCREMENTS = key(0x6064), key(0x606C), key(0x6077), key(0x6063)
+POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = key(0x6062), key(0x606B), key(0x6074)
+CURRENT, FOLLOWING, EFFORT = key(0x6078), key(0x60F4), key(0x60FA)
+_FIRST_PROFILE_KEY: Final = key(0x2000)
+
+
+class Drive(ModesOfOperation):
+    """A drive axis; frames command it, `tick` runs its loops, `emergency_stop` is its wired input (STO).
+
+    The encoder is absolute: home survives an NMT reset. The actual torque is the demand, for the current loop does not
+    report back.
+    """
+
+    def attach(self, device: Device) -> None:
+        """Read the units; listen to every writable object of the profile."""
+        self.device, self.values = device, device.values
+        self.axis = Axis(device.objects.dictionary)
+        self._s, self._g, self._out, self._state = self.axis.s, self.axis.g, self.axis.out, self.axis.state
+        entries = device.objects.entries
+        self.watched = frozenset(k for k, e in entries.items() if k >= _FIRST_PROFILE_KEY and e.writable)
+        self.unstored = frozenset({CONTROLWORD, RELEASE, TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE})
+        self._writers: dict[int, Callable[[int, int], None]] = {
+            CONTROLWORD: self.control, MODE: self.select, RELEASE: lambda _value, now: self.release(now),
+            TARGET_POSITION: self.to_position, POSITION_OFFSET: self.to_position,
+            TARGET_VELOCITY: self.to_velocity, TARGET_TORQUE: self.to_torque,
+            VELOCITY_OFFSET: lambda value, _now: self.axis.offset_velocity(value),
+            TORQUE_OFFSET: lambda value, _now: self.axis.offset_torque(value),
+        }
+
+    def check_write(self, key: int, value: Value) -> int:
+        """Ask the object's rule."""
+        return rules.refused(self, key, value)
+
+    def written(self, key: int, value: Value, now_ns: int) -> None:
+        """Act on a command or set-point; anything else is a setting."""
+        writer = self._writers.get(key)
+        if writer is None:
+            self.configure()
+            return
+        writer(int(value), now_ns)
+        self.poll(now_ns)
+
+    def latch(self, now_ns: int) -> None:
+        """Bring position, velocity, torque, errors and statusword into the objects."""
+        values = self.values
+        law.counts(self._s, self._g, self._out)
+        (values[POSITION], values[VELOCITY], torque, values[POSITION_DEMAND], values[VELOCITY_DEMAND],
+         values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self._out.tolist()
+        values[TORQUE] = values[TORQUE_DEMAND] = values[CURRENT] = torque
+        values[STATUSWORD] = self.base | self.mode_bits(flags)
+
+    refresh = latch
+
+    def reset(self, now_ns: int) -> None:
+        """Row 0: everything but home and a wired emergency stop is forgotten."""
+        self.switch_off(now_ns)
+        self._errors.clear()
+        if self.phase is not Phase.ATTAINED:
+            self.phase = Phase.IDLE
+        self._word, self.state = 0, None
+        self.values[ERROR_CODE], self.values[RELEASE] = 0, int(self.awaits_release)
+        mode = self.number(0x6060)
+        self.mode, self.values[MODE_DISPLAY] = Mode(mode), mode
+        self.configure()
+        self.fire(Event.INITIALISED, now_ns)
+
+    def nmt_changed(self, state: NmtState, now_ns: int) -> None:
+        """Row 1 when communication is up; leaving OPERATIONAL ends motion, STOPPED and resets end power: 0x6007."""
+        before, self._nmt = self._nmt, state
+        left = before is NmtState.OPERATIONAL and self.axis.on
+        if left or state in (NmtState.STOPPED, NmtState.INITIALISING):
+            self.disconnected(Emcy.GENERIC, now_ns, announce=True)
+        elif state is NmtState.PRE_OPERATIONAL and self.state is State.NOT_READY_TO_SWITCH_ON:
+            self.fire(Event.INITIALISED, now_ns)
+            if self.emergency_stopped:
+                self.emergency_stop(True, now_ns)
+
+    _nmt = NmtState.INITIALISING
+
+    def communication_lost(self, reason: Emcy, now_ns: int) -> None:
+        """A heartbeat, an RPDO or the bus was lost: 0x6007."""
+        self.disconnected(reason, now_ns)
+
+    def poll(self, now_ns: int) -> None:
+        """Show what a drive tick changed."""
+        if self.changed:
+            self.changed = False
+            self.latch(now_ns)
+
+    def next_ns(self) -> int | None:
+        """At once, after a tick that changed something."""
+        return self.device.now_ns if self.changed else None
+
+    def tick(self, now_ns: int, position: float, velocity: float) -> float:
+        """Return the torque demand, N·m at the output, for position and velocity in SI at the axis; 0 when off."""
+        torque: float = law.step(self._s, self._g, now_ns, position, velocity)
+        return self._notice(now_ns) if self._state[law.EVENTS] else torque
+
+    def _notice(self, now_ns: int) -> float:
+        """Act on what a tick told; return the torque that is left."""
+        events = int(self._state[law.EVENTS])
+        self._state[law.EVENTS] = 0.0
+        self.device.now_ns = now_ns
+        if events & law.LOST_TRACK:
+            self.fault(Emcy.FOLLOWING_ERROR, now_ns)
+        if events & law.STOPPED:
+            self.rested(now_ns)
+        if events & law.TIGHT:
+            self.homed(now_ns)
+        if events & law.NOT_TIGHT:
+            self.not_homed(now_ns)
+        self.changed = True
+        return float(self._state[law.TORQUE])

@@ -1,0 +1,57 @@
+"""Writes the generated parts of docs/drives.md from the tables: `python -m nodes.drives_page [FILE]`.
+
+The rule of this file: what a table knows, the page repeats between its markers; the sentences around them are written
+by hand and kept.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Final
+
+from eds.cia402 import TRANSITIONS
+from eds.wire_page import diagram
+from nodes.homing import BITS
+from nodes.state_machine import GUARDS
+
+_BLOCK: Final = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def states() -> str:
+    """Draw the state machine."""
+    return f"```mermaid\nstateDiagram-v2\n{diagram()}```\n"
+
+
+def rows() -> str:
+    """List the rows: what opens each, what it needs, what it does."""
+    lines = ["| row | from | on | to | needs | does |", "|---|---|---|---|---|---|"]
+    for row in TRANSITIONS:
+        sources = "any but the fault states" if row.number == 13 else ", ".join(
+            source.title if source else "power-on" for source in row.sources)
+        guard = GUARDS.get(row.number)
+        events = " / ".join(event.value for event in row.events)
+        lines.append(f"| {row.number} | {sources} | {events} | {row.target.title} | {guard.text if guard else '—'} "
+                     f"| {row.text} |")
+    return "\n".join(lines) + "\n"
+
+
+def homing() -> str:
+    """List the statusword bits of homing."""
+    lines = ["| homing | axis | bit 10 | bit 12 | bit 13 |", "|---|---|---|---|---|"]
+    for (phase, moving), bits in BITS.items():
+        shown = " | ".join(str(int(bits) >> bit & 1) for bit in (10, 12, 13))
+        lines.append(f"| {phase.value} | {'moves' if moving else 'rests'} | {shown} |")
+    return "\n".join(lines) + "\n"
+
+
+def page(text: str) -> str:
+    """Give the page with its generated parts made anew; KeyError where a marker names none."""
+    parts = {"states": states, "rows": rows, "homing": homing}
+    return _BLOCK.sub(lambda block: block[1] + parts[block[2]]() + block[3], text)
+
+
+if __name__ == "__main__":
+    file = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/drives.md")
+    file.write_text(page(file.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,172 @@
+"""Modes of operation: CSP, CSV, CST and homing over one axis; halt; the controlword and its mode's bits.
+
+The rule of this file: a set-point reaches the axis only while its mode is open, and a mode opens at a standstill: a
+target that stood in an object before the drive was enabled moves nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from eds.cia301 import Emcy
+from eds.cia402 import Control, HomingMethod, Mode, State, Status, Stop, command_of
+from eds.dictionary import key
+from nodes import axis_law as law
+from nodes import homing
+from nodes.homing import Phase
+from nodes.state_machine import StateMachine
+
+MODE_DISPLAY = key(0x6061)
+_ENABLED: Final = State.OPERATION_ENABLED
+_MOVING: Final = (Mode.CSP, Mode.CSV, Mode.CST)
+_EDGES: Final = Control.HOMING_START | Control.HALT
+
+
+class ModesOfOperation(StateMachine):
+    """What the drive function does while it is on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode = Mode.NONE
+        self.phase = Phase.IDLE
+        self._word = 0
+        self._open = Mode.NONE
+        """The cyclic mode whose set-points are followed now."""
+        self._halted = False
+
+    @property
+    def seeking(self) -> bool:
+        """Homing is under way."""
+        return self.phase is Phase.SEEKING
+
+    @property
+    def _at_will(self) -> bool:
+        """The drive function is on, and neither stops nor is halted."""
+        return self.state is _ENABLED and self._at_rest is None and not self._halted
+
+    # ---- the controlword ----
+
+    def control(self, word: int, now_ns: int) -> None:
+        """Act on 0x6040: the command first, then the bits of the mode."""
+        previous, self._word = self._word, word
+        event = command_of(word, previous, self.state) if self.state is not None else None
+        if event is not None:
+            self.command(event, now_ns)
+        if (word ^ previous) & _EDGES:
+            self._edges(word, word & ~previous, now_ns)
+        self.changed = True
+
+    def _edges(self, word: int, rising: int, now_ns: int) -> None:
+        if self.state is _ENABLED and self._leaving is None:
+            if word & Control.HALT and not self._halted:
+                self._halt()
+            elif self._halted and not word & Control.HALT:
+                self.begin(now_ns)
+        if self.mode is not Mode.HOMING:
+            return
+        if rising & Control.HOMING_START:
+            self._home(now_ns)
+        elif self.seeking and not word & Control.HOMING_START:
+            self.brake(Stop.SLOW_DOWN_RAMP, self._hold)
+
+    def _halt(self) -> None:
+        self.brake(self.number(0x605D), self._hold)
+        self._halted = True
+
+    def _hold(self, now_ns: int) -> None:
+        self.axis.hold()
+
+    # ---- modes ----
+
+    def select(self, value: int, now_ns: int) -> None:
+        """Act on 0x6060; a motion of the old mode is braked, the new one begins at rest."""
+        if value == self.mode:
+            return
+        self.mode = Mode(value)
+        self.values[MODE_DISPLAY] = value
+        if self.state is _ENABLED and self._leaving is None and not self._halted:
+            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)
+
+    def begin(self, now_ns: int) -> None:
+        """Open the mode: hold where the axis is until its first set-point comes."""
+        self._halted = False
+        if self._word & Control.HALT:
+            self._halt()
+            return
+        self._open = self.mode if self.mode in _MOVING else Mode.NONE
+        if self._open is Mode.CSV:
+            self.axis.speed()
+        elif self._open is Mode.CST:
+            self.axis.push()
+        else:
+            self.axis.hold()
+
+    def cease(self) -> None:
+        """Close the mode; homing that was under way is interrupted."""
+        self._open = Mode.NONE
+        self._halted = False
+        if self.seeking:
+            self.phase = Phase.IDLE
+
+    def to_position(self, _value: int, _now_ns: int) -> None:
+        """Take 0x607A, with the offset 0x60B0."""
+        if self._open is Mode.CSP:
+            self.axis.target_position(self.number(0x607A) + self.number(0x60B0))
+
+    def to_velocity(self, value: int, _now_ns: int) -> None:
+        """Take 0x60FF."""
+        if self._open is Mode.CSV:
+            self.axis.target_velocity(value)
+
+    def to_torque(self, value: int, _now_ns: int) -> None:
+        """Take 0x6071."""
+        if self._open is Mode.CST:
+            self.axis.target_torque(value)
+
+    # ---- homing ----
+
+    def _home(self, now_ns: int) -> None:
+        self.device.recover(Emcy.HOMING)
+        method = self.number(0x6098)
+        if method in homing.AT_ONCE:
+            self.homed(now_ns)
+        elif method == HomingMethod.PRELOAD_TENSION and self._at_will:
+            self.cease()
+            self.axis.tighten()
+            self.phase = Phase.SEEKING
+
+    def homed(self, now_ns: int) -> None:
+        """The present position is home: it reads 0x607C from now on."""
+        if self.seeking:
+            self.axis.hold()
+        self.phase = Phase.ATTAINED
+        self.axis.home(self.number(0x607C))
+        self.configure()
+
+    def not_homed(self, now_ns: int) -> None:
+        """Homing failed: the axis stops and holds."""
+        self.brake(Stop.SLOW_DOWN_RAMP, self._hold)
+        self.phase = Phase.ERROR
+        self.device.emergency(Emcy.HOMING, Emcy.HOMING.register)
+
+    def configure(self) -> None:
+        """Bring all settings from the objects to the axis."""
+        self.axis.configure(self.values)
+
+    # ---- the statusword ----
+
+    def mode_bits(self, flags: int) -> int:
+        """Give bits 10 to 13 of the statusword for the axis' flags."""
+        bits = 0
+        if self.mode is Mode.HOMING:
+            bits = homing.bits(self.phase, bool(flags & law.IS_MOVING))
+        elif self._open is not Mode.NONE:
+            if not flags & law.IS_YIELDING:
+                bits = int(Status.FOLLOWS_COMMAND)
+            if flags & law.IS_OFF_TRACK:
+                bits |= Status.FOLLOWING_ERROR
+        if flags & law.IS_LIMITED:
+            bits |= Status.INTERNAL_LIMIT
+        if self._halted and not flags & law.IS_MOVING:
+            bits |= Status.TARGET_REACHED
+        return bits

@@ -1,0 +1,81 @@
+"""Which values a drive's objects take beyond their limits in the EDS.
+
+The rule of this file: a rule looks at the value and the objects as they stand, and answers with 0 or an abort code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from eds.cia301 import Abort
+from eds.cia402 import Mode, State, Stop
+from eds.datatype import Value
+from eds.dictionary import key
+
+if TYPE_CHECKING:
+    from nodes.drive import Drive
+
+RELEASE: Final = 0x736C6572
+"""'rels', the operator's release, written to 0x2020."""
+
+_MODES: Final = frozenset(int(mode) for mode in Mode)
+_STOPS: Final = frozenset(int(stop) for stop in Stop)
+_POLARITY: Final = 0xC0
+"""Bits of 0x607E in use: position and velocity, which here are turned together."""
+
+
+def _mode(drive: Drive, value: int) -> int:
+    supported = drive.number(0x6502)
+    known = value in _MODES and (value == Mode.NONE or supported & Mode(value).supported_bit)
+    return 0 if known else Abort.INVALID_VALUE
+
+
+def _quick_stop(_drive: Drive, value: int) -> int:
+    return 0 if value in _STOPS else Abort.INVALID_VALUE
+
+
+def _method(drive: Drive, value: int) -> int:
+    listed = {drive.number(0x60E3, sub) for sub in range(1, drive.number(0x60E3) + 1)}
+    if value not in listed:
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.seeking else 0
+
+
+def _least(drive: Drive, value: int) -> int:
+    return Abort.MAX_BELOW_MIN if value > drive.number(0x607D, 2) else 0
+
+
+def _greatest(drive: Drive, value: int) -> int:
+    return Abort.MAX_BELOW_MIN if value < drive.number(0x607D, 1) else 0
+
+
+def _polarity(drive: Drive, value: int) -> int:
+    if value not in (0, _POLARITY):
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.state is State.OPERATION_ENABLED else 0
+
+
+def _release(drive: Drive, value: int) -> int:
+    if value != RELEASE:
+        return Abort.INVALID_VALUE
+    return Abort.DEVICE_STATE if drive.emergency_stopped else 0
+
+
+RULES: Final[Mapping[int, Callable[[Drive, int], int]]] = MappingProxyType({
+    key(0x2020): _release,
+    key(0x605A): _quick_stop,
+    key(0x6060): _mode,
+    key(0x607D, 1): _least,
+    key(0x607D, 2): _greatest,
+    key(0x607E): _polarity,
+    key(0x6098): _method,
+})
+"""By key: (drive, value) → 0 or an SDO abort code."""
+
+
+def refused(drive: Drive, at: int, value: Value) -> int:
+    """Return 0 or the abort code for a write of `value` to the object `at`."""
+    rule = RULES.get(at)
+    return rule(drive, int(value)) if rule is not None else 0

@@ -1,0 +1,95 @@
+"""The servo drive at the rope's drum: a CiA 402 drive that keeps the rope's tension within its limit by itself.
+
+The rule of this file: START's tension comes straight from the bus (0x2011), and what it forbids no master can ask for:
+above 0x2012 the drum pays out, above 0x2013 the drive faults, and without a tension that can be trusted the torque is
+bounded by 0x2015.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from eds.cia301 import Emcy
+from eds.dictionary import key
+from nodes import axis_law as law
+from nodes.core.device import Device
+from nodes.drive import Drive
+
+TENSION: Final = key(0x2011)
+NEWTON: Final = 0.01
+"""Newton per count of the tension objects."""
+NO_TENSION: Final = -(1 << 15)
+"""What a sensor without a valid value sends."""
+HYSTERESIS_N: Final = 1.0
+
+
+class ServoDrive(Drive):
+    """The rope's drive; positions in m of rope (> 0 pulling), torques in N·m at the drum."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._no_tension = False
+        self._above = False
+        self._tripped = False
+        self._limit = self._trip = math.inf
+
+    def attach(self, device: Device) -> None:
+        """Listen to START's tension besides."""
+        super().attach(device)
+        self._writers[TENSION] = self._feel
+        self.unstored |= {TENSION}
+
+    def configure(self) -> None:
+        """Bring the tension objects to the axis besides."""
+        super().configure()
+        g, units = self.axis.g, self.axis.units
+        self._limit = NEWTON * self.number(0x2012) or math.inf
+        self._trip = NEWTON * self.number(0x2013) or math.inf
+        g[law.TENSION_LIMIT] = self._limit
+        g[law.HOLD_TORQUE] = self._limit * units.arm_m
+        g[law.YIELD_PER_N] = law.YIELD_RATE / self.number(0x2014)
+        g[law.UNTRUSTED_TORQUE] = self.number(0x2015) * units.torque
+        g[law.PRELOAD] = NEWTON * self.number(0x2010)
+        g[law.TRAVEL] = self.number(0x2016) * units.position
+
+    def ready(self) -> bool:
+        """A sensor that says it has no value keeps the drive from being enabled."""
+        return super().ready() and not self._no_tension
+
+    def cured(self) -> bool:
+        """A rope above the trip level is a fault still present."""
+        return super().cured() and not self._tripped
+
+    def warned(self) -> bool:
+        """Warn while the rope is above its limit."""
+        return self._above
+
+    def _feel(self, raw: int, now_ns: int) -> None:
+        """Take START's tension."""
+        if raw == NO_TENSION:
+            self._feel_nothing(now_ns)
+            return
+        state = self._state
+        tension = state[law.TENSION] = NEWTON * raw
+        state[law.TENSION_AGE_S] = 0.0
+        self._no_tension = False
+        if tension > self._limit or self._above:
+            self._press(tension, now_ns)
+
+    def _press(self, tension: float, now_ns: int) -> None:
+        above = tension > self._limit - (HYSTERESIS_N if self._above else 0.0)
+        tripped = tension > self._trip - (HYSTERESIS_N if self._tripped else 0.0)
+        if tripped and not self._tripped:
+            self.fault(Emcy.TENSION_LIMIT, now_ns)
+        self._tripped = tripped
+        if above is not self._above:
+            self._above = above
+            self.show()
+
+    def _feel_nothing(self, now_ns: int) -> None:
+        """The sensor has no value: that is START lost."""
+        self._state[law.TENSION_AGE_S] = math.inf
+        if not self._no_tension:
+            self._no_tension = True
+            self.disconnected(Emcy.SENSOR_BROKEN, now_ns, announce=True)

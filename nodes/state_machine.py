@@ -1,0 +1,250 @@
+"""The CiA 402 state machine of `eds.cia402.TRANSITIONS`, and what its rows do to the axis.
+
+The rule of this file: the state changes only in `_take`, by a row of the table; what a row needs and does besides is
+in `GUARDS` and `ACTIONS`, by the row's number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from eds.cia301 import Emcy
+from eds.cia402 import STEP, AbortConnection, Event, Input, State, Status, Stop, Transition
+from eds.datatype import Value
+from eds.dictionary import key
+from nodes.axis import Axis
+from nodes.core.application import Application
+from nodes.core.device import Device
+
+ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
+POWERED: Final = (
+    State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
+_OPTION: Final = MappingProxyType({5: 0x605C, 8: 0x605B})
+"""Rows that brake first where their option code is 1."""
+_HOLDING: Final = (Stop.SLOW_DOWN_RAMP_HOLD, Stop.QUICK_STOP_RAMP_HOLD)
+_SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
+
+
+class StateMachine(Application):
+    """The power drive system's state, its faults and its stops; `begin` and `cease` are the drive function's."""
+
+    device: Device
+    values: dict[int, Value]
+    axis: Axis
+
+    def __init__(self) -> None:
+        self.state: State | None = None
+        self.emergency_stopped = False
+        self.awaits_release = False
+        self.changed = False
+        """Something changed at a drive tick that event-driven PDOs should show."""
+        self.base = 0
+        """The statusword without the bits of mode and motion."""
+        self._leaving: Transition | None = None
+        self._at_rest: Callable[[int], None] | None = None
+        self._errors: list[Emcy] = []
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """Give the value of an integer object, 0 where the EDS has none."""
+        value = self.values.get(index << 8 | subindex, 0)
+        return value if isinstance(value, int) else 0
+
+    # ---- the drive function: what a mode of operation adds ----
+
+    def begin(self, now_ns: int) -> None:
+        """The drive function goes on."""
+
+    def cease(self) -> None:
+        """The drive function goes off, or a stop takes over."""
+
+    def ready(self) -> bool:
+        """Say whether row 4 may turn the drive function on."""
+        return not self.awaits_release
+
+    def cured(self) -> bool:
+        """Say whether no cause of a fault is present."""
+        return not self.awaits_release
+
+    def warned(self) -> bool:
+        """Say whether the statusword warns."""
+        return False
+
+    # ---- rows ----
+
+    def command(self, event: Event, now_ns: int) -> None:
+        """Act on a command of the controlword; "enable operation" goes on from row 3 to row 4 and calls off a leave."""
+        if event is Event.ENABLE_OPERATION:
+            if self._leaving is not None:
+                self._leaving = self._at_rest = None
+                self.begin(now_ns)
+            elif self.state is State.READY_TO_SWITCH_ON:
+                self.fire(event, now_ns)
+        self.fire(event, now_ns)
+
+    def fire(self, event: Event, now_ns: int) -> None:
+        """Take the row that `event` opens in this state, if its guard agrees; its option code may brake first."""
+        row = STEP.get((self.state, event))
+        if row is None or not self._may(row):
+            return
+        option = _OPTION.get(row.number)
+        if option is None or not self.number(option) or not self.axis.on:
+            self._take(row, now_ns)
+        elif self._leaving is not row:
+            self._leaving = row
+            self.brake(Stop.SLOW_DOWN_RAMP, lambda now: self._take(row, now))
+
+    def _may(self, row: Transition) -> bool:
+        guard = GUARDS.get(row.number)
+        return guard is None or guard.holds(self)
+
+    def _take(self, row: Transition, now_ns: int) -> None:
+        self.state, self._leaving = row.target, None
+        self.show()
+        action = ACTIONS.get(row.number)
+        if action is not None:
+            action(self, now_ns)
+
+    def show(self) -> None:
+        """Work out the statusword's base and the digital inputs anew."""
+        state = self.state or State.NOT_READY_TO_SWITCH_ON
+        word = state.value[1] | Status.REMOTE
+        if not self.emergency_stopped:
+            word |= Status.VOLTAGE_ENABLED
+        if self.awaits_release:
+            word |= Status.STO_ACTIVE
+        if self.warned():
+            word |= Status.WARNING
+        self.base = int(word)
+        self.values[INPUTS] = self._inputs()
+        self.changed = True
+
+    def _inputs(self) -> int:
+        active = Input.INTERLOCK if self.emergency_stopped else Input(0)
+        return int(active | Input.RELEASE_OUTSTANDING if self.awaits_release else active)
+
+    def switch_off(self, now_ns: int) -> None:
+        """Take the torque away at once."""
+        self._at_rest = None
+        self.cease()
+        self.axis.off()
+
+    def brake(self, ramp: int, at_rest: Callable[[int], None]) -> None:
+        """Slow down by 0x6084 or 0x6085; `at_rest` is called when the axis stands."""
+        self.cease()
+        self.axis.brake(self.number(0x6084 if ramp in _SLOWLY else 0x6085))
+        self._at_rest = at_rest
+
+    def rested(self, now_ns: int) -> None:
+        """A stop is over."""
+        at_rest, self._at_rest = self._at_rest, None
+        if at_rest is not None:
+            at_rest(now_ns)
+
+    def _start(self, now_ns: int) -> None:
+        self._at_rest = None
+        self.begin(now_ns)
+
+    def _quick_stop(self, now_ns: int) -> None:
+        option = self.number(0x605A)
+        if option == Stop.DISABLE:
+            self._quick_stopped(now_ns)
+        else:
+            self.brake(option, self._quick_stopped)
+
+    def _quick_stopped(self, now_ns: int) -> None:
+        if self.number(0x605A) in _HOLDING:
+            self.axis.hold()
+        else:
+            self.fire(Event.QUICK_STOP_DONE, now_ns)
+
+    def _react(self, now_ns: int) -> None:
+        option = self.number(0x605E)
+        if option == Stop.DISABLE or self.emergency_stopped or not self.axis.on:
+            self._reacted(now_ns)
+        else:
+            self.brake(option, self._reacted)
+
+    def _reacted(self, now_ns: int) -> None:
+        self.fire(Event.FAULT_REACTION_DONE, now_ns)
+
+    def _forget_faults(self, now_ns: int) -> None:
+        for code in self._errors:
+            self.device.recover(code)
+        self._errors.clear()
+        self.values[ERROR_CODE] = 0
+
+    # ---- faults ----
+
+    def fault(self, code: Emcy, now_ns: int, announce: bool = True) -> None:
+        """Row 13: a fault came up; where `announce` is false the core has already sent the EMCY."""
+        self.values[ERROR_CODE] = int(code)
+        if announce:
+            self._errors.append(code)
+            self.device.emergency(code, code.register)
+        self.fire(Event.FAULT_DETECTED, now_ns)
+
+    def disconnected(self, reason: Emcy, now_ns: int, announce: bool = False) -> None:
+        """Act on a lost connection as 0x6007 says."""
+        action = self.number(0x6007)
+        if self.state not in POWERED:
+            return
+        if action == AbortConnection.FAULT:
+            self.fault(reason, now_ns, announce)
+        elif action == AbortConnection.DISABLE_VOLTAGE:
+            self.fire(Event.DISABLE_VOLTAGE, now_ns)
+        elif action == AbortConnection.QUICK_STOP:
+            self.fire(Event.QUICK_STOP, now_ns)
+
+    def emergency_stop(self, active: bool, now_ns: int) -> None:
+        """The wired emergency-stop input (STO): torque goes at once and stays away until the operator's release."""
+        self.device.now_ns = now_ns
+        self.emergency_stopped = active
+        if active:
+            self.awaits_release = True
+            self.values[RELEASE] = 1
+            self.switch_off(now_ns)
+            if self.state in POWERED:
+                self.fault(Emcy.STO, now_ns)
+            else:
+                self.device.emergency(Emcy.STO, Emcy.STO.register)
+                self._reacted(now_ns)
+        self.show()
+
+    def release(self, now_ns: int) -> None:
+        """The operator's release after an emergency stop; 0x2020 takes it only when the input is clear."""
+        self.awaits_release = False
+        self.values[RELEASE] = 0
+        self.device.recover(Emcy.STO)
+        self.show()
+
+
+class Guard(NamedTuple):
+    """What must hold, besides the event, before a row is taken."""
+
+    text: str
+    holds: Callable[[StateMachine], bool]
+
+
+GUARDS: Final[Mapping[int, Guard]] = MappingProxyType({
+    2: Guard("no emergency stop awaits its release", lambda machine: not machine.awaits_release),
+    4: Guard("no emergency stop awaits its release; START has a value (servo)", lambda machine: machine.ready()),
+    15: Guard("no cause is left: emergency stop released, rope below its trip level", lambda machine: machine.cured()),
+    16: Guard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
+})
+"""By row."""
+
+ACTIONS: Final[Mapping[int, Callable[[StateMachine, int], None]]] = MappingProxyType({
+    4: StateMachine._start,
+    5: StateMachine.switch_off,
+    8: StateMachine.switch_off,
+    9: StateMachine.switch_off,
+    11: StateMachine._quick_stop,
+    12: StateMachine.switch_off,
+    13: StateMachine._react,
+    14: StateMachine.switch_off,
+    15: StateMachine._forget_faults,
+    16: StateMachine._start,
+})
+"""By row: what it does to the axis; the others change the state only."""

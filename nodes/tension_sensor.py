@@ -1,0 +1,202 @@
+"""A tension sensor (CiA 404, one analogue input): counts in, newtons out, and what is wrong said aloud.
+
+The rule of this file: a value that cannot be trusted never looks like one that can; it is the least integer (NaN for
+REAL32), with its status bit and an EMCY.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from eds.cia301 import SIGNATURE_ZERO, Abort, Emcy
+from eds.datatype import Value
+from eds.dictionary import key
+from nodes.core.application import Application
+from nodes.core.device import Device
+from nodes.filter import Filter
+from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
+
+FIELD_REAL, FIELD = key(0x6100, 1), key(0x9100, 1)
+OPERATING_MODE, SAMPLE_RATE = key(0x6112, 1), key(0x6114, 1)
+FV_1, PV_1, FV_2, PV_2 = (key(index, 1) for index in range(0x6120, 0x6124))
+OFFSET, AUTOZERO, FACTOR, SHIFT = key(0x6124, 1), key(0x6125, 1), key(0x6126, 1), key(0x6127, 1)
+PROCESS_REAL, PROCESS_16, PROCESS_32 = key(0x6130, 1), key(0x7130, 1), key(0x9130, 1)
+DECIMALS, STATUS, FILTER_TYPE, FILTER_CONSTANT = key(0x6132, 1), key(0x6150, 1), key(0x61A0, 1), key(0x61A1, 1)
+SPAN_START, SPAN_END, SPAN_START_32, SPAN_END_32 = key(0x6148, 1), key(0x6149, 1), key(0x9148, 1), key(0x9149, 1)
+
+NOT_VALID, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD = 1, 2, 4
+"""Bits of 0x6150, and of the converter's status that `sample` takes: bit 0 is a broken wire."""
+OVERLOAD: Final = POSITIVE_OVERLOAD | NEGATIVE_OVERLOAD
+ON: Final = 1
+"""0x6112: the channel measures."""
+FULL_COUNTS: Final = 1 << 23
+"""A 24-bit converter reads −2²³ … 2²³ − 1; at either end it is overloaded."""
+
+_OTHER_END: Final = {FV_1: FV_2, FV_2: FV_1, PV_1: PV_2, PV_2: PV_1}
+"""A line through two points needs both coordinates of them to differ."""
+_LINKED: Final = {SPAN_START: SPAN_START_32, SPAN_END: SPAN_END_32}
+_REALS: Final = frozenset((*_OTHER_END, OFFSET, *_LINKED))
+
+
+class TensionSensor(Application):
+    """One channel; `sample` is called every `interval_ns` with the converter's counts, frames do the rest."""
+
+    def attach(self, device: Device) -> None:
+        """Listen to the channel's settings."""
+        self.device, self.values = device, device.values
+        self.watched = frozenset(k for k, e in device.objects.entries.items() if k >= key(0x6000) and e.writable)
+        self.unstored = frozenset({AUTOZERO})
+        self._changed = False
+        self._verdict: int | None = None
+        self._told: set[Emcy] = set()
+        self._take_spans()
+        self._configure(restart=True)
+
+    # ---- what the device core asks ----
+
+    def check_write(self, key: int, value: Value) -> int:
+        """Refuse what would leave the channel without a line, a span or a zero."""
+        number = value if not isinstance(value, bytes) else math.nan
+        if key in _REALS and not math.isfinite(number):
+            return Abort.INVALID_VALUE
+        if key == AUTOZERO and number != SIGNATURE_ZERO:
+            return Abort.INVALID_VALUE
+        if key == AUTOZERO and self._status() & NOT_VALID:
+            return Abort.DEVICE_STATE
+        if key in _OTHER_END and number == self._real(_OTHER_END[key]):
+            return Abort.INVALID_VALUE
+        return self._check_span(key, number)
+
+    def _check_span(self, at: int, number: float) -> int:
+        start, end = self._real(SPAN_START), self._real(SPAN_END)
+        scale = 1.0 if at in _LINKED else 10.0 ** -self._decimals
+        if at in (SPAN_START, SPAN_START_32) and number * scale >= end:
+            return Abort.MAX_BELOW_MIN
+        if at in (SPAN_END, SPAN_END_32) and number * scale <= start:
+            return Abort.MAX_BELOW_MIN
+        return 0
+
+    def written(self, key: int, value: Value, now_ns: int) -> None:
+        """Take a setting; 0x6125 sets the zero here and now."""
+        if key == AUTOZERO:
+            self.values[OFFSET] = real32(self._real(OFFSET) - self._process(self._mean))
+        elif key in _LINKED.values():
+            self._take_spans()
+        elif key in _LINKED or key == DECIMALS:
+            self._tell_spans()
+        self._configure(key in (OPERATING_MODE, FILTER_TYPE, FILTER_CONSTANT))
+        self.latch(now_ns)
+
+    def reset(self, now_ns: int) -> None:
+        """Power-on and reset node: stored or default settings, an empty filter, the wire as it is."""
+        self._told.clear()
+        self._take_spans()
+        self._configure(restart=True)
+        self.latch(now_ns)
+
+    def latch(self, now_ns: int) -> None:
+        """Bring field value, process value and status into the objects."""
+        values, mean = self.values, self._mean
+        values[STATUS] = status = self._status()
+        if status & NOT_VALID:
+            values[PROCESS_16], values[PROCESS_32] = invalid(INTEGER16), invalid(INTEGER32)
+            values[PROCESS_REAL] = math.nan
+            return
+        tension = mean * self._factor + self._shift
+        counts = tension * self._counts_per_n
+        values[PROCESS_16], values[PROCESS_32] = integer(counts, INTEGER16), integer(counts, INTEGER32)
+        values[PROCESS_REAL] = real32(tension)
+        values[FIELD_REAL], values[FIELD] = mean, round(mean)
+
+    refresh = latch
+
+    def poll(self, now_ns: int) -> None:
+        """Show a change of status."""
+        if self._changed:
+            self._changed = False
+            self.latch(now_ns)
+
+    def next_ns(self) -> int | None:
+        """At once, after a sample that changed the status."""
+        return self.device.now_ns if self._changed else None
+
+    # ---- what the converter tells ----
+
+    def sample(self, now_ns: int, counts: int, status: int = 0) -> None:
+        """Take the converter's counts, −2²³ … 2²³ − 1, and its status: 0, or bits of 0x6150 (bit 0: wire broken)."""
+        if not self._measuring:
+            return
+        if status & NOT_VALID:
+            self._filter = Filter(*self._kind)
+            self._judge(NOT_VALID, now_ns)
+            return
+        self._filter.add(counts)
+        self._mean = mean = self._filter.value or 0.0
+        if not status and self._low <= mean <= self._high and -FULL_COUNTS < counts < FULL_COUNTS - 1:
+            if self._verdict != 0:
+                self._judge(0, now_ns)
+        else:
+            over = self._process(mean) > 0.5 * (self._real(SPAN_START) + self._real(SPAN_END))
+            self._judge(POSITIVE_OVERLOAD if over else NEGATIVE_OVERLOAD, now_ns)
+
+    def _status(self) -> int:
+        """0x6150: not valid before the first sample, and while the channel is off."""
+        return NOT_VALID if self._verdict is None else self._verdict
+
+    def _judge(self, verdict: int, now_ns: int) -> None:
+        """Take a new status; each trouble is one EMCY when it comes and one when it goes."""
+        if verdict == self._verdict:
+            return
+        self._verdict = verdict
+        self._changed = True
+        self.device.now_ns = now_ns
+        self._tell(Emcy.SENSOR_BROKEN, bool(verdict & NOT_VALID))
+        self._tell(Emcy.OVER_RANGE, bool(verdict & OVERLOAD))
+
+    def _tell(self, trouble: Emcy, there: bool) -> None:
+        if there and trouble not in self._told:
+            self._told.add(trouble)
+            self.device.emergency(trouble, trouble.register)
+        elif not there and trouble in self._told:
+            self._told.remove(trouble)
+            self.device.recover(trouble)
+
+    # ---- settings ----
+
+    def _configure(self, restart: bool) -> None:
+        """Take over all settings; `restart` begins a new filter, and the value is not valid until its first sample."""
+        values = self.values
+        line = two_point(*(self._real(at) for at in (FV_1, PV_1, FV_2, PV_2)))
+        values[FACTOR], values[SHIFT] = map(real32, line)
+        self._factor, self._shift = line.factor, line.offset + self._real(OFFSET)
+        self._decimals = int(self._real(DECIMALS))
+        self._counts_per_n = 10.0 ** self._decimals
+        self._low, self._high = sorted((self._real(at) - self._shift) / line.factor for at in _LINKED)
+        self._measuring = self._real(OPERATING_MODE) == ON
+        self.interval_ns = int(self._real(SAMPLE_RATE)) * 1000
+        if restart:
+            self._kind = int(self._real(FILTER_TYPE)), int(self._real(FILTER_CONSTANT))
+            self._filter = Filter(*self._kind)
+            self._verdict = None
+            self._mean = 0.0
+            if not self._measuring:
+                self._tell(Emcy.SENSOR_BROKEN, False)
+                self._tell(Emcy.OVER_RANGE, False)
+
+    def _take_spans(self) -> None:
+        """Let 0x6148 and 0x6149 be what 0x9148 and 0x9149 say."""
+        for newton, counts in _LINKED.items():
+            self.values[newton] = self._real(counts) / 10.0 ** self._real(DECIMALS)
+
+    def _tell_spans(self) -> None:
+        """Let 0x9148 and 0x9149 say what 0x6148 and 0x6149 are, in the decimals of now."""
+        for newton, counts in _LINKED.items():
+            self.values[counts] = integer(self._real(newton) * 10.0 ** self._real(DECIMALS), INTEGER32)
+
+    def _real(self, at: int) -> float:
+        value = self.values.get(at, 0.0)
+        return 0.0 if isinstance(value, bytes) else float(value)
+
+    def _process(self, mean: float) -> float:
+        return mean * self._factor + self._shift
