@@ -1,0 +1,1 @@
+"""Virtual time, the wire, its faults, and the bench that joins plant and devices."""

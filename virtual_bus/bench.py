@@ -1,0 +1,75 @@
+"""The bench: one heap, one wire, the computer, the devices, and what moves behind them.
+
+The rule of this file: it joins and decides nothing; who acts when is in the heap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from eds.bench import MASTER
+from virtual_bus import outages
+from virtual_bus.faults import OF_A_FRAME, OF_TIME, Fault, Judge
+from virtual_bus.host import Host
+from virtual_bus.kernel import TIMER, Kernel
+from virtual_bus.node_station import Device, NodeStation
+from virtual_bus.wire import Wire
+
+US = 1_000
+MS = 1_000_000
+
+
+class Machine(Protocol):
+    """What moves and is measured behind the devices; see `machine.py`."""
+
+    def start(self) -> None:
+        """Put the first tick on the heap."""
+
+    def close(self) -> None:
+        """Finish what it writes."""
+
+
+class Bench:
+    """A simulated bench, from power-on at 0 ns; `machine` is made once kernel, wire and stations are there."""
+
+    def __init__(
+        self,
+        devices: Iterable[Device] = (),
+        *,
+        channel: str = "bench",
+        bitrate: int = 1_000_000,
+        faults: Iterable[Fault] = (),
+        seed: int = 0,
+        master_turnaround_ns: int = 100 * US,
+        node_turnaround_ns: int = 10 * US,
+        tx_queue: int = 64,
+        restart_ns: int = 100 * MS,
+        machine: Callable[[Bench], Machine] | None = None,
+    ) -> None:
+        faults = tuple(faults)
+        judge = Judge(faults, seed) if any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults) else None
+        self.kernel = Kernel()
+        self.wire = Wire(self.kernel, bitrate, judge)
+        self.master_turnaround_ns = master_turnaround_ns
+        self.host = Host(channel, MASTER, limit=tx_queue, restart_ns=restart_ns)
+        self.nodes = {
+            device.node_id: NodeStation(self.kernel, device, node_turnaround_ns) for device in devices
+        }
+        for station in (self.host, *self.nodes.values()):
+            self.wire.attach(station)
+        outages.arrange(self.kernel, self.wire, (self.host, *self.nodes.values()), faults)
+        self._machine = machine(self) if machine is not None else None
+        self.kernel.at(0, TIMER, self._power_on)
+
+    def _power_on(self) -> None:
+        for station in self.nodes.values():
+            if station.wire is not None:
+                station.powered(True, self.kernel.now_ns)
+        if self._machine is not None:
+            self._machine.start()
+
+    def close(self) -> None:
+        """Finish what the machine writes."""
+        if self._machine is not None:
+            self._machine.close()

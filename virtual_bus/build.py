@@ -1,0 +1,155 @@
+"""Makes a bench from its options: plant by entry point, devices, converters, scatter, truth.
+
+The rule of this file: what a bench is made of is chosen here, by name; nothing of it is told to the bus.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, cast
+
+import eds
+import nodes
+from eds.bench import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
+from eds.dictionary import key
+from parameters import InputError, from_table, parameter
+from physics.drive import SERVO_GAINS
+from physics.plant import Plant, PlantParameters, create
+from physics.sensor import Converter, SensorParameters
+from virtual_bus import plant_model
+from virtual_bus.bench import MS, US, Bench
+from virtual_bus.faults import declared
+from virtual_bus.machine import END_FEELS, START_FEELS, Axis, Drive, Gauge, Machine, Tension
+from virtual_bus.node_station import NodeStation
+from virtual_bus.options import Options
+from virtual_bus.outages import wired
+from virtual_bus.scatter import DAY, Tables, scattered, stream
+from virtual_bus.truth import Truth
+
+PLANTS = "bowden.plants"
+GAUGES = {START: ("start_sensor", START_FEELS), END: ("end_sensor", END_FEELS)}
+GAINS = {"position_gain": key(0x60FB, 1), "position_integral": key(0x60FB, 2)}
+
+
+@dataclass(frozen=True)
+class Trim:
+    """The servo's position loop as its maker trimmed it; the integral gain goes with the proportional one."""
+
+    position_gain: float = parameter(
+        SERVO_GAINS.position_gain, "1/s", "position loop, proportional", low=1.0, high=2000.0,
+        source="physics/drive.py")
+
+
+GROUPS: Mapping[str, type[Any]] = {
+    "plant": PlantParameters, "start_sensor": SensorParameters, "end_sensor": SensorParameters, "servo_drive": Trim,
+}
+
+Factory = Callable[[dict[str, float], int], Plant]
+
+
+def build(options: Options, channel: str) -> Bench:
+    """Make the bench that `options` describe, switched on at 0 ns of its own time; raises `InputError`."""
+    model = plant_model.read(options.plant_model)
+    faults = (*(declared(options.faults) if options.faults else ()), *model.faults)
+    tables = model.at_work(scattered(
+        nominal(model.tables, model.where), options.serial, options.day, steady(options.steady)))
+    plant = factory(options.plant)(tables["plant"], options.seed)
+    wire = trimmed(eds.wire(Network(bitrate=options.bitrate, rate_hz=options.rate_hz)), tables["servo_drive"])
+    built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
+
+    def machine(bench: Bench) -> Machine:
+        servo, knee = (Axis(bench.nodes[n], cast(Drive, built[n][1])) for n in (SERVO, KNEE))
+        gauges = [_gauge(bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed) for n in SENSORS]
+        made = Machine(bench.kernel, plant, servo, knee, gauges)
+        wired(bench.kernel, faults, made.trouble)
+        if options.truth is not None:
+            made.truth = Truth(options.truth, plant, _metadata(options, tables))
+            bench.wire.attach(made.truth)
+        return made
+
+    return Bench(
+        [device for device, _ in built.values()], channel=channel, bitrate=options.bitrate, faults=faults,
+        seed=options.seed, master_turnaround_ns=options.master_turnaround_us * US,
+        node_turnaround_ns=options.node_turnaround_us * US, tx_queue=options.tx_queue,
+        restart_ns=options.restart_ms * MS, machine=machine,
+    )
+
+
+def factory(name: str) -> Factory:
+    """Return the plant factory of that name in the group `bowden.plants`, or the one at "module:callable".
+
+    The own one needs no installation.  Raises `InputError` for what is neither installed nor importable.
+    """
+    if ":" in name:
+        return _imported(name)
+    found = {entry.name: entry for entry in entry_points(group=PLANTS)}
+    if name in found:
+        return cast(Factory, found[name].load())
+    if name == "bowden":
+        return create
+    known = ", ".join(sorted({*found, "bowden"}))
+    raise InputError(f"plant {name!r} is not installed; expected one of {known}, module:callable, or install what "
+                     "offers it.")
+
+
+def _imported(name: str) -> Factory:
+    module, _, attribute = name.partition(":")
+    try:
+        made = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"plant {name!r} cannot be imported ({error}); give module:callable of what is on the "
+                         "module path.") from None
+    if not callable(made):
+        raise InputError(f"plant {name!r} is no callable; give a factory of (parameters, seed).")
+    return cast(Factory, made)
+
+
+def nominal(given: Mapping[str, Any] | None, where: str = "plant_model") -> Tables:
+    """Return the tables of nominal parameters, the `given` ones in their place; `where` begins what is refused."""
+    given = given or {}
+    for group in given:
+        if group not in GROUPS:
+            raise InputError(f"{where}: unknown table {group}; expected one of {', '.join(plant_model.NAMES)} or "
+                             f"{', '.join(GROUPS)}.")
+    return {
+        group: dataclasses.asdict(from_table(cls, given.get(group, {}), where=f"{where} [{group}]"))
+        for group, cls in GROUPS.items()
+    }
+
+
+def steady(given: str | Sequence[str]) -> frozenset[str]:
+    """Return the names that the day is to leave alone; raises `InputError` for one that no day changes."""
+    names = frozenset(filter(None, map(str.strip, given.split(",")))) if isinstance(given, str) else frozenset(given)
+    known = [spread.label for spread in DAY]
+    for name in sorted(names.difference(known)):
+        raise InputError(f"steady: {name} is nothing that a day changes; expected any of {', '.join(known)}.")
+    return names
+
+
+def trimmed(wire: eds.Wire, gains: Mapping[str, float]) -> eds.Wire:
+    """Return the wire with the servo as its maker trimmed it: the loop's gains in its dictionary scaled alike."""
+    servo = wire.nodes[SERVO]
+    ratio = gains["position_gain"] / SERVO_GAINS.position_gain
+    entries = dict(servo.dictionary.entries)
+    for place in GAINS.values():
+        entry = entries[place]
+        entries[place] = dataclasses.replace(entry, default=round(cast(int, entry.initial) * ratio))
+    dictionary = dataclasses.replace(servo.dictionary, entries=entries)
+    return eds.Wire(wire.network, {**wire.nodes, SERVO: NodeEntry(SERVO, servo.name, dictionary)})
+
+
+def _gauge(station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:
+    group, feels = GAUGES[station.device.node_id]
+    parameters = from_table(SensorParameters, tables[group], where=group)
+    noise = int(stream(f"{group} noise", seed).integers(2**63))
+    return Gauge(station, sensor, Converter(parameters, noise), feels)
+
+
+def _metadata(options: Options, tables: Tables) -> dict[str, str]:
+    numbers = {name: str(getattr(options, name)) for name in ("serial", "day", "seed", "plant")}
+    values = {f"{group}.{name}": repr(value) for group, table in tables.items() for name, value in table.items()}
+    return numbers | values

@@ -1,0 +1,185 @@
+"""The virtual bus as a python-can interface: `can.Bus(interface="bowden", channel=…)`.
+
+The rule of this file: time passes only while somebody waits in `recv`, and then as far as the next
+message or the time-out; nothing here reads a clock, sleeps or starts a thread.
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections.abc import Sequence
+from typing import Any, Final, NoReturn
+
+import can
+from can.typechecking import AutoDetectedConfig, CanFilters
+
+from eds.frame import Frame
+from virtual_bus.bench import Bench
+from virtual_bus.build import build
+from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
+from virtual_bus.kernel import NEVER
+from virtual_bus.options import options
+from virtual_bus.periodic import Modifier, PeriodicTask
+from virtual_bus.station import Confinement
+
+STATES: Final = {
+    Confinement.ACTIVE: can.BusState.ACTIVE,
+    Confinement.PASSIVE: can.BusState.PASSIVE,
+    Confinement.BUS_OFF: can.BusState.ERROR,
+}
+
+
+class Shared:
+    """A bench and how many buses are open on it; the lock lets them be used from several threads."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.users = 0
+        self.lock = threading.RLock()
+
+
+_OPEN: dict[str, Shared] = {}
+
+
+class BowdenBus(can.BusABC):
+    """One socket on a simulated bench; buses on the same `channel` share the bench, the first one's options make it.
+
+    `given` are the options of `options.Options`; `bench` gives a bench made elsewhere instead. `single_handle`,
+    which python-can's own tools pass to every interface, changes nothing. Raises `parameters.InputError` for an
+    option that cannot be used.
+    """
+
+    def __init__(
+        self,
+        channel: str = "bench",
+        can_filters: CanFilters | None = None,
+        *,
+        bench: Bench | None = None,
+        receive_own_messages: bool = False,
+        rx_queue: int = 65_536,
+        single_handle: bool = False,
+        **given: Any,
+    ) -> None:
+        self._key = str(channel)
+        shared = _OPEN.get(self._key)
+        if shared is None:
+            made = bench or build(options(given, f"channel {self._key}"), self._key)
+            shared = _OPEN[self._key] = Shared(made)
+        self._shared = shared
+        shared.users += 1
+        self._lock = shared.lock
+        self.bench = shared.bench
+        self._kernel = self.bench.kernel
+        self._host = self.bench.host
+        self._socket = Socket(own=bool(receive_own_messages), limit=int(rx_queue))
+        self._queue = self._socket.queue
+        self._host.sockets.append(self._socket)
+        self.channel_info = f"bowden bench on {self._key}"
+        super().__init__(channel=self._key, can_filters=can_filters)
+
+    def time_ns(self) -> int:
+        """Return the bus's own time: ns since the bench was switched on."""
+        return self._kernel.now_ns
+
+    @property
+    def lost(self) -> int:
+        """Messages that found the receive queue full."""
+        return self._socket.lost
+
+    @property
+    def state(self) -> can.BusState:
+        """Fault confinement of the computer's controller."""
+        return STATES[self._host.state]
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError("the error counters say the state")
+
+    def recv(self, timeout: float | None = None) -> BowdenMessage | None:
+        """Return the next message, letting bus time pass up to `timeout` s; 0 takes only what is there.
+
+        Raises `can.CanOperationError` where nothing can ever come.
+        """
+        queue = self._queue
+        if queue:
+            return queue.popleft()
+        if self._is_shutdown:
+            self._refuse()
+        if timeout is not None and timeout <= 0:
+            return None
+        kernel = self._kernel
+        with self._lock:
+            if not queue:
+                kernel.run(NEVER if timeout is None else kernel.now_ns + round(timeout * 1e9), queue)
+        if queue:
+            return queue.popleft()
+        if timeout is None:
+            raise can.CanOperationError(f"{self.channel_info}: nothing will ever happen; give a time-out")
+        return None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue a message, ready after the stated turnaround; `timeout` waits for room in the queue.
+
+        Raises `can.CanOperationError` with ENOBUFS where there is none, ENETDOWN at bus-off.
+        """
+        if self._is_shutdown:
+            self._refuse()
+        frame = frame_of(msg)
+        with self._lock:
+            host, kernel = self._host, self._kernel
+            if host.waiting >= host.limit and timeout:
+                kernel.run(kernel.now_ns + round(timeout * 1e9), Room(host))
+            self._submit(frame, kernel.now_ns + self.bench.master_turnaround_ns, self._socket)
+
+    def _submit(self, frame: Frame, ready_ns: int, origin: Socket | None) -> None:
+        if self._host.submit(frame, ready_ns, origin):
+            return
+        code = errno.ENETDOWN if self._host.state is Confinement.BUS_OFF or self._host.wire is None else errno.ENOBUFS
+        raise can.CanOperationError(f"{self.channel_info}: {errno.errorcode[code]}", code)
+
+    def _send_periodic_internal(
+        self,
+        msgs: Sequence[can.Message] | can.Message,
+        period: float,
+        duration: float | None = None,
+        autostart: bool = True,
+        modifier_callback: Modifier | None = None,
+    ) -> PeriodicTask:
+        task = PeriodicTask(self._kernel, self._send_now, msgs, period, duration, modifier_callback)
+        if autostart:
+            task.start()
+        return task
+
+    def _send_now(self, message: can.Message) -> None:
+        self._host.submit(frame_of(message), self._kernel.now_ns)
+
+    def flush_tx_buffer(self) -> None:
+        """Discard what waits in the computer."""
+        with self._lock:
+            if self._host.wire is not None:
+                self._host.wire.flush(self._host)
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._socket.filters = list(filters) if filters else None
+        self._host.rematch()
+
+    def shutdown(self) -> None:
+        """Close this socket; the bench dies with its last one."""
+        if self._is_shutdown:
+            return
+        super().shutdown()
+        with self._lock:
+            self._host.sockets.remove(self._socket)
+            self._host.rematch()
+            self._shared.users -= 1
+            if not self._shared.users:
+                _OPEN.pop(self._key, None)
+                self.bench.close()
+
+    def _refuse(self) -> NoReturn:
+        raise can.CanOperationError(f"{self.channel_info} is shut down")
+
+    @staticmethod
+    def _detect_available_configs() -> list[AutoDetectedConfig]:
+        return [{"interface": "bowden", "channel": channel} for channel in [*_OPEN, "bench"]]

@@ -1,0 +1,160 @@
+"""Faults of the wire and of what is wired to a node, declared: what, when, to which frames or node.
+
+The rule of this file: a fault is a row of `Fault`, effective from `start_s` to before `stop_s` of bus
+time; chance, where one is asked for, is drawn from the bench's seed and the row's place in the list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eds.bench import KNEE, SENSORS, SERVO
+from eds.frame import Frame
+from parameters import InputError, checked, from_table, parameter, read_toml
+from virtual_bus.kernel import NEVER
+from virtual_bus.station import ErrorKind, Station, Waiting
+
+KINDS: Mapping[str, str] = {
+    "drop": "the frame is sent and acknowledged, and reaches nobody",
+    "delay": "the frame is ready delay_us later",
+    "duplicate": "the frame is sent twice",
+    "corrupt": "one bit of the payload is flipped and the CRC agrees with it",
+    "shorten": "the payload ends after size bytes",
+    "disturb": "an error frame ends the frame; its transmitter tries again",
+    "late_sync": "SYNC is ready delay_us later",
+    "babble": "a station sends cob_id with size bytes of 55h every period_us, without pause where that is 0",
+    "cut": "the node's bus line is open: it hears nobody, nobody acknowledges it",
+    "deaf": "the node receives nothing, or nothing with cob_id, but acknowledges",
+    "power_off": "the node has no supply; it boots when it comes back",
+    "broken_wire": "a wire of the sensor's bridge is broken, and its converter says so",
+    "overload": "the sensor's converter is at the end of its range",
+    "emergency_stop": "the drive's emergency-stop input (STO) is active; it stays off until 0x2020 releases it",
+}
+OF_A_SENSOR = frozenset({"broken_wire", "overload"})
+OF_A_DRIVE = frozenset({"emergency_stop"})
+OF_A_NODE = frozenset({"cut", "deaf", "power_off"}) | OF_A_SENSOR | OF_A_DRIVE
+OF_A_FRAME = frozenset({"drop", "duplicate", "corrupt", "shorten", "disturb"})
+OF_TIME = frozenset({"delay", "late_sync"})
+ANY = -1
+COPY = object()
+"""Marks, as its origin, the second sending of a duplicated frame."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One declared fault; `cob_id` and `node` (of the transmitter, or the one concerned) narrow it down."""
+
+    kind: str = parameter("drop", "", "what happens; one of " + ", ".join(KINDS), source="ISO 11898-1")
+    start_s: float = parameter(0.0, "s", "bus time when it begins", low=0.0, high=1e9, source="test plan")
+    stop_s: float = parameter(1e9, "s", "bus time when it is over", low=0.0, high=1e9, source="test plan")
+    cob_id: int = parameter(ANY, "", "COB-ID it concerns, -1 for all", low=-1, high=0x7FF, source="CiA 301")
+    node: int = parameter(ANY, "", "node it concerns, -1 for all", low=-1, high=127, source="CiA 301")
+    probability: float = parameter(1.0, "", "chance for each frame", low=0.0, high=1.0, source="test plan")
+    delay_us: float = parameter(500.0, "µs", "delay", low=0.0, high=1e9, source="test plan")
+    size: int = parameter(0, "byte", "payload left by shorten, payload of babble", low=0, high=8, source="CiA 301")
+    period_us: float = parameter(0.0, "µs", "period of babble", low=0.0, high=1e9, source="test plan")
+
+    @property
+    def start_ns(self) -> int:
+        """Bus time of the first nanosecond it is in effect."""
+        return round(self.start_s * 1e9)
+
+    @property
+    def stop_ns(self) -> int:
+        """Bus time of the first nanosecond it no longer is."""
+        return round(self.stop_s * 1e9) if math.isfinite(self.stop_s) else NEVER
+
+    def concerns(self, station: Station, frame: Frame, now_ns: int) -> bool:
+        """Say whether a frame of `station` is one of those it is about."""
+        cob_id = 0x080 if self.kind == "late_sync" else self.cob_id
+        return (
+            self.start_ns <= now_ns < self.stop_ns
+            and (cob_id in (ANY, frame.can_id))
+            and (self.node in (ANY, station.node))
+        )
+
+
+def declared(given: str | Path | Iterable[Fault | Mapping[str, Any]]) -> tuple[Fault, ...]:
+    """Read faults from a TOML file of `[[fault]]` tables, from mappings, or as they are; raises `InputError`."""
+    if isinstance(given, str | Path):
+        tables = read_toml(Path(given)).get("fault", [])
+        if not isinstance(tables, list) or not tables:
+            raise InputError(f"{given}: no [[fault]] table; add one, with kind, start_s and stop_s.")
+        rows: list[Any] = tables
+        name = str(given)
+    else:
+        rows, name = list(given), "faults"
+    return tuple(_row(row, f"{name} [[fault]] {place}") for place, row in enumerate(rows, start=1))
+
+
+def _row(row: Fault | Mapping[str, Any], where: str) -> Fault:
+    fault = checked(row, where=where) if isinstance(row, Fault) else from_table(Fault, row, where=where)
+    if fault.kind not in KINDS:
+        raise InputError(f"{where}: kind = {fault.kind!r} is unknown; expected one of {', '.join(KINDS)}.")
+    if fault.kind in OF_A_NODE and fault.node == ANY:
+        raise InputError(f"{where}: {fault.kind} concerns one node; give node = 1 … 127.")
+    for kinds, nodes in ((OF_A_SENSOR, SENSORS), (OF_A_DRIVE, (SERVO, KNEE))):
+        if fault.kind in kinds and fault.node not in nodes:
+            raise InputError(f"{where}: {fault.kind} at node = {fault.node}; expected one of {sorted(nodes)}.")
+    if fault.kind == "babble" and fault.cob_id == ANY:
+        raise InputError(f"{where}: babble sends one COB-ID; give cob_id = 0 … 0x7FF.")
+    if fault.stop_s <= fault.start_s:
+        raise InputError(f"{where}: stop_s = {fault.stop_s:g} is not after start_s = {fault.start_s:g}; mend one.")
+    return fault
+
+
+class Judge:
+    """Applies the faults that concern single frames; see `wire.Judge`."""
+
+    def __init__(self, faults: Sequence[Fault], seed: int) -> None:
+        chances = [np.random.Generator(np.random.Philox([seed, place])) for place in range(len(faults))]
+        rows = list(zip(faults, chances, strict=True))
+        self._of_time = [row for row in rows if row[0].kind in OF_TIME]
+        self._of_a_frame = [row for row in rows if row[0].kind in OF_A_FRAME]
+
+    def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
+        """Return when the frame takes part in arbitration: later by every delay that strikes it."""
+        late_ns = ready_ns
+        for fault, chance in self._of_time:
+            if fault.concerns(station, frame, ready_ns) and _strikes(fault, chance):
+                late_ns += round(fault.delay_us * 1e3)
+        return late_ns
+
+    def heard(self, entry: Waiting, now_ns: int) -> Frame | ErrorKind | None:
+        """Return the frame as receivers get it, `None` where none does, or the error that ends it."""
+        _, _, station, frame, origin = entry
+        heard: Frame | None = frame
+        for fault, chance in self._of_a_frame:
+            if heard is None or not fault.concerns(station, frame, now_ns) or not _strikes(fault, chance):
+                continue
+            if fault.kind == "disturb":
+                return ErrorKind.CRC
+            if fault.kind == "duplicate":
+                if origin is not COPY:
+                    station.submit(frame, now_ns, COPY)
+            elif fault.kind == "drop":
+                heard = None
+            elif fault.kind == "shorten":
+                heard = heard._replace(data=heard.data[: fault.size])
+            else:
+                heard = _flip(heard, chance)
+        return heard
+
+
+def _strikes(fault: Fault, chance: np.random.Generator) -> bool:
+    return fault.probability >= 1.0 or bool(chance.random() < fault.probability)
+
+
+def _flip(frame: Frame, chance: np.random.Generator) -> Frame:
+    if not frame.data:
+        return frame
+    data = bytearray(frame.data)
+    place = int(chance.integers(8 * len(data)))
+    data[place >> 3] ^= 1 << (place & 7)
+    return frame._replace(data=bytes(data))

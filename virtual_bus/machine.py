@@ -1,0 +1,145 @@
+"""What moves behind the devices: the plant, the drives' ticks, the converters' samples.
+
+The rule of this file: at each instant the plant first comes up to it under the torques demanded so far,
+then devices are told what they can feel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+from physics.drive import DRIVE_TICK_NS
+from physics.plant import Outputs, Plant
+from virtual_bus.faults import Fault
+from virtual_bus.kernel import TICK, Kernel
+from virtual_bus.node_station import NodeStation
+from virtual_bus.truth import Truth
+
+
+class Drive(Protocol):
+    """What is asked of a drive; `nodes.drive.Drive` does it."""
+
+    def tick(self, now_ns: int, position: float, velocity: float) -> float:
+        """Return the torque demand, N·m."""
+
+    def emergency_stop(self, active: bool, now_ns: int) -> None:
+        """Take the wired emergency-stop input."""
+
+
+class Tension(Protocol):
+    """What is asked of a tension sensor; `nodes.tension_sensor.TensionSensor` does it."""
+
+    @property
+    def interval_ns(self) -> int:
+        """Sampling interval."""
+
+    def sample(self, now_ns: int, counts: int, status: int = 0) -> None:
+        """Take the converter's counts."""
+
+
+class Converter(Protocol):
+    """What is asked of a bridge and its converter; `physics.sensor.Converter` does it."""
+
+    def sample(self, time_ns: int, force_n: float) -> int:
+        """Return counts."""
+
+
+class Axis(NamedTuple):
+    """A drive on the bench."""
+
+    station: NodeStation
+    drive: Drive
+
+
+class Gauge(NamedTuple):
+    """A tension sensor on the bench: `feels` is the place in `Outputs` of its force."""
+
+    station: NodeStation
+    sensor: Tension
+    converter: Converter
+    feels: int
+
+
+BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
+"""What is wrong with a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
+
+START_FEELS = Outputs._fields.index("start_n")
+END_FEELS = Outputs._fields.index("end_n")
+
+
+class Machine:
+    """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval."""
+
+    def __init__(self, kernel: Kernel, plant: Plant, servo: Axis, knee: Axis, gauges: Sequence[Gauge]) -> None:
+        self.plant = plant
+        self._kernel = kernel
+        self._servo = servo
+        self._knee = knee
+        self._gauges = tuple(gauges)
+        self._servo_nm = 0.0
+        self._knee_nm = 0.0
+        self._tick_ns = 0
+        self._sample_ns: list[int] = []
+        self._bridges: dict[int | None, tuple[int, int]] = {}
+        plant.reset(0)
+        self.truth: Truth | None = None
+
+    def start(self) -> None:
+        """Put the first tick and the first samples on the heap, now."""
+        self._tick_ns = self._kernel.now_ns
+        self._sample_ns = [self._kernel.now_ns] * len(self._gauges)
+        self._kernel.at(self._tick_ns, TICK, self._act)
+
+    def trouble(self, fault: Fault, there: bool) -> None:
+        """Begin or end what is wrong with a sensor's bridge, or press or release a drive's emergency stop."""
+        if fault.kind in BRIDGES:
+            if there:
+                self._bridges[fault.node] = BRIDGES[fault.kind]
+            else:
+                self._bridges.pop(fault.node, None)
+            return
+        station, drive = self._servo if self._servo.station.node == fault.node else self._knee
+        drive.emergency_stop(there, self._kernel.now_ns)
+        if station.on:
+            station.settle(self._kernel.now_ns)
+
+    def close(self) -> None:
+        """Finish the truth file."""
+        if self.truth is not None:
+            self.truth.close()
+
+    def _act(self) -> None:
+        now_ns = self._kernel.now_ns
+        felt = self.plant.advance(now_ns, self._servo_nm, self._knee_nm)
+        if self._tick_ns == now_ns:
+            self._tick(now_ns, felt)
+            self._tick_ns = now_ns + DRIVE_TICK_NS
+        next_ns = self._tick_ns
+        for place, due_ns in enumerate(self._sample_ns):
+            if due_ns == now_ns:
+                due_ns = self._sample_ns[place] = now_ns + self._sample(self._gauges[place], now_ns, felt)
+            if due_ns < next_ns:
+                next_ns = due_ns
+        self._kernel.at(next_ns, TICK, self._act)
+
+    def _tick(self, now_ns: int, felt: Outputs) -> None:
+        servo_m, servo_m_s, knee_rad, knee_rad_s, _, _, _ = felt
+        station, drive = self._servo
+        self._servo_nm = drive.tick(now_ns, servo_m, servo_m_s) if station.on else 0.0
+        station.settle(now_ns)
+        station, drive = self._knee
+        self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
+        station.settle(now_ns)
+
+    def _sample(self, gauge: Gauge, now_ns: int, felt: Outputs) -> int:
+        station, sensor, converter, feels = gauge
+        if not station.on:
+            return DRIVE_TICK_NS
+        counts = converter.sample(now_ns, felt[feels])
+        if station.node in self._bridges:
+            sensor.sample(now_ns, *self._bridges[station.node])
+        else:
+            sensor.sample(now_ns, counts)
+        station.settle(now_ns)
+        return sensor.interval_ns

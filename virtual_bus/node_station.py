@@ -1,0 +1,119 @@
+"""A CANopen device joined to the wire.
+
+The rule of this file: a device is told what happens and the time, nothing else; what it wants sent
+leaves after its stated response time, and it is woken when it said it would have work.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Protocol
+
+from eds.frame import Frame
+from virtual_bus.kernel import NEVER, TIMER, Kernel
+from virtual_bus.station import Confinement, Station
+
+
+class Device(Protocol):
+    """What a sans-IO device shows to whoever joins it to a bus; `nodes.core.device.Device` does."""
+
+    @property
+    def node_id(self) -> int:
+        """Its CANopen node-ID."""
+
+    @property
+    def filters(self) -> frozenset[int]:
+        """COB-IDs it wants now; a new object whenever they change."""
+
+    @property
+    def outbox(self) -> deque[Frame]:
+        """Frames to send, oldest first."""
+
+    def power_on(self, now_ns: int) -> None:
+        """Boot."""
+
+    def receive(self, frame: Frame, now_ns: int) -> None:
+        """Take a frame at its end."""
+
+    def poll(self, now_ns: int) -> None:
+        """Run what is due."""
+
+    def next_ns(self) -> int | None:
+        """Say when `poll` has work."""
+
+    def bus_off(self, now_ns: int) -> None:
+        """Lose the bus."""
+
+    def bus_recovered(self, now_ns: int) -> None:
+        """Have it back."""
+
+
+class NodeStation(Station):
+    """The controller of one device; `turnaround_ns` passes between a cause and its frame's readiness."""
+
+    def __init__(self, kernel: Kernel, device: Device, turnaround_ns: int) -> None:
+        super().__init__(f"node {device.node_id}", self.receive, node=device.node_id, filters=device.filters)
+        self.device = device
+        self._kernel = kernel
+        self._turnaround_ns = turnaround_ns
+        self.due_ns = NEVER
+        self.on = False
+
+    def receive(self, frame: Frame, now_ns: int) -> None:
+        """Pass a frame to the device and its answers to the wire."""
+        device = self.device
+        device.receive(frame, now_ns)
+        if device.outbox or device.filters is not self.filters:
+            self.settle(now_ns)
+            return
+        due_ns = device.next_ns()
+        if due_ns is not None and due_ns < self.due_ns:
+            self._wake_at(due_ns, now_ns)
+
+    def settle(self, now_ns: int) -> None:
+        """After anything the device was told: send its outbox, follow its filter, be there when it has work."""
+        device = self.device
+        if device.outbox:
+            ready_ns = now_ns + self._turnaround_ns
+            outbox = device.outbox
+            while outbox:
+                self.submit(outbox.popleft(), ready_ns)
+        if device.filters is not self.filters:
+            self.filters = device.filters
+            if self.wire is not None:
+                self.wire.reroute()
+        due_ns = device.next_ns()
+        if due_ns is not None and due_ns < self.due_ns:
+            self._wake_at(due_ns, now_ns)
+
+    def _wake_at(self, due_ns: int, now_ns: int) -> None:
+        self.due_ns = due_ns if due_ns > now_ns else now_ns
+        self._kernel.at(self.due_ns, TIMER, self._wake)
+
+    def _wake(self) -> None:
+        now_ns = self._kernel.now_ns
+        if now_ns != self.due_ns:
+            return  # an earlier wake took its place
+        self.due_ns = NEVER
+        self.device.poll(now_ns)
+        self.settle(now_ns)
+
+    def confined(self, previous: Confinement, now_ns: int) -> None:
+        """Tell the device that it lost the bus, or has it back."""
+        if not self.on:
+            return
+        if self.state is Confinement.BUS_OFF:
+            self.device.bus_off(now_ns)
+        elif previous is Confinement.BUS_OFF:
+            self.device.bus_recovered(now_ns)
+        self.settle(now_ns)
+
+    def powered(self, on: bool, now_ns: int) -> None:
+        """Boot the device or take its supply away."""
+        self.on = on
+        if on:
+            self.device.power_on(now_ns)
+            self.settle(now_ns)
+        else:
+            self.due_ns = NEVER
+            self.device.outbox.clear()

@@ -1,0 +1,120 @@
+"""Faults of whole stations and of what is wired to them: cut, deaf, without supply, babbling; bridges, STO inputs.
+
+The rule of this file: each acts at its two instants only and leaves the wire's hot path alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+from eds.frame import Frame
+from virtual_bus.faults import ANY, COPY, OF_A_DRIVE, OF_A_SENSOR, Fault
+from virtual_bus.kernel import NEVER, TIMER, Kernel
+from virtual_bus.station import Confinement, Station
+from virtual_bus.wire import Wire
+
+
+def arrange(kernel: Kernel, wire: Wire, stations: Iterable[Station], faults: Iterable[Fault]) -> None:
+    """Put the beginnings and ends of all such faults on the heap."""
+    by_node = {station.node: station for station in stations if station.node is not None}
+    for fault in faults:
+        if fault.kind == "babble":
+            begin, end = _babbler(kernel, wire, fault)
+        elif fault.kind in _EFFECTS and fault.node in by_node:
+            begin, end = _EFFECTS[fault.kind](kernel, wire, by_node[fault.node], fault)
+        else:
+            continue
+        _plan(kernel, fault, begin, end)
+
+
+def wired(kernel: Kernel, faults: Iterable[Fault], inputs: Callable[[Fault, bool], None]) -> None:
+    """Put those of the sensors' bridges and the drives' inputs on the heap: `inputs` hears of each, and of its end."""
+    for fault in faults:
+        if fault.kind in OF_A_SENSOR | OF_A_DRIVE:
+            _plan(kernel, fault, partial(inputs, fault, True), partial(inputs, fault, False))
+
+
+def _plan(kernel: Kernel, fault: Fault, begin: Callable[[], None], end: Callable[[], None]) -> None:
+    kernel.at(fault.start_ns, TIMER, begin)
+    if fault.stop_ns != NEVER:
+        kernel.at(fault.stop_ns, TIMER, end)
+
+
+Effect = tuple[Callable[[], None], Callable[[], None]]
+
+
+def _move(station: Station, wire: Wire, now_ns: int) -> None:
+    waiting = station.wire.detach(station) if station.wire is not None else []
+    wire.attach(station)
+    for _, _, _, frame, origin in waiting:
+        wire.submit(station, frame, now_ns, origin)
+
+
+def _cut(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
+    alone = Wire(kernel, 1_000_000_000 // wire.bit_ns)
+    return lambda: _move(station, alone, kernel.now_ns), lambda: _move(station, wire, kernel.now_ns)
+
+
+def _deaf(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
+    def hear(deaf_to: frozenset[int] | None) -> None:
+        station.deaf_to = deaf_to
+        wire.reroute()
+
+    nothing = frozenset({fault.cob_id}) if fault.cob_id != ANY else None
+    return lambda: hear(nothing), lambda: hear(frozenset())
+
+
+def _power_off(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
+    def off() -> None:
+        if station.wire is not None:
+            station.lost += len(station.wire.detach(station))
+        station.powered(False, kernel.now_ns)
+
+    def on() -> None:
+        station.reset_counters()
+        wire.attach(station)
+        station.powered(True, kernel.now_ns)
+
+    return off, on
+
+
+_EFFECTS = {"cut": _cut, "deaf": _deaf, "power_off": _power_off}
+
+
+class _Babbler(Station):
+    """A station that says the same thing over and over."""
+
+    def __init__(self, kernel: Kernel, fault: Fault) -> None:
+        super().__init__("babbler", lambda frame, now_ns: None, filters=frozenset(), limit=2)
+        self._kernel = kernel
+        self._frame = Frame(fault.cob_id, b"\x55" * fault.size)
+        self._period_ns = round(fault.period_us * 1e3)
+
+    def speak(self) -> None:
+        if self.wire is None:
+            return
+        self.submit(self._frame, self._kernel.now_ns)
+        if self._period_ns:
+            self._kernel.at(self._kernel.now_ns + self._period_ns, TIMER, self.speak)
+
+    def sent(self, frame: Frame, origin: object, now_ns: int) -> None:
+        if not self._period_ns and origin is not COPY:
+            self.submit(self._frame, now_ns)
+
+    def confined(self, previous: Confinement, now_ns: int) -> None:
+        if not self._period_ns and not self.waiting:
+            self.speak()
+
+
+def _babbler(kernel: Kernel, wire: Wire, fault: Fault) -> Effect:
+    station = _Babbler(kernel, fault)
+
+    def begin() -> None:
+        wire.attach(station)
+        station.speak()
+
+    def end() -> None:
+        wire.detach(station)
+
+    return begin, end

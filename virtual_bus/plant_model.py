@@ -1,0 +1,69 @@
+"""What a plant model says: nominal values by table, effects by their names, and what the wire does to PDOs.
+
+The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; an
+effect is at work with the very values that are stated, whatever serial and day drew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
+from parameters import InputError, read_toml
+from physics import effects, effects_table
+from virtual_bus.faults import Fault
+from virtual_bus.scatter import Tables
+
+WIRE: Final = "bus"
+NAMES: Final = (effects_table.TABLE, WIRE)
+INPUTS: Final = tuple(tpdo_cob_id(node) for node in (SERVO, KNEE, *SENSORS))
+
+
+class Model(NamedTuple):
+    """One plant model: `where` it comes from, its tables of nominal values, tables of effects, faults of the wire."""
+
+    where: str
+    tables: Mapping[str, Any]
+    effects: Tables
+    faults: tuple[Fault, ...]
+
+    def at_work(self, tables: Tables) -> Tables:
+        """Return `tables` with the effects in them."""
+        return {group: values | self.effects.get(group, {}) for group, values in tables.items()}
+
+
+def read(given: str | Path | Mapping[str, Any] | None) -> Model:
+    """Read a plant model from a TOML file or from its tables; raises `InputError`."""
+    where, tables = "plant_model", dict(given) if isinstance(given, Mapping) else {}
+    if isinstance(given, str | Path):
+        where, tables = str(given), read_toml(Path(given))
+    stated = effects.apply(effects_table.stated(tables, where))
+    wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
+    own = {name: table for name, table in tables.items()
+           if name not in (*NAMES, effects_table.EVIDENCE)}
+    return Model(where, own, stated, faults(wire))
+
+
+def _numbers(table: Any, where: str) -> dict[str, float]:
+    known = sorted(effects.BUS)
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: {WIRE} is not a table; write [{WIRE}] with some of {', '.join(known)}.")
+    for name, value in table.items():
+        if name not in effects.BUS:
+            raise InputError(f"{where} [{WIRE}]: unknown key {name}; expected one of {', '.join(known)}.")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+            raise InputError(f"{where} [{WIRE}]: {name} = {value!r} is no number from 0 to 1; give seconds or a share.")
+    return {name: float(value) for name, value in table.items()}
+
+
+def faults(wire: Mapping[str, float]) -> tuple[Fault, ...]:
+    """Return the faults that make the PDOs of every input late or lost: `late_s`, `late_share`, `lost_share`."""
+    made: list[Fault] = []
+    if wire.get("late_s", 0.0) > 0.0:
+        made += [Fault("delay", cob_id=cob_id, probability=wire.get("late_share", 1.0), delay_us=1e6 * wire["late_s"])
+                 for cob_id in INPUTS]
+    if wire.get("lost_share", 0.0) > 0.0:
+        made += [Fault("drop", cob_id=cob_id, probability=wire["lost_share"]) for cob_id in INPUTS]
+    return tuple(made)

@@ -1,0 +1,147 @@
+"""The same bench in wall time, on any python-can bus: `bowden bench`.
+
+The rule of this file: the bench's own time follows a clock that is handed in. What is due is caught up in its
+own order and at its own time before any frame reaches a device; waiting is receiving.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import can
+
+from eds.frame import Frame
+from virtual_bus.bench import Bench
+from virtual_bus.host import frame_of, message_of
+from virtual_bus.kernel import Kernel
+from virtual_bus.station import EXTENDED, Deliver, Station, Waiting
+
+PATIENCE_NS: Final = 1_000_000
+"""How late, without a frame from outside, a drive's tick may be caught up."""
+GONE: Final = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
+
+
+@dataclass
+class Served:
+    """What a served bench did: frames either way, frames the bus did not take, how far it ever fell behind."""
+
+    received: int = 0
+    sent: int = 0
+    lost: int = 0
+    behind_ns: int = 0
+
+
+class Outside:
+    """Joins the bench's stations to a python-can bus; they hear each other directly.
+
+    A bus that `echoes` brings their frames back besides, in their order: those are passed over.
+    """
+
+    def __init__(self, kernel: Kernel, bus: can.BusABC, echoes: bool) -> None:
+        self.served = Served()
+        self._echoes = echoes
+        self._sent: deque[Frame] = deque(maxlen=1024)
+        self._kernel = kernel
+        self._bus = bus
+        self._stations: list[Station] = []
+        self._routes: dict[tuple[Station | None, int], tuple[Deliver, ...]] = {}
+
+    def attach(self, station: Station) -> None:
+        """Join a station."""
+        station.wire = self
+        self._stations.append(station)
+        self.reroute()
+
+    def detach(self, station: Station) -> list[Waiting]:
+        """Take a station off; nothing waits here."""
+        self._stations.remove(station)
+        station.wire = None
+        self.reroute()
+        return []
+
+    def flush(self, station: Station) -> None:
+        """Nothing waits here."""
+
+    def reroute(self) -> None:
+        """Forget who receives what."""
+        self._routes.clear()
+
+    def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
+        """Send at once: wall time charges its own turnaround."""
+        message = message_of(frame, 0, False, "")
+        try:
+            self._bus.send(message)
+        except can.CanOperationError:
+            self.served.lost += 1
+            station.lost += 1
+            return False
+        self.served.sent += 1
+        if self._echoes:
+            self._sent.append(frame)
+        self.hear(station, frame)
+        return True
+
+    def take(self, frame: Frame) -> None:
+        """Give a frame of the bus to whoever wants it, unless it is one of the bench's own that comes back."""
+        if frame in self._sent:
+            while self._sent.popleft() != frame:
+                pass
+            return
+        self.served.received += 1
+        self.hear(None, frame)
+
+    def hear(self, sender: Station | None, frame: Frame) -> None:
+        """Give a frame to every station but its sender that wants it, now."""
+        route = frame.can_id | EXTENDED if frame.extended else frame.can_id
+        receivers = self._routes.get((sender, route))
+        if receivers is None:
+            receivers = self._routes[sender, route] = tuple(
+                station.deliver for station in self._stations if station is not sender and station.accepts(route)
+            )
+        for deliver in receivers:
+            deliver(frame, self._kernel.now_ns)
+
+
+def serve(
+    bus: can.BusABC, bench: Bench, clock: Callable[[], int], stop: Callable[[], bool] = lambda: False, *,
+    echoes: bool = False,
+) -> Served:
+    """Run `bench` on `bus` at the pace of `clock`, ns, until `stop` says so, and return what it did.
+
+    `echoes` says that the bus receives what it sends, as python-can's `udp_multicast` does.
+    The computer of the bench stays outside: masters are on `bus`. Raises `can.CanOperationError` when the
+    interface is gone; while it is down, frames are lost and counted, as in a real node.
+    """
+    kernel = bench.kernel
+    outside = Outside(kernel, bus, echoes)
+    for station in list(bench.wire.stations):
+        bench.wire.detach(station)
+        if station is not bench.host:
+            outside.attach(station)
+    began_ns = clock() - kernel.now_ns
+    while not stop():
+        now_ns = clock() - began_ns
+        outside.served.behind_ns = max(outside.served.behind_ns, now_ns - kernel.next_ns() - PATIENCE_NS)
+        kernel.run(now_ns)
+        frame = _receive(bus, bench, clock() - began_ns)
+        kernel.run(max(kernel.now_ns, clock() - began_ns))
+        if frame is not None:
+            outside.take(frame)
+    return outside.served
+
+
+def _receive(bus: can.BusABC, bench: Bench, now_ns: int) -> Frame | None:
+    due_ns = min([now_ns + PATIENCE_NS, *(station.due_ns for station in bench.nodes.values())])
+    try:
+        message = bus.recv(max(0, due_ns - now_ns) / 1e9)
+    except can.CanOperationError as error:
+        if error.error_code in GONE:
+            raise
+        return None
+    if message is None or message.is_error_frame or message.is_fd:
+        return None
+    return frame_of(message)

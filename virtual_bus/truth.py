@@ -1,0 +1,54 @@
+"""The side file: what no device feels.
+
+The rule of this file: it is written beside the trial, never into it, and writing it moves nothing: the values
+are those of the last drive tick before the SYNC that stamps them.  A disk that is full ends it, and the bench goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Final
+
+from eds.frame import Frame
+from physics.plant import Plant
+from trial.record import Recorder, RecordingError
+from trial.signals import Signal
+from virtual_bus.station import Station
+
+SYNC: Final = 0x080
+TABLE: Final = "/truth"
+UNITS: Final = {
+    "_n": "N", "_m": "m", "_rad": "rad", "_m_s": "m/s", "_rad_s": "rad/s", "_a": "A", "_v": "V", "_nm": "N·m",
+}
+
+
+class Truth(Station):
+    """Listens for SYNC and writes a row of `plant.truth()` at each, to table `/truth` of the file at `path`."""
+
+    def __init__(self, path: str, plant: Plant, metadata: Mapping[str, str]) -> None:
+        super().__init__("truth", self._latch, filters=frozenset({SYNC}), listen_only=True)
+        self._plant = plant
+        self._recorder = Recorder(
+            path, metadata=metadata, attachments={}, threaded=False, overwrite=True,
+            signals=signals_of(plant), table=TABLE,
+        )
+
+    def _latch(self, frame: Frame, now_ns: int) -> None:
+        with suppress(RecordingError):
+            self._recorder.cycle(now_ns, tuple(self._plant.truth().values()))
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(RecordingError):
+            self._recorder.close({})
+
+
+def signals_of(plant: Plant) -> tuple[Signal, ...]:
+    """Return the truth's columns, their unit read from the name's ending."""
+    return tuple(Signal(name, _unit(name), "true value, from the plant") for name in plant.truth())
+
+
+def _unit(name: str) -> str:
+    ending = max((end for end in UNITS if name.endswith(end)), key=len, default="")
+    return UNITS.get(ending, "1")

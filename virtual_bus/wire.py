@@ -1,0 +1,251 @@
+"""The wire: arbitration, bit times, acknowledge, error frames, fault confinement (ISO 11898-1).
+
+The rule of this file: one frame at a time. A frame starts when the wire is idle and something is
+ready, lasts its exact bits, and is received by everyone in the same nanosecond, at its end.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from eds.frame import Frame
+from virtual_bus.bits import (
+    BITRATES,
+    ERROR_FRAME_BITS,
+    INTERMISSION_BITS,
+    RECOVERY_BITS,
+    SUSPEND_BITS,
+    first_difference,
+    frame_bits,
+)
+from virtual_bus.contention import Contention
+from virtual_bus.kernel import END, NEVER, START, TIMER, Kernel
+from virtual_bus.station import EXTENDED, Confinement, Deliver, ErrorKind, Station, Waiting
+
+TO_ACKNOWLEDGE_BITS = -8
+"""From the end of a frame back to the end of its acknowledge slot: there a missing one is noticed."""
+TO_CRC_ERROR_BITS = -7
+"""From the end of a frame back to the end of its acknowledge delimiter: there a CRC error is flagged."""
+
+
+class Judge(Protocol):
+    """What faults do to frames; see `faults.py`."""
+
+    def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
+        """Return when the frame takes part in arbitration."""
+
+    def heard(self, entry: Waiting, now_ns: int) -> Frame | ErrorKind | None:
+        """Return the frame that receivers get, `None` where none does, or the error that ends it."""
+
+
+class Wire:
+    """A bus at `bitrate` bit/s, one of `bits.BITRATES`."""
+
+    def __init__(self, kernel: Kernel, bitrate: int, judge: Judge | None = None) -> None:
+        if bitrate not in BITRATES:
+            raise ValueError(f"bit rate {bitrate} is none of {BITRATES}")
+        self.bit_ns = 1_000_000_000 // bitrate
+        self.stations: list[Station] = []
+        self.frames = 0
+        self.errors = 0
+        self.busy_bits = 0
+        self._kernel = kernel
+        self._judge = judge
+        self._queue = Contention()
+        self._gap_ns = INTERMISSION_BITS * self.bit_ns
+        self._senders: list[Waiting] = []
+        self._heard: Frame | None = None
+        self._error = ErrorKind.BIT
+        self._busy = False
+        self._start_ns = NEVER
+        self._idle_ns = 0
+        self._participants = 0
+        self._hurt = False
+
+    # -- who is on it ------------------------------------------------------------------------------
+
+    def attach(self, station: Station) -> None:
+        """Join a station to the wire; it receives the next frame that ends."""
+        station.wire = self
+        self.stations.append(station)
+        self._hurt = self._hurt or station.tec + station.rec > 0
+        self.reroute()
+
+    def detach(self, station: Station) -> list[Waiting]:
+        """Take a station off the wire, out of a frame it is sending too; returns what waited in it."""
+        waiting = [entry for entry in self._senders if entry[2] is station] + self._queue.withdraw(station)
+        self._senders = [entry for entry in self._senders if entry[2] is not station]
+        self.stations.remove(station)
+        station.wire = None
+        self.reroute()
+        return waiting
+
+    def reroute(self) -> None:
+        """Forget who receives what; to be told when a station's filter, deafness or confinement has changed."""
+        self._participants = sum(
+            station.state is not Confinement.BUS_OFF and not station.listen_only for station in self.stations
+        )
+        for station in self.stations:
+            station.routes.clear()
+
+    def _route(self, sender: Station, route: int) -> tuple[Deliver, ...]:
+        sender.routes[route] = receivers = tuple(
+            station.deliver
+            for station in self.stations
+            if station is not sender and station.state is not Confinement.BUS_OFF and station.accepts(route)
+        )
+        return receivers
+
+    # -- sending -----------------------------------------------------------------------------------
+
+    def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
+        """Queue a frame that takes part in arbitration from `ready_ns`; False where the queue is full or bus-off."""
+        if station.waiting >= station.limit or station.state is Confinement.BUS_OFF:
+            station.lost += 1
+            return False
+        if self._judge is not None:
+            ready_ns = self._judge.ready(station, frame, ready_ns)
+        self._queue.add(station, frame, ready_ns, origin)
+        if ready_ns < self._start_ns and not self._busy:
+            self._plan(ready_ns)
+        return True
+
+    def flush(self, station: Station) -> None:
+        """Discard what waits in a station, except the frame it is sending."""
+        station.lost += len(self._queue.withdraw(station))
+        station.waiting = station.contending = sum(entry[2] is station for entry in self._senders)
+
+    def _plan(self, ready_ns: int) -> None:
+        start_ns = ready_ns if ready_ns > self._idle_ns else self._idle_ns
+        if start_ns < self._start_ns:
+            self._start_ns = start_ns
+            self._kernel.at(start_ns, START, self._start)
+
+    def _start(self) -> None:
+        now_ns = self._kernel.now_ns
+        if now_ns != self._start_ns:
+            return  # an earlier start took its place
+        self._start_ns = NEVER
+        entry = self._queue.take(now_ns)
+        if entry is None:
+            self._plan_next()
+            return
+        self._busy = True
+        self._senders = [entry]
+        contending = self._queue.contending
+        if contending and contending[0][0] == entry[0]:
+            self._senders += self._queue.rivals(entry, now_ns)
+        frame = entry[3]
+        bits = frame_bits(frame)
+        if self._judge is None and self._participants > len(self._senders) == 1:
+            self._heard = frame
+            self.busy_bits += bits + INTERMISSION_BITS
+            self._kernel.at(now_ns + bits * self.bit_ns, END, self._end)
+        else:
+            self._examine(entry, bits, now_ns)
+
+    def _examine(self, entry: Waiting, bits: int, now_ns: int) -> None:
+        frame = entry[3]
+        clashes = [first_difference(frame, rival[3]) for rival in self._senders[1:] if rival[3] != frame]
+        heard = frame if self._judge is None else self._judge.heard(entry, now_ns)
+        if clashes:
+            self._last(min(clashes) + ERROR_FRAME_BITS, error=ErrorKind.BIT)
+        elif self._participants <= len(self._senders):
+            self._last(bits + TO_ACKNOWLEDGE_BITS + ERROR_FRAME_BITS, error=ErrorKind.ACKNOWLEDGE)
+        elif isinstance(heard, ErrorKind):
+            self._last(bits + TO_CRC_ERROR_BITS + ERROR_FRAME_BITS, error=heard)
+        else:
+            self._heard = heard
+            self._last(bits if heard is None else frame_bits(heard), error=None)
+
+    def _last(self, bits: int, error: ErrorKind | None) -> None:
+        self.busy_bits += bits + INTERMISSION_BITS
+        self._error = error or self._error
+        end_ns = self._kernel.now_ns + bits * self.bit_ns
+        self._kernel.at(end_ns, END, self._end if error is None else self._fail)
+
+    # -- what becomes of a frame -------------------------------------------------------------------
+
+    def _end(self) -> None:
+        now_ns = self._kernel.now_ns
+        senders, heard = self._senders, self._heard
+        self._senders = []
+        self._busy = False
+        self._idle_ns = now_ns + self._gap_ns
+        self.frames += 1
+        if self._hurt:
+            self._count(None, senders, now_ns)
+        for _, _, station, frame, origin in senders:
+            station.waiting -= 1
+            self._queue.follow(station)
+            if station.hears_itself:
+                station.sent(frame, origin, now_ns)
+        if heard is not None and senders:
+            route = heard.can_id | EXTENDED if heard.extended else heard.can_id
+            receivers = senders[0][2].routes.get(route)
+            if receivers is None:
+                receivers = self._route(senders[0][2], route)
+            if len(senders) > 1:
+                receivers = tuple(each for each in receivers if each not in [sender[2].deliver for sender in senders])
+            for deliver in receivers:
+                deliver(heard, now_ns)
+        self._plan_next()
+
+    def _fail(self) -> None:
+        now_ns = self._kernel.now_ns
+        senders = self._senders
+        self._senders = []
+        self._busy = False
+        self._idle_ns = now_ns + self._gap_ns
+        self.errors += 1
+        for entry in senders:
+            self._queue.again(entry)
+        self._count(self._error, senders, now_ns)
+        sending = {entry[2] for entry in senders}
+        for station in self.stations:
+            station.errs(self._error, station in sending, now_ns)
+        self._plan_next()
+
+    def _plan_next(self) -> None:
+        start_ns = self._queue.next_ns(self._idle_ns)
+        if start_ns < self._start_ns:
+            self._start_ns = start_ns
+            self._kernel.at(start_ns, START, self._start)
+
+    # -- fault confinement -------------------------------------------------------------------------
+
+    def _count(self, error: ErrorKind | None, senders: list[Waiting], now_ns: int) -> None:
+        sending = {entry[2] for entry in senders}
+        for station in list(self.stations):
+            if station.state is Confinement.BUS_OFF or station.listen_only:
+                continue
+            if error is None:
+                station.count_success(station in sending)
+            else:
+                station.count_error(error, station in sending)
+            self._confine(station, now_ns)
+            if station in sending and station.state is Confinement.PASSIVE:
+                station.resume_ns = self._idle_ns + SUSPEND_BITS * self.bit_ns
+        self._hurt = any(station.tec or station.rec for station in self.stations)
+
+    def _confine(self, station: Station, now_ns: int) -> None:
+        state, previous = station.confinement(), station.state
+        if state is previous:
+            return
+        station.state = state
+        if state is Confinement.BUS_OFF:
+            self.flush(station)
+            free_ns = now_ns + station.restart_ns + RECOVERY_BITS * self.bit_ns
+            self._kernel.at(free_ns, TIMER, lambda: recover(station, free_ns))
+        self.reroute()
+        station.confined(previous, now_ns)
+
+
+def recover(station: Station, now_ns: int) -> None:
+    """End bus-off, unless a loss of supply did already."""
+    if station.state is not Confinement.BUS_OFF:
+        return
+    station.reset_counters()
+    if station.wire is not None:
+        station.wire.reroute()
+    station.confined(Confinement.BUS_OFF, now_ns)
