@@ -1,0 +1,7 @@
+"""One MCAP file is one experiment: recorded without loss, read in bulk."""
+
+from trial.read import Trial, open
+from trial.record import Recorder, RecordingError
+from trial.signals import COLUMNS, SIGNALS, UNITS
+
+__all__ = ["COLUMNS", "SIGNALS", "UNITS", "Recorder", "RecordingError", "Trial", "open"]

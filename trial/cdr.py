@@ -1,0 +1,184 @@
+"""The bytes of each topic: ROS 2 CDR, little endian, every message of a topic equally long where it can be.
+
+The rule of this file: a layout is declared once, as the `ros2msg` schema that readers see and the numpy
+dtype that writes and reads it in bulk; the two are held together by a test that decodes with a CDR reader
+that knows only the schema.  A dtype here is one whole MCAP message record, opcode to payload.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+FRAMES, CYCLE, EVENTS = "/can/frames", "/cycle", "/events"
+LITTLE_ENDIAN = 0x00000100  # encapsulation header 00 01 00 00
+MESSAGE = 0x05  # MCAP opcode
+MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+REMOTE, EXTENDED, ERROR = 1, 2, 4  # flags of a frame
+CHANNEL_DIGITS = b"0123456789abcdef"
+
+HEAD: list[tuple[str, str]] = [  # as MESSAGE_HEAD
+    ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+    ("log_time", "<u8"), ("publish_time", "<u8"),
+]
+_RECORD = [*HEAD, ("cdr", "<u4"), ("sec", "<i4"), ("nanosec", "<u4")]
+
+# What the recorder packs in the control thread, and what `Trial.frames` holds.
+FRAME_ROW = np.dtype([
+    ("time_ns", "<i8"), ("can_id", "<u4"), ("flags", "u1"), ("dlc", "u1"), ("channel", "u1"), ("sent", "?"),
+    ("data", "u1", (8,)),
+])
+FRAME_STRUCT = struct.Struct("<qIBBB?8s")
+
+FRAME_RECORD = np.dtype([
+    *_RECORD, ("frame_id_length", "<u4"), ("frame_id", "u1", (8,)),
+    ("id", "<u4"), ("is_rtr", "u1"), ("is_extended", "u1"), ("is_error", "u1"), ("dlc", "u1"), ("data", "u1", (8,)),
+])
+FRAME_SCHEMA_NAME = "can_msgs/msg/Frame"
+FRAME_SCHEMA = """\
+std_msgs/Header header
+uint32 id
+bool is_rtr
+bool is_extended
+bool is_error
+uint8 dlc
+uint8[8] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+CYCLE_SCHEMA_NAME = "bowden/msg/Cycle"
+EVENT_SCHEMA_NAME = "bowden/msg/Event"
+_TIME = """\
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+EVENT_SCHEMA = f"builtin_interfaces/Time stamp\nstring kind\nstring source\nstring text\n{_TIME}"
+
+
+def cycle_schema(names: Sequence[str]) -> str:
+    """Return the `ros2msg` schema of a table: a stamp, then one float64 a column."""
+    return "builtin_interfaces/Time stamp\n" + "".join(f"float64 {name}\n" for name in names) + _TIME
+
+
+def cycle_columns(schema: str) -> tuple[str, ...] | None:
+    """Return the columns of a table's schema, or None where it is not a stamp and then only float64."""
+    lines = [line.split("#")[0].split() for line in schema.split("=" * 80)[0].splitlines()]
+    fields = [line for line in lines if line]
+    if not fields or fields[0] != ["builtin_interfaces/Time", "stamp"]:
+        return None
+    if any(len(field) != 2 or field[0] != "float64" for field in fields[1:]):
+        return None
+    return tuple(field[1] for field in fields[1:])
+
+
+def cycle_record(columns: int) -> np.dtype[np.void]:
+    """Return the dtype of one `/cycle` message record of `columns` float64 values."""
+    return np.dtype([*_RECORD, ("values", "<f8", (columns,))])
+
+
+def cycle_row(columns: int) -> struct.Struct:
+    """Return the struct the recorder packs a cycle with: time in ns, then its values."""
+    return struct.Struct(f"<q{columns}d")
+
+
+def fill_head(records: NDArray[np.void], channel: int, first_sequence: int, times: NDArray[np.int64]) -> None:
+    """Write what all message records share: lengths, sequence numbers, stamps."""
+    records["opcode"] = MESSAGE
+    records["length"] = records.dtype.itemsize - 9
+    records["channel"] = channel
+    records["sequence"] = np.arange(first_sequence, first_sequence + len(records), dtype=np.uint32)
+    records["log_time"] = times
+    records["publish_time"] = times
+    records["cdr"] = LITTLE_ENDIAN
+    seconds = times // 1_000_000_000
+    records["sec"] = seconds
+    records["nanosec"] = times - seconds * 1_000_000_000
+
+
+def frame_records(rows: NDArray[np.void], channel: int, first_sequence: int) -> NDArray[np.void]:
+    """Turn `FRAME_ROW`s into message records; ValueError on a DLC above 8 or a channel above 15."""
+    if rows["dlc"].max(initial=0) > 8 or rows["channel"].max(initial=0) > 15:
+        raise ValueError("a CAN frame has at most 8 data bytes and a channel number below 16")
+    records = np.zeros(len(rows), FRAME_RECORD)
+    fill_head(records, channel, first_sequence, rows["time_ns"])
+    records["frame_id_length"] = 8
+    records["frame_id"] = np.frombuffer(b"can0/rx\0", np.uint8)
+    records["frame_id"][:, 3] = np.frombuffer(CHANNEL_DIGITS, np.uint8)[rows["channel"]]
+    records["frame_id"][:, 5] = np.where(rows["sent"], ord("t"), ord("r"))
+    records["id"] = rows["can_id"]
+    flags = rows["flags"]
+    records["is_rtr"] = flags & REMOTE != 0
+    records["is_extended"] = flags & EXTENDED != 0
+    records["is_error"] = flags & ERROR != 0
+    records["dlc"] = rows["dlc"]
+    records["data"] = rows["data"]
+    return records
+
+
+def frame_rows(records: NDArray[np.void]) -> NDArray[np.void]:
+    """Turn message records of `/can/frames` back into `FRAME_ROW`s."""
+    rows = np.empty(len(records), FRAME_ROW)
+    rows["time_ns"] = records["log_time"]
+    rows["can_id"] = records["id"]
+    rows["flags"] = (records["is_rtr"] != 0) * REMOTE | (records["is_extended"] != 0) * EXTENDED \
+        | (records["is_error"] != 0) * ERROR
+    rows["dlc"] = records["dlc"]
+    digit = records["frame_id"][:, 3]
+    rows["channel"] = np.where(digit >= ord("a"), digit - ord("a") + 10, digit - ord("0"))
+    rows["sent"] = records["frame_id"][:, 5] == ord("t")
+    rows["data"] = records["data"]
+    return rows
+
+
+def cycle_records(rows: NDArray[np.void], channel: int, first_sequence: int) -> NDArray[np.void]:
+    """Turn rows of time and values into message records of `/cycle`."""
+    records = np.empty(len(rows), cycle_record(rows["values"].shape[1]))
+    fill_head(records, channel, first_sequence, rows["time_ns"])
+    records["values"] = rows["values"]
+    return records
+
+
+def pack_string(body: bytearray, text: str) -> None:
+    """Append a CDR string: aligned length with its NUL, then the bytes."""
+    raw = text.encode(errors="backslashreplace") + b"\0"
+    body.extend(b"\0" * (-len(body) % 4))
+    body.extend(struct.pack("<I", len(raw)))
+    body.extend(raw)
+
+
+def event_message(time_ns: int, kind: str, source: str, text: str) -> bytes:
+    """Return one `/events` payload."""
+    body = bytearray(struct.pack("<iI", *divmod(time_ns, 1_000_000_000)))
+    for part in (kind, source, text):
+        pack_string(body, part)
+    return struct.pack("<I", LITTLE_ENDIAN) + bytes(body)
+
+
+def event_strings(payload: bytes) -> tuple[str, str, str]:
+    """Return kind, source and text of an `/events` payload; ValueError where it is not one."""
+    if len(payload) < 12 or payload[:4] != b"\0\1\0\0":
+        raise ValueError("not a little-endian CDR message")
+    body, at, parts = payload[4:], 8, []
+    for _ in range(3):
+        at += -at % 4
+        if at + 4 > len(body):
+            raise ValueError("a string is cut off")
+        (length,) = struct.unpack_from("<I", body, at)
+        raw = body[at + 4:at + 4 + length]
+        if len(raw) != length or not raw.endswith(b"\0"):
+            raise ValueError("a string is cut off")
+        parts.append(raw[:-1].decode())
+        at += 4 + length
+    return parts[0], parts[1], parts[2]

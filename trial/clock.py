@@ -1,0 +1,59 @@
+"""Time stamps of foreign logs, made usable.
+
+The rule of this file: a stamp is changed only where it cannot be right, and every change is counted.  Pure
+functions over int64 nanoseconds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int64]
+
+STEP_NS = 1_000_000_000  # a clock that falls back by more than this was set; by less, frames were logged out of order
+
+
+class Mended(NamedTuple):
+    """Stamps ≥ 0 and what was done to them: steps of the clock taken out, and the shift of all to reach 0."""
+
+    times: Integers
+    steps: int
+    shift_ns: int
+
+
+def mend(times: Integers) -> Mended:
+    """Take out backward steps of the clock and negative times; what follows a step goes on where it stood."""
+    if len(times) == 0:
+        return Mended(times, 0, 0)
+    rise = np.diff(times)
+    back = rise < -STEP_NS
+    mended = times.copy()
+    mended[1:] += np.cumsum(np.where(back, -rise, 0))
+    shift = max(0, -int(mended.min()))
+    return Mended(mended + shift, int(back.sum()), shift)
+
+
+def rising(times: Integers) -> tuple[Integers, int]:
+    """Return strictly rising times, and how many were replaced.
+
+    A stamp that does not exceed all before it (a coarse clock, a late one) lies evenly between those that do;
+    behind the last of them times go on at the median step.
+    """
+    if len(times) < 2:
+        return times, 0
+    before = np.maximum.accumulate(times)[:-1]
+    good = np.flatnonzero(np.concatenate(([True], times[1:] > before)))
+    if len(good) == len(times):
+        return times, 0
+    step = int(np.median(np.diff(times[good]) // np.diff(good))) if len(good) > 1 else 1
+    rows = np.arange(len(times))
+    origin = int(times[0])  # np.interp works in float64, which holds nanoseconds of a trial, not of an epoch
+    spread = np.interp(rows, good, (times[good] - origin).astype(np.float64)).astype(np.int64) + origin
+    spread[good[-1]:] = times[good[-1]] + max(1, step) * (rows[good[-1]:] - good[-1])
+    repeated = np.diff(spread) <= 0
+    if repeated.any():  # closer than a nanosecond: push apart
+        spread = np.maximum.accumulate(spread - rows) + rows
+    return spread, len(times) - len(good)

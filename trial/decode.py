@@ -1,0 +1,159 @@
+"""CAN frames to control cycles, by the PDO plans.
+
+The rule of this file: a row is one SYNC; a TPDO belongs to the SYNC before it in the log, a target to the cycle
+it was computed in; what did not come in a cycle is NaN there.  Nothing is held over and nothing guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eds.bench import END, KNEE, NAMES, SERVO, START, Wire, tpdo_cob_id
+from eds.plan import Field, PdoPlan
+from eds.scales import drum_radius_m
+from trial import clock
+
+Floats = NDArray[np.float64]
+
+SYNC, NMT, EMCY_FIRST, EMCY_LAST = 0x080, 0x000, 0x081, 0x0FF
+NO_TENSION = -32768  # what a sensor without a valid value sends as 0x7130
+NMT_WORDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset communication"}
+
+# (node, object) of a TPDO: signal
+INPUTS = {
+    (SERVO, 0x6041): "servo_statusword", (SERVO, 0x6064): "servo_position_m", (SERVO, 0x6077): "servo_force_n",
+    (KNEE, 0x6041): "knee_statusword", (KNEE, 0x6064): "knee_angle_rad",
+    (START, 0x7130): "tension_start_n", (END, 0x7130): "tension_end_n",
+}
+TARGETS = ("servo_target_m", "knee_target_rad")
+
+
+class Cycles(NamedTuple):
+    """Control cycles: the time of each SYNC (ns, strictly rising), columns by signal name, and what was counted."""
+
+    time_ns: NDArray[np.int64]
+    columns: dict[str, Floats]
+    counts: dict[str, int]
+
+
+def bench_channel(rows: NDArray[np.void], wire: Wire) -> int:
+    """Return the channel with the most SYNC and PDO frames of this bench."""
+    ours = np.isin(rows["can_id"], [SYNC, wire.targets.cob_id, *wire.tpdo]) & (rows["flags"] == 0)
+    return int(np.bincount(rows["channel"][ours], minlength=1).argmax())
+
+
+def cycles(rows: NDArray[np.void], wire: Wire) -> Cycles:
+    """Decode the frames of one channel; without SYNC there are no cycles."""
+    rows = rows[rows["flags"] == 0]
+    sync = np.flatnonzero(rows["can_id"] == SYNC)
+    times, coarse = clock.rising(rows["time_ns"][sync])
+    found = Cycles(times, {"time_s": (times - times[:1].sum()) / 1e9}, {"cycles": len(sync), "coarse_stamps": coarse})
+    for node in (SERVO, KNEE, START, END):
+        _inputs(found, rows, sync, node, wire)
+    _targets(found, rows, sync, wire.targets)
+    position = found.columns["servo_position_m"]
+    if len(sync) > 1:
+        velocity = np.diff(position, prepend=np.nan) / np.diff(found.columns["time_s"], prepend=np.nan)
+        found.columns["servo_velocity_m_s"] = velocity
+    return Cycles(times, {name: column for name, column in found.columns.items() if not np.isnan(column).all()},
+                  found.counts)
+
+
+def _place(
+    found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan, name: str
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows of a PDO and the cycle of each; counts what is short, early, missing or there twice."""
+    every = np.flatnonzero(rows["can_id"] == plan.cob_id)
+    whole = every[rows["dlc"][every] >= plan.size]
+    cycle = np.searchsorted(sync, whole, side="right") - 1
+    whole, cycle = whole[cycle >= 0], cycle[cycle >= 0]
+    there = len(np.unique(cycle))
+    found.counts[f"short_{name}_pdos"] = len(every) - int(np.count_nonzero(rows["dlc"][every] >= plan.size))
+    found.counts[f"missing_{name}_pdos"] = len(sync) - there
+    found.counts[f"repeated_{name}_pdos"] = len(cycle) - there
+    return whole, cycle
+
+
+def _inputs(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], node: int, wire: Wire) -> None:
+    plan, name = wire.tpdo[tpdo_cob_id(node)], NAMES[node]
+    place, cycle = _place(found, rows, sync, plan, name)
+    arrival = np.full(len(sync), np.nan)
+    arrival[cycle] = rows["time_ns"][place] - rows["time_ns"][sync][cycle]
+    found.columns[f"{name}_pdo_arrival_ns"] = arrival
+    for field, offset in _offsets(plan):
+        signal = INPUTS.get((node, field.key >> 8))
+        if signal is not None:
+            raw = _raw(rows["data"][place], field, offset)
+            values = raw * field.scale
+            if signal == "servo_force_n":
+                values = values / drum_radius_m(wire.nodes[SERVO].dictionary)
+            if field.key >> 8 == 0x7130:
+                values[raw == NO_TENSION] = np.nan
+            found.columns[signal] = _column(len(sync), cycle, values)
+
+
+def _targets(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan) -> None:
+    place, cycle = _place(found, rows, sync, plan, "target")
+    for (field, offset), signal in zip(_offsets(plan), TARGETS, strict=True):
+        values = _raw(rows["data"][place], field, offset) * field.scale
+        found.columns[signal] = _column(len(sync), cycle, values)
+
+
+def _column(length: int, cycle: NDArray[np.intp], values: Floats) -> Floats:
+    column = np.full(length, np.nan)
+    column[cycle] = values  # of several in one cycle the last stays
+    return column
+
+
+def _offsets(plan: PdoPlan) -> list[tuple[Field, int]]:
+    offset, found = 0, []
+    for field in plan.fields:
+        if not field.dummy:
+            found.append((field, offset))
+        offset += field.bits
+    return found
+
+
+def _raw(data: NDArray[np.uint8], field: Field, offset: int) -> Floats:
+    """Return a field's raw counts from frames' eight bytes, any bit offset and width up to 64."""
+    word = np.ascontiguousarray(data).view("<u8").ravel() >> np.uint64(offset)
+    if field.bits == 64:
+        return word.astype(np.int64 if field.signed else np.uint64).astype(np.float64)
+    word &= np.uint64((1 << field.bits) - 1)
+    raw = word.astype(np.int64)
+    if field.signed:
+        raw = np.where(raw >> (field.bits - 1) & 1, raw - (1 << field.bits), raw)
+    return raw.astype(np.float64)
+
+
+def events(rows: NDArray[np.void], names: Mapping[int, str] = NAMES) -> list[tuple[int, str, str, str]]:
+    """Return what NMT, EMCY and boot-up frames say, as events."""
+    can_id, dlc = rows["can_id"], rows["dlc"]
+    plain = rows["flags"] == 0
+    emcy = plain & (can_id >= EMCY_FIRST) & (can_id <= EMCY_LAST) & (dlc >= 3)
+    boot = plain & (can_id > 0x700) & (can_id < 0x780) & (dlc == 1) & (rows["data"][:, 0] == 0)
+    told = plain & (can_id == NMT) & (dlc >= 2)
+    return [_event(row, names) for row in rows[emcy | boot | told].tolist()]
+
+
+def _event(row: tuple[Any, ...], names: Mapping[int, str]) -> tuple[int, str, str, str]:
+    time_ns, can_id, data = row[0], row[1], bytes(row[6])
+    if can_id == NMT:
+        command = NMT_WORDS.get(data[0], f"command {data[0]}")
+        return time_ns, "nmt", "master", f"{command}: {'all nodes' if data[1] == 0 else f'node {data[1]}'}"
+    node = can_id & 0x7F
+    source = names.get(node, f"node {node}")
+    if can_id > EMCY_LAST:
+        return time_ns, "nmt", source, "boot-up"
+    return time_ns, "emcy", source, f"error code 0x{data[1] << 8 | data[0]:04X}, error register 0x{data[2]:02X}"
+
+
+def decoded_events_and_cycles(rows: NDArray[np.void], wire: Wire) -> tuple[list[tuple[int, str, str, str]], Cycles]:
+    """Return events and cycles of the bench's channel."""
+    ours = rows[rows["channel"] == bench_channel(rows, wire)]
+    return events(ours), cycles(ours, wire)
+

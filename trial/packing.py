@@ -1,0 +1,76 @@
+"""Arrays for a page: thinned to what a screen can show, and packed as base64.
+
+The rule of this file: thinning never hides an extreme.  Of every bin the least and the greatest value stay, in
+the order in which the bin rises or falls; a bin without a known value stays unknown.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def thinned(x: Floats, columns: Sequence[Floats], bins: int) -> tuple[Floats, list[Floats]]:
+    """Return at most two points of each of `bins` equal bins of `x`, which must not fall; unchanged if that is no gain.
+
+    The two points stand at the first and last `x` of their bin, so a peak is at most one bin away from its place.
+    """
+    if len(x) <= 2 * bins:
+        return x, list(columns)
+    first = np.unique(np.searchsorted(x, np.linspace(x[0], x[-1], bins + 1)[:-1]))
+    last = np.append(first[1:], len(x)) - 1
+    return _interleaved(x[first], x[last]), [_extremes(column, first, last) for column in columns]
+
+
+def _extremes(column: Floats, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+    low, high = np.fmin.reduceat(column, first), np.fmax.reduceat(column, first)
+    falls = column[first] > column[last]
+    return _interleaved(np.where(falls, high, low), np.where(falls, low, high))
+
+
+def _interleaved(one: Floats, other: Floats) -> Floats:
+    both = np.empty(2 * len(one))
+    both[::2], both[1::2] = one, other
+    return both
+
+
+def broken(x: Floats, columns: Sequence[Floats], gap: float) -> tuple[Floats, list[Floats]]:
+    """Return the arrays with an unknown point in every step of `x` above `gap`, where a line must not go on."""
+    places = np.flatnonzero(np.diff(x) > gap) + 1
+    if not len(places):
+        return x, list(columns)
+    between = (x[places - 1] + x[places]) / 2
+    return np.insert(x, places, between), [np.insert(column, places, np.nan) for column in columns]
+
+
+class Pool:
+    """The arrays of a page, each packed once, little-endian: float32 (f4); float64 (f8) where an abscissa needs it."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[bytes, int] = {}
+        self.packed: list[dict[str, str]] = []
+
+    def abscissa(self, values: Floats) -> int:
+        """Pack values that rise; float64 where float32 would merge neighbours.  Returns the array's number."""
+        short = values.astype("<f4")
+        merged = bool(np.any((np.diff(short) == 0) & (np.diff(values) > 0)))
+        return self._number(values.astype("<f8") if merged else short)
+
+    def ordinate(self, values: Floats) -> int:
+        """Pack values as float32; returns the array's number."""
+        with np.errstate(over="ignore"):
+            return self._number(values.astype("<f4"))
+
+    def _number(self, values: NDArray[np.floating]) -> int:
+        data = values.tobytes()
+        kind = f"f{values.itemsize}"
+        key = kind.encode() + data
+        if key not in self._numbers:
+            self._numbers[key] = len(self.packed)
+            self.packed.append({"type": kind, "data": base64.b64encode(data).decode()})
+        return self._numbers[key]

@@ -1,0 +1,196 @@
+"""Recording a trial: the control thread packs rows into flat memory, a writer makes chunks of them in bulk.
+
+The rule of this file: nothing is lost and nothing blocks.  A row is one `pack_into`; rows are handed over
+when a chunk is full or when the next 100 ms of trial time begin, so that the file depends only on what was
+recorded, not on when it was written.  With `threaded=True` another thread writes and, where the bus has been
+silent for 100 ms, also takes what is waiting; with False (virtual time) it is written in place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from parameters import InputError
+from trial import cdr
+from trial.blocks import EVENTS_PER_CHUNK, FRAMES_PER_CHUNK, Block, Cycles, Events, Frames, cycles_per_chunk
+from trial.container import Container
+from trial.signals import SIGNALS, Signal
+from trial.writer import Writer
+
+FLUSH_NS = 100_000_000
+LIBRARY = "bowden-bench"
+FRAME_BYTES = cdr.FRAME_STRUCT.size
+
+
+class RecordingError(Exception):
+    """The file takes no more; what was written is closed and readable.  The text says which file and why."""
+
+
+class Recorder:
+    """One trial being recorded to `path`, which must not exist unless `overwrite`.
+
+    Times are integer nanoseconds, ≥ 0.  `signals` are the columns of `table` (other columns, or another table,
+    make an import or a side file).  Raises `InputError` where the file cannot be made, leaving nothing behind;
+    later `RecordingError`, once, when it can no longer be written; what comes after that is not recorded.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes],
+        threaded: bool = True,
+        overwrite: bool = False,
+        signals: Sequence[Signal] = SIGNALS,
+        table: str = cdr.CYCLE,
+    ) -> None:
+        self.path = Path(path)
+        self.width = len(signals)
+        self._table = table
+        self._cycles_per_chunk = cycles_per_chunk(self.width)
+        cycle = cdr.cycle_row(self.width)
+        self._cycle_bytes, self._pack_cycle = cycle.size, cycle.pack_into
+        self._pack_frame = cdr.FRAME_STRUCT.pack_into
+        self._frames, self._cycles, self._events = Frames(), Cycles(table, self.width), Events()
+        self._due_ns = 0
+        self._reported = False
+        self._open(overwrite)
+        try:
+            container = Container(self._file, LIBRARY)
+            _describe(container, metadata, attachments)
+            channels = _open_channels(container, signals, table)
+        except OSError as error:
+            self._remove()
+            raise InputError(f"{self.path}: cannot be written ({error.strerror}); make room there.") from None
+        self._writer = Writer(self.path, self._file, container, channels, self._waiting, threaded)
+
+    def _open(self, overwrite: bool) -> None:
+        try:
+            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
+        except FileExistsError:
+            raise InputError(f"{self.path}: the file exists; give another name or --overwrite.") from None
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written ({error.strerror}); give a writable path.") from None
+
+    def _remove(self) -> None:
+        self._file.close()
+        if self.path.is_file():
+            self.path.unlink()
+
+    def _waiting(self) -> tuple[Block, ...]:
+        return self._frames, self._cycles, self._events
+
+    @property
+    def failure(self) -> str | None:
+        """Why the recording ended early, or None."""
+        return self._writer.failure
+
+    def frame(
+        self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
+    ) -> None:
+        """Record one CAN frame; a remote frame's DLC is `len(data)`.  `flags`: cdr.REMOTE, EXTENDED, ERROR."""
+        size = len(data)
+        if size > 8 or channel > 15:
+            raise ValueError(f"a frame of {size} bytes on channel {channel}: at most 8 bytes, channels 0 to 15")
+        if not 0 <= time_ns < self._due_ns:
+            self._hand_over_all(time_ns)
+        block = self._frames
+        at = block.count
+        if at == FRAMES_PER_CHUNK:
+            block, at = self._fresh_frames(), 0
+        self._pack_frame(block.rows, at * FRAME_BYTES, time_ns, can_id, flags, size, channel, sent, data)
+        block.count = at + 1
+
+    def cycle(self, time_ns: int, values: Sequence[float]) -> None:
+        """Record one control cycle: a value for each of the recorder's signals, NaN where unknown."""
+        if not 0 <= time_ns < self._due_ns:
+            self._hand_over_all(time_ns)
+        block = self._cycles
+        at = block.count
+        if at == self._cycles_per_chunk:
+            block, at = self._fresh_cycles(), 0
+        self._pack_cycle(block.rows, at * self._cycle_bytes, time_ns, *values)
+        block.count = at + 1
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Record what happened: kind ("nmt", "emcy", "safety", "miss" …), who, and one sentence."""
+        if not 0 <= time_ns < self._due_ns:
+            self._hand_over_all(time_ns)
+        if self._events.count == EVENTS_PER_CHUNK:
+            self._fresh_events()
+        self._events.rows.append((time_ns, kind, source, text))
+        self._events.count += 1
+
+    def close(self, result: Mapping[str, object]) -> None:
+        """Write what is waiting, then `result` (each value as JSON) and the summary; closing twice is closing once."""
+        written = {key: json.dumps(value, allow_nan=False) for key, value in result.items()}
+        for block in self._waiting():
+            self._writer.put(block)
+        self._writer.join()
+        self._writer.finish(written)
+        self._report()
+
+    def discard(self) -> None:
+        """Close and remove the file: for a run that is refused before it starts."""
+        self._writer.join()
+        self._remove()
+
+    def _hand_over_all(self, time_ns: int) -> None:
+        if time_ns < 0:
+            raise ValueError(f"{time_ns} ns: a trial's clock does not begin before 0")
+        self._due_ns = time_ns - time_ns % FLUSH_NS + FLUSH_NS
+        if self._frames.count:
+            self._fresh_frames()
+        if self._cycles.count:
+            self._fresh_cycles()
+        if self._events.count:
+            self._fresh_events()
+
+    def _report(self) -> None:
+        if self._writer.failure is not None and not self._reported:
+            self._reported = True
+            raise RecordingError(self._writer.failure)
+
+    def _fresh_frames(self) -> Frames:
+        full, spare = self._frames, self._writer.spare(cdr.FRAMES)
+        self._frames = spare if isinstance(spare, Frames) else Frames()
+        self._writer.put(full)
+        self._report()
+        return self._frames
+
+    def _fresh_cycles(self) -> Cycles:
+        full, spare = self._cycles, self._writer.spare(self._table)
+        self._cycles = spare if isinstance(spare, Cycles) else Cycles(self._table, self.width)
+        self._writer.put(full)
+        self._report()
+        return self._cycles
+
+    def _fresh_events(self) -> None:
+        full, self._events = self._events, Events()
+        self._writer.put(full)
+        self._report()
+
+
+def _describe(container: Container, metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
+    container.metadata("trial", metadata)
+    for name, data in attachments.items():
+        container.attachment(name, "text/plain", data)
+
+
+def _open_channels(container: Container, signals: Sequence[Signal], table: str) -> dict[str, int]:
+    about = {signal.name: signal.unit for signal in signals}
+    derived = " ".join(signal.name for signal in signals if signal.derived)
+    if derived:
+        about["derived"] = derived
+    topics: tuple[tuple[str, str, str, dict[str, str]], ...] = (
+        (cdr.FRAMES, cdr.FRAME_SCHEMA_NAME, cdr.FRAME_SCHEMA, {}),
+        (table, cdr.CYCLE_SCHEMA_NAME, cdr.cycle_schema([signal.name for signal in signals]), about),
+        (cdr.EVENTS, cdr.EVENT_SCHEMA_NAME, cdr.EVENT_SCHEMA, {}),
+    )
+    return {
+        topic: container.channel(topic, container.schema(name, "ros2msg", text), "cdr", described)
+        for topic, name, text, described in topics
+    }

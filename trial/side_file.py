@@ -1,0 +1,18 @@
+"""The truth beside a simulated trial: `trial.truth.mcap`.
+
+The rule of this file: whoever judges a simulated bench may open it; master and diagnosis, which have to find out
+by themselves, may not import it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trial.read import Trial, open_table
+
+TABLE = "/truth"
+
+
+def open_truth(path: str | Path) -> Trial:
+    """Open a side file: its columns are the plant's true values at each SYNC; raises `InputError` as `open` does."""
+    return open_table(path, TABLE)

@@ -1,0 +1,77 @@
+"""The names of what one control cycle measured, wanted and did.
+
+The rule of this file: a signal has one name, one unit and one meaning, in `/cycle`, in a CSV header and
+on a report's axis.  Order is the order of `/cycle`; a name is never reused for something else.  What is
+not known in a cycle is NaN, and a column that a trial does not have is missing knowledge, never zeros.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+
+class Signal(NamedTuple):
+    """A column of `/cycle`: SI unit ("1" for a pure number) and meaning; `derived` where no PDO carries it."""
+
+    name: str
+    unit: str
+    text: str
+    derived: bool = False
+
+
+MOTION_AND_FORCE = (
+    Signal("time_s", "s", "time of the SYNC that latched this cycle's inputs, from the trial's first cycle"),
+    Signal("gait_percent", "%", "phase of the gait cycle, 0 … 100"),
+    Signal("servo_target_m", "m", "rope position commanded at the drum, pulling positive"),
+    Signal("servo_position_m", "m", "rope position at the drum, pulling positive"),
+    Signal("servo_velocity_m_s", "m/s", "rope velocity at the drum, from successive positions", derived=True),
+    Signal("servo_force_n", "N", "rope force at the drum: torque actual value by drum radius"),
+    Signal("knee_target_rad", "rad", "knee angle commanded, flexion negative"),
+    Signal("knee_angle_rad", "rad", "knee angle by the knee drive's encoder, flexion negative"),
+    Signal("tension_start_n", "N", "tension at the START sensor: the feedback"),
+    Signal("tension_end_n", "N", "tension at the END sensor: verification only, never in the loop"),
+    Signal("desired_force_n", "N", "desired END force, equation (2) or the desired-force file"),
+    Signal("estimated_end_force_n", "N", "END force estimated from START tension and knee angle", derived=True),
+    Signal("cycle", "1", "number of the gait cycle, from 0"),
+)
+
+PDO_NAMES = ("servo", "knee", "start", "end")
+
+PDO_TIMING = (
+    *(Signal(f"{name}_pdo_age_ns", "ns", f"age of the {name} inputs at the step, from the SYNC that latched them")
+      for name in PDO_NAMES),
+    *(Signal(f"{name}_pdo_arrival_ns", "ns", f"arrival of the {name} TPDO after this cycle's SYNC")
+      for name in PDO_NAMES),
+)
+
+STATUS = (
+    Signal("servo_statusword", "1", "statusword 0x6041 of the servo drive"),
+    Signal("knee_statusword", "1", "statusword 0x6041 of the knee drive"),
+    Signal("missed_inputs", "1", "input PDOs of this cycle that were not there by the deadline"),
+    Signal("missed_outputs", "1", "1 where the targets left too late to be taken over at the next SYNC"),
+    Signal("held", "1", "1 where this cycle held its targets and the controller made no step"),
+    Signal("sync_jitter_ns", "ns", "SYNC against its nominal time"),
+    Signal("step_duration_ns", "ns", "wall time of the controller's step; unknown in virtual time"),
+)
+
+# The controller's trace: extend here, and only at the end.
+TRACE = (
+    Signal("feedforward_m", "m", "stretch and swing compensation, equations (10) and (11)", derived=True),
+    Signal("impedance_dx_m", "m", "position correction of the impedance law, equations (12)–(15)", derived=True),
+    Signal("friction_ratio", "1", "START by END force that the friction model expects", derived=True),
+    Signal("rope_direction", "1", "sign of rope motion in the friction model, −1 … 1", derived=True),
+    Signal("strain_direction", "1", "sign of the fabric's strain rate in the friction model, −1 … 1", derived=True),
+    Signal("estimated_end_half_n", "N", "half the width of the 95 % interval of estimated_end_force_n", derived=True),
+)
+
+SIGNALS: tuple[Signal, ...] = (*MOTION_AND_FORCE, *PDO_TIMING, *STATUS, *TRACE)
+COLUMNS: tuple[str, ...] = tuple(signal.name for signal in SIGNALS)
+INDEX: dict[str, int] = {name: position for position, name in enumerate(COLUMNS)}
+UNITS: dict[str, str] = {signal.name: signal.unit for signal in SIGNALS}
+
+
+def subset(names: Iterable[str]) -> tuple[Signal, ...]:
+    """Return the declared signals among `names`, in declared order."""
+    wanted = set(names)
+    return tuple(signal for signal in SIGNALS if signal.name in wanted)
