@@ -1,0 +1,174 @@
+"""What a bench was measured to be: at most thirty scalars, each with its evidence.
+
+The rule of this file: a calibration holds scalars only, never a sequence, and the controller knows
+nothing else of the plant.  `bowden identify` writes it; the packaged nominal one is the paper's
+numbers where the paper gives them and assumptions, marked so, where it does not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from parameters import InputError, checked, declarations, parameter, read_toml
+
+VERSION = 1
+NOMINAL = "nominal"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Where one scalar comes from: 95 % interval, R² of its fit (NaN: none), ISO date, trial."""
+
+    low: float
+    high: float
+    r_squared: float = math.nan
+    date: str = ""
+    trial: str = ""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to."""
+
+    stiffness_a: float = parameter(-1.7e-6, "m/N²", "quadratic term of the stretch", low=-1e-4, high=0.0,
+                                   source="equation (10), ak")
+    stiffness_b: float = parameter(3e-4, "m/N", "linear term of the stretch", low=1e-6, high=1e-2,
+                                   source="equation (10), bk")
+    stiffness_c: float = parameter(9.7e-3, "m", "encoder position that (10) gives at no force", low=-1.0, high=1.0,
+                                   source="equation (10), ck")
+    swing_k: float = parameter(0.706e-3 * 180 / math.pi, "m/rad", "rope that one radian of the knee takes",
+                               low=0.0, high=0.2, source="equation (11), k2")
+    swing_p: float = parameter(22.17e-3, "m", "encoder position at the upright knee under 20 N", low=-1.0, high=1.0,
+                               source="equation (11), p2")
+    home_preload: float = parameter(20.0, "N", "START tension at which (10) fixes the encoder zero", low=1.0,
+                                    high=60.0, source="equation (10), lower end of its identification")
+    cable_exponent: float = parameter(0.13, "", "capstan exponent of the cable, μ1·θ", low=0.0, high=1.0,
+                                      source="assumed: equation (3) gives the law, the paper no number")
+    fabric_friction: float = parameter(0.12, "", "friction coefficient of the fabric on the knee, μ2", low=0.0,
+                                       high=1.0, source="assumed: equation (7) gives the law, the paper no number")
+    wrap_offset: float = parameter(0.4, "rad", "wrap of the fabric at the upright knee, φ0", low=0.0, high=6.3,
+                                   source="assumed: φ = φ0 + κ·|θk|")
+    wrap_slope: float = parameter(1.0, "rad/rad", "wrap gained per radian of flexion, κ", low=0.0, high=3.0,
+                                  source="assumed: φ = φ0 + κ·|θk|")
+    cable_compliance: float = parameter(3.7e-5, "m/N", "stretch of the rope on the START side of the friction",
+                                        low=0.0, high=1e-3, source="assumed: 27 N/mm against a stuck rope")
+    presliding: float = parameter(2e-4, "m", "rope travel over which the sheath's friction turns over", low=1e-6,
+                                  high=5e-3, source="assumed: 0.05–1 mm")
+    fabric_presliding: float = parameter(2e-4, "m", "fabric travel over which the knee's friction turns over",
+                                         low=1e-6, high=5e-3, source="assumed: as presliding")
+    breakaway: float = parameter(0.0, "", "friction that rest adds to sliding friction, relative, β", low=0.0, high=4.0,
+                                 source="assumed: none on the day of identification")
+    breakaway_speed: float = parameter(0.01, "m/s", "sliding speed at which breakaway has gone, vs", low=5e-4, high=0.2,
+                                       source="assumed: greased steel")
+    breakaway_memory: float = parameter(0.02, "s", "time by which friction lags the sliding speed", low=1e-3, high=0.5,
+                                        source="assumed: frictional memory (Hess and Soom)")
+    fabric_share: float = parameter(0.4, "", "share of the fabric's stretch on the rope's side of the knee", low=0.0,
+                                    high=1.0, source="assumed: geometry")
+    drive_bandwidth: float = parameter(25.0, "Hz", "bandwidth of the servo's position loop", low=1.0, high=500.0,
+                                       source="assumed")
+    loop_delay: float = parameter(2e-3, "s", "from a target sent to its first sight in the inputs", low=0.0, high=0.1,
+                                  source="control timing: two SYNC periods at 1 kHz")
+    start_noise: float = parameter(0.15, "N", "standard deviation of START at rest", low=0.0, high=5.0,
+                                   source="assumed")
+    start_lag: float = parameter(1e-3, "s", "time by which START's reading lags its force", low=0.0, high=0.1,
+                                 source="assumed: a low-pass of 200 Hz and half a sampling interval")
+    start_offset: float = parameter(0.0, "N", "START reading with a slack rope", low=-10.0, high=10.0,
+                                    source="assumed")
+    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    label: str = NOMINAL
+    bench: str = ""
+
+    @property
+    def turning_point_n(self) -> float:
+        """Force at which (10) turns over and its inverse ends (88.2 N for the paper's numbers)."""
+        return -self.stiffness_b / (2 * self.stiffness_a) if self.stiffness_a < 0 else math.inf
+
+
+def scalars() -> tuple[str, ...]:
+    """Names of the scalars, in the order of the file."""
+    return tuple(name for name, _, _ in declarations(Calibration))
+
+
+def nominal() -> Calibration:
+    """The packaged calibration: the paper's numbers and marked assumptions, belonging to no bench."""
+    return Calibration()
+
+
+def read(path: str | Path, *, bench: str = "") -> Calibration:
+    """Read a calibration; `bench` names the bench on the bus, "" accepts any.
+
+    Raises `InputError` for another version, another bench, an unknown or missing scalar, a wrong unit or range.
+    """
+    where = str(path)
+    table = read_toml(Path(path))
+    if table.get("version") != VERSION:
+        raise InputError(f"{where}: version = {table.get('version')!r}, expected {VERSION}; run bowden identify again.")
+    owner = str(table.get("bench", ""))
+    if bench and owner and owner != bench:
+        raise InputError(f"{where}: bench = {owner!r}, but the bench on the bus is {bench!r}; identify that bench.")
+    given = table.get("scalars", {})
+    if not isinstance(given, dict):
+        raise InputError(f"{where}: scalars is not a table; expected one [scalars.NAME] table per scalar.")
+    return _build(where, given, owner)
+
+
+def _build(where: str, given: Mapping[str, Any], owner: str) -> Calibration:
+    known = {name: declared for name, _, declared in declarations(Calibration)}
+    for name in given:
+        if name not in known:
+            raise InputError(f"{where}: unknown scalar {name}; expected one of {', '.join(known)}.")
+    values, evidence = {}, {}
+    for name, declared in known.items():
+        row = given.get(name)
+        if not isinstance(row, dict) or "value" not in row:
+            raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
+        if row.get("unit", declared.unit) != declared.unit:
+            raise InputError(f"{where}: {name} is in {row['unit']!r}, expected {declared.unit!r}; convert it.")
+        values[name] = row["value"]
+        low, high = _interval(where, name, row)
+        evidence[name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
+                                  str(row.get("trial", "")))
+    given_as = checked(Calibration(**values, evidence=evidence, label=where, bench=owner), where=where)
+    floats: dict[str, Any] = {name: float(getattr(given_as, name)) for name in known}
+    return dataclasses.replace(given_as, **floats)
+
+
+def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, float]:
+    interval = row.get("interval", [math.nan, math.nan])
+    if not isinstance(interval, list) or len(interval) != 2 or not all(isinstance(v, int | float) for v in interval):
+        raise InputError(f"{where}: interval of {name} is {interval!r}, expected [low, high]; give two numbers.")
+    low, high = float(interval[0]), float(interval[1])
+    if low > high:
+        raise InputError(f"{where}: interval of {name} is [{low:g}, {high:g}], low above high; swap them.")
+    return low, high
+
+
+def write(calibration: Calibration) -> str:
+    """The calibration as TOML text, scalars in the order of their declaration; `read` gives the same one back."""
+    lines = [f"version = {VERSION}", f'bench = "{calibration.bench}"']
+    for name, _, declared in declarations(Calibration):
+        lines += ["", f"[scalars.{name}]  # {declared.text}", f"value = {getattr(calibration, name)!r}",
+                  f'unit = "{declared.unit}"']
+        evidence = calibration.evidence.get(name)
+        if evidence is not None and math.isfinite(evidence.low + evidence.high):
+            lines.append(f"interval = [{evidence.low!r}, {evidence.high!r}]")
+        if evidence is not None and math.isfinite(evidence.r_squared):
+            lines.append(f"r_squared = {evidence.r_squared!r}")
+        if evidence is not None:
+            lines += [f'{key} = "{text}"' for key, text in (("date", evidence.date), ("trial", evidence.trial)) if text]
+    return "\n".join(lines) + "\n"
+
+
+def refuse_beyond_validity(calibration: Calibration, peak_n: float) -> None:
+    """Raise `InputError` when the desired peak lies beyond the turning point of (10), where it has no inverse."""
+    limit = calibration.turning_point_n
+    if peak_n >= limit:
+        raise InputError(
+            f"calibration {calibration.label}: a peak of {peak_n:g} N is beyond the turning point of its stiffness, "
+            f"{limit:.1f} N; give a lower peak or identify the stiffness again."
+        )

@@ -1,0 +1,74 @@
+"""What a user may change about an experiment, declared once.
+
+The rule of this file: declarations only; every number is checked where it enters (`parameters.checked`)
+and nothing below reads a configuration file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from parameters import InputError, parameter
+
+CONTROLLERS = ("none", "friction", "impedance", "paper", "extended")
+
+
+@dataclass(frozen=True)
+class Gait:
+    """The experiment as the paper runs it: `cycles` gait cycles, the first `settle` of them left out of figures."""
+
+    peak_n: float = parameter(40.0, "N", "peak of the desired force, Fdp", low=1.0, high=85.0,
+                              source="equation (2); 88 N is the turning point of (10)")
+    period_s: float = parameter(2.0, "s", "period of one gait cycle", low=0.5, high=20.0,
+                                source="assumed: not given by the paper")
+    cycles: int = parameter(10, "", "gait cycles to run", low=1, high=10_000, source="ten swings in the paper")
+    settle: int = parameter(1, "", "first cycles left out of every figure", low=0, high=9_999, source="assumed")
+    controller: str = parameter("paper", "", "one of none, friction, impedance, paper, extended", source="the paper")
+    idle_slack_m: float = parameter(3e-3, "m", "rope paid out while no force is desired", low=0.0, high=20e-3,
+                                    source="assumed: keeps END below 1 N through the swing, rope on its drum")
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """Equation (15) with M neglected: H(s) = 1/(B·s + K)."""
+
+    damping_n_s_m: float = parameter(100.0, "N·s/m", "B", low=1e-3, high=1e5, source="paper: 0.1 N·s/mm")
+    stiffness_n_m: float = parameter(300.0, "N/m", "K", low=1e-3, high=1e6, source="paper: 0.3 N/mm")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the master stops the bench."""
+
+    start_n: float = parameter(120.0, "N", "START tension above which the trial stops", low=1.0, high=300.0,
+                               source="assumed: 60 N at END at an exponent of 0.4, and a third")
+    end_n: float = parameter(90.0, "N", "END tension above which the trial stops", low=1.0, high=300.0,
+                             source="assumed: 10 % of 40 N·m over 40.45 mm is 98.9 N")
+    stale_cycles: int = parameter(10, "", "cycles in a row with an old input before the trial stops", low=1,
+                                  high=1000, source="assumed: 10 ms at 1 kHz")
+    unwound_n: float = parameter(2.0, "N", "START tension below which the rope counts as unwound", low=0.1, high=20.0,
+                                 source="the bench's safe stop")
+    unwind_m_s: float = parameter(0.2, "m/s", "speed at which a safe stop pays the rope out", low=0.01, high=1.0,
+                                  source="assumed: 15 mm of stretch in 75 ms")
+    unwind_s: float = parameter(1.0, "s", "time after which an unwinding that does not end turns the torque off",
+                                low=0.05, high=10.0, source="assumed")
+
+
+@dataclass(frozen=True)
+class Homing:
+    """How the encoder zero is found: slow motions at the knee angle of 13 % of gait."""
+
+    knee_rad_s: float = parameter(0.5, "rad/s", "speed of the knee while homing", low=0.01, high=3.0, source="assumed")
+    rope_m_s: float = parameter(0.06, "m/s", "speed of the rope while homing", low=1e-3, high=0.2,
+                                source="paper, 4.1: slower, a rope with breakaway sticks and slips")
+    top_n: float = parameter(45.0, "N", "START tension that the homing loop reaches", low=5.0, high=80.0,
+                             source="assumed: the release must slide again before it comes back to the preload")
+    reach_m: float = parameter(0.12, "m", "rope that homing may take up before it gives up", low=5e-3, high=1.0,
+                               source="assumed")
+
+
+def checked_controller(name: str, *, where: str) -> str:
+    """Return `name` if it is a controller, else raise `InputError`."""
+    if name not in CONTROLLERS:
+        raise InputError(f"{where}: controller = {name!r} is not known; expected one of {', '.join(CONTROLLERS)}.")
+    return name

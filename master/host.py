@@ -1,0 +1,92 @@
+"""The computer the cycle runs on: what the kernel can be asked for, and what it did not permit.
+
+The rule of this file: nothing here is needed for a trial to run; whatever is refused is said in one sentence with
+what to type, and the trial goes on without it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Final
+
+PRIORITY: Final = 80
+"""Above everything but the kernel's own threads that carry the interrupts of the CAN controller."""
+SWITCH_S: Final = 100e-6
+"""How long another thread of this process may keep the interpreter once the cycle wants it."""
+ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
+_MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
+_PR_SET_THP_DISABLE: Final = 41
+PERMIT: Final = "sudo setcap cap_sys_nice,cap_ipc_lock=ep"
+
+
+@contextmanager
+def prepared() -> Iterator[list[str]]:
+    """Make the calling thread ready for a cycle in wall time; yields what could not be had, a sentence each."""
+    refused: list[str] = []
+    with ExitStack() as stack:
+        for ask in (_interpreter, _pages, _scheduling, _memory, _affinity):
+            try:
+                stack.callback(ask())
+            except OSError as error:
+                refused.append(f"{_NAMES[ask]} is not permitted ({error.strerror}); type "
+                               f"{PERMIT} {os.path.realpath(sys.executable)}, or run as root.")
+        yield refused
+
+
+def _interpreter() -> Callable[[], object]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    return lambda: sys.setswitchinterval(before)
+
+
+def _pages() -> Callable[[], object]:
+    """No huge pages: the daemon that makes them locks the address space, for long where the cycle outranks it."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.prctl(_PR_SET_THP_DISABLE, 1, 0, 0, 0)
+    return lambda: libc.prctl(_PR_SET_THP_DISABLE, 0, 0, 0, 0)
+
+
+def _scheduling() -> Callable[[], object]:
+    """The calling thread alone: the recorder's writer stays where it is."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    return lambda: os.sched_setscheduler(0, policy, parameters)
+
+
+def _memory() -> Callable[[], object]:
+    """Pages stay once they are touched; nothing is filled in advance."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT_FUTURE_ONFAULT):
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code))
+    return lambda: libc.munlockall()
+
+
+def _affinity() -> Callable[[], object]:
+    """A processor that the kernel keeps free (isolcpus), where there is one."""
+    before = os.sched_getaffinity(0)
+    isolated = processors(ISOLATED.read_text(encoding="ascii")) if ISOLATED.exists() else set()
+    if isolated:
+        os.sched_setaffinity(0, {min(isolated)})
+    return lambda: os.sched_setaffinity(0, before)
+
+
+_NAMES: Final[dict[Callable[[], Callable[[], object]], str]] = {
+    _interpreter: "a short switch interval", _pages: "doing without huge pages",
+    _scheduling: f"SCHED_FIFO {PRIORITY}", _memory: "mlockall", _affinity: "an isolated processor",
+}
+
+
+def processors(text: str) -> set[int]:
+    """Numbers of a kernel's list such as "2-3,6"."""
+    found: set[int] = set()
+    for part in text.strip().split(","):
+        first, _, last = part.partition("-")
+        if first:
+            found.update(range(int(first), int(last or first) + 1))
+    return found

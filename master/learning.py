@@ -1,0 +1,69 @@
+"""Learning over gait cycles: what the feedback had to add in one cycle is known ahead in the next.
+
+The rule of this file: pure, and convergent by design.  With P from rope position to estimated END force, C the
+feedback, T = PC/(1 + PC), a lead of d cycles and the zero-phase filter Q, one gait cycle changes the correction by
+
+    c' = Q·(c + γ·z^d·u),   u the feedback's part,   so   c' = Q·(1 − γ·z^d·T)·c + what does not depend on c,
+
+and it converges from any start where |Q·(1 − γ·z^d·T)| < 1 at every frequency: T is near one and in phase where
+Q passes, and Q has gone where T turns.  `contraction` evaluates that bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CUTOFF_HZ = 8.0
+GAIN = 0.7
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Q by its response at the frequencies of one gait cycle, γ, and the lead in control cycles."""
+
+    response: Array
+    gain: float
+    lead: int
+
+
+def design(samples: int, period_s: float, lead: int, cutoff_hz: float = CUTOFF_HZ, gain: float = GAIN) -> Filter:
+    """The filter for gait cycles of `samples` control cycles: Gaussian, −6 dB at the cut-off, no phase."""
+    return Filter(passes(np.asarray(np.fft.rfftfreq(samples, period_s), dtype=np.float64), cutoff_hz), gain, lead)
+
+
+def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
+    """Magnitude of Q."""
+    return np.asarray(np.exp(-math.log(2.0) * (frequency_hz / cutoff_hz) ** 2), dtype=np.float64)
+
+
+def learn(correction: tuple[float, ...], history: Any, samples: int, filter_: Filter) -> tuple[float, ...]:
+    """The next gait cycle's correction by sample, m; `history` is the linked list (sample, feedback, …, older)."""
+    added = np.zeros(samples)
+    while history is not None:
+        sample, feedback, _evidence, history = history
+        added[(sample - filter_.lead) % samples] = feedback
+    total = filter_.gain * added if not correction else np.array(correction) + filter_.gain * added
+    smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, samples)
+    return tuple(smooth.tolist())
+
+
+def contraction(
+    slope_n_m: float, stiffness_n_m: float, damping_n_s_m: float, delay_s: float, lag_s: float, lead_s: float,
+    cutoff_hz: float = CUTOFF_HZ, gain: float = GAIN, highest_hz: float = 60.0,
+) -> float:
+    """Greatest |Q·(1 − γ·z^d·T)| over frequency: below 1 the correction converges.
+
+    The plant is `slope_n_m` behind a dead time and a first-order lag; the feedback 1/(B·s + K).
+    """
+    frequency = np.linspace(0.01, highest_hz, 4000)
+    s = 2j * np.pi * frequency
+    loop = slope_n_m * np.exp(-s * delay_s) / (1.0 + s * lag_s) / (damping_n_s_m * s + stiffness_n_m)
+    closed = loop / (1.0 + loop)
+    return float(np.max(passes(frequency, cutoff_hz) * np.abs(1.0 - gain * np.exp(s * lead_s) * closed)))
