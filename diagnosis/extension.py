@@ -1,0 +1,89 @@
+"""extended.toml: what a diagnosis found, as a model that the simulator and the controller load.
+
+The rule of this file: `[effects.NAME]` is the model (`physics.effects_table` reads it), `[found]` the evidence it
+rests on; nothing is written that the diagnosis did not say.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from diagnosis.data import Table
+from diagnosis.finder import Diagnosis
+from parameters import InputError, read_toml
+from physics.effects import CATALOGUE, apply
+from physics.effects_table import EVIDENCE, TABLE, stated
+
+HEAD: Final = (
+    "# What a diagnosis found that the simulation lacks. The simulator loads it as --plant-model, the extended\n"
+    "# controller as --controller-model; a value may be edited, its interval is evidence.\n")
+
+
+@dataclass(frozen=True)
+class Extension:
+    """An extended.toml as read: effects by name with their values, SI, and the table of what they were found on."""
+
+    effects: Mapping[str, Mapping[str, float]]
+    evidence: Mapping[str, Any]
+
+
+def text(found: Diagnosis, trials: Sequence[Table]) -> str:
+    """Return `found` as the text of extended.toml; raises `InputError` where it refused the trials."""
+    if found.verdict == "refused":
+        raise InputError(f"{trials[0].source if trials else 'diagnose'}: refused, so nothing was found to extend by; "
+                         "mend the data first.")
+    seconds = max((float(t["time_s"][-1] - t["time_s"][0]) for t in trials), default=math.nan)
+    lines = [HEAD, f"[{EVIDENCE}]", f"verdict = {_cell(found.verdict)}",
+             f"on = {_cell([Path(t.source).name for t in trials])}", f"reference = {_cell(found.reference)}"]
+    if found.lowpass_hz is not None:
+        lines.append(f"lowpass_hz = {_cell(found.lowpass_hz)}")
+    lines.append(f"class = {_cell(found.rivals)}")
+    if found.experiment is not None:
+        lines.append(f"experiment = {_cell(found.experiment)}")
+    if found.causes:
+        lines += [f"gain_percent = {_inline((c['effect'], round(c['gain_percent'], 2)) for c in found.causes)}"]
+    for cause in found.causes:
+        lines += _effect(cause, seconds)
+    return "\n".join(lines) + "\n"
+
+
+def _effect(cause: Mapping[str, Any], seconds: float) -> list[str]:
+    name = cause["effect"]
+    lines = ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}"]
+    lines += [f"{key} = {_inline(told.items())}" for key, told in cause["parameters"].items()]
+    if math.isfinite(seconds) and _relative(name, {k: t["value"] for k, t in cause["parameters"].items()}):
+        lines.append(f"trial_s = {_cell(seconds)}")
+    return lines
+
+
+def _relative(name: str, values: Mapping[str, float]) -> bool:
+    """Say whether the effect is stated per length of the trial."""
+    try:
+        return apply({name: {**values, "trial_s": 1.0}}) != apply({name: {**values, "trial_s": 2.0}})
+    except InputError:
+        return False
+
+
+def _inline(pairs: Iterable[tuple[str, Any]]) -> str:
+    return "{ " + ", ".join(f"{key} = {_cell(value)}" for key, value in pairs) + " }"
+
+
+def _cell(value: Any) -> str:
+    return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+def read(path: str | Path) -> Extension:
+    """Read an extended.toml; raises `InputError` for what is none, or states an effect that the catalogue has not."""
+    given = read_toml(Path(path))
+    for name in given:
+        if name not in (TABLE, EVIDENCE):
+            raise InputError(f"{path}: unknown table {name}; expected [{EVIDENCE}] and [{TABLE}.NAME].")
+    evidence = given.get(EVIDENCE, {})
+    if not isinstance(evidence, Mapping):
+        raise InputError(f"{path}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
+    return Extension(stated(given, str(path)), evidence)

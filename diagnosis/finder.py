@@ -1,0 +1,119 @@
+"""From trials to a verdict: integrity, reference, relations, search, judgement on what was not seen.
+
+The rule of this file: it joins the steps and decides nothing that a step has decided; the same files give the
+same verdict.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diagnosis import data, integrity, setting
+from diagnosis.data import Table
+from diagnosis.judge import Judge
+from diagnosis.search import Found
+from diagnosis.verdict import Figures
+from parameters import InputError, read_toml
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The verdict and its figures; `as_json` gives exactly the published keys."""
+
+    verdict: str
+    causes: list[dict[str, Any]] = field(default_factory=list)
+    rivals: list[str] = field(default_factory=list)
+    experiment: str | None = None
+    relations: dict[str, Figures] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    detection_limit: dict[str, Any] | None = None
+    seconds: float = 0.0
+    lowpass_hz: float | None = None
+    reference: str = "none"
+    found: Found | None = field(default=None, repr=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `bowden diagnose --json` prints: undefined is None."""
+        return {
+            "verdict": self.verdict, "causes": self.causes, "class": self.rivals, "experiment": self.experiment,
+            "relations": {name: asdict(figures) for name, figures in self.relations.items()},
+            "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
+            "lowpass_hz": self.lowpass_hz}
+
+
+def diagnose(
+    trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
+    healthy: Sequence[str | Path | Table] = (), holdout: Sequence[str | Path | Table] = (),
+    lowpass: float | None = None,
+) -> Diagnosis:
+    """Say what the simulation gets wrong about `trials`, and why.
+
+    `healthy`: trials of this or a like bench with nothing wrong; `holdout`: trials that nothing is fitted on;
+    `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
+    Raises `InputError` for files and options that cannot be used; data that contradict themselves are `refused`.
+    """
+    started = time.perf_counter()
+    if not trials:
+        raise InputError("diagnose: no trial given; name at least one.")
+    held = [[_read(t) for t in group] for group in (trials, holdout, healthy)]
+    findings = [f for group in held for t in group for f in integrity.examine(t)]
+    findings += integrity.between(*held) if not any(f.refuses for f in findings) else []
+    warnings = [f.text for f in findings if not f.refuses] + [n for g in held for t in g for n in t.notes]
+    refusals = [f.text for f in findings if f.refuses]
+    if refusals:
+        return Diagnosis("refused", warnings=refusals + warnings, lowpass_hz=lowpass,
+                         seconds=time.perf_counter() - started)
+    groups = [[_filtered(integrity.usable(t), lowpass) for t in group] for group in held]
+    result = _judged(groups, _calibration(calibration), warnings)
+    return replace(result, seconds=time.perf_counter() - started, lowpass_hz=lowpass)
+
+
+def _judged(groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None, warnings: list[str]) -> Diagnosis:
+    trials, holdout, healthy = groups
+    settled = setting.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
+    source = ", ".join(t.source for t in trials)
+    if not settled.checked:
+        lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
+        return Diagnosis("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
+    cycles = len(np.unique(np.concatenate([b.cycle for b in settled.blocks])))
+    if cycles < integrity.LEAST_CYCLES:
+        return Diagnosis("refused", warnings=[
+            f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
+            *warnings])
+    judge = Judge(settled, holdout)
+    return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), judge.figures(),
+                     warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
+                     found=judge.found)
+
+
+def _said(settled: setting.Setting, healthy: bool) -> list[str]:
+    """Return what the reader must know of the reference and of what was not checked."""
+    said = []
+    if settled.any_rig:
+        said.append("no calibration fits this rig: offsets, ratios and load-free friction are taken as found, "
+                    "and effects that need the bench's geometry are not offered.")
+    elif settled.reference.kind == "nominal":
+        said.append("no calibration: compared with the nominal bench and the tolerances of like benches.")
+    if settled.floors is None:
+        said.append("no healthy trial of this bench: the answer `unexplained` is not available.")
+    if healthy and settled.any_rig:
+        said.append("healthy trials were not used: nothing is known of this rig's laws beforehand.")
+    return said + [f"{n} not checked: no {', '.join(c)}." for n, c in settled.missing.items() if c]
+
+
+def _read(given: str | Path | Table) -> Table:
+    return given if isinstance(given, Table) else data.read(given)
+
+
+def _filtered(given: Table, lowpass: float | None) -> Table:
+    return given if lowpass is None else data.low_passed(given, lowpass)
+
+
+def _calibration(given: str | Path | Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    return read_toml(Path(given)) if isinstance(given, str | Path) else given

@@ -1,0 +1,96 @@
+"""What healthy trials teach: where the relations really rest, how far they are from holding, how much is chance.
+
+The rule of this file: healthy data move everything that the catalogue can move, a little, towards what they
+show, so that what the laws have in common with no bench is not mistaken for a cause later; the floors are of
+the trials one by one, each with its own nuisance inside the bands of like benches.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import Candidate
+from diagnosis.fit import Free, Problem, solve
+from diagnosis.reference import BAND, Reference
+from diagnosis.relations import Block, rmse
+from physics.models_slots import SLOTS
+
+Array = NDArray[np.float64]
+
+TEACHING: Final = 0.1
+"""1σ of what healthy data may teach about an effect's parameter, of the half width of its likely range."""
+STEPS: Final = 12
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What healthy trials said: the reference they moved, and by relation the floor and the samples tied into one."""
+
+    reference: Reference
+    floors: Mapping[str, float]
+    tied: Mapping[str, float]
+
+
+def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequence[Candidate],
+          floors: Mapping[str, float], tied: Mapping[str, float]) -> Lesson:
+    """Fit all healthy trials together, then each alone; `floors`, `tied`: what is assumed before they are seen."""
+    blocks = [b for trial in trials for b in trial]
+    weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
+    taught = solve(Problem(blocks, weights), reference.values, _teachable(reference, offered), STEPS).values
+    moved = Reference(reference.kind, taught, tuple(_recentred(f, taught[f.name]) for f in reference.nuisance))
+    rests: dict[str, list[Array]] = {n: [] for n in floors}
+    for trial in trials:
+        alone = solve(Problem(trial, weights), moved.values, moved.nuisance).values
+        for block in trial:
+            rests[block.relation.name].append(block.residual(alone))
+    return Lesson(moved, {n: rmse(r) for n, r in rests.items()},
+                  {n: max(correlated(r), 1.0) for n, r in rests.items()})
+
+
+def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free, ...]:
+    """Everything that may move on healthy data: the nuisance in its bands, effects a little about their rest."""
+    known = {f.name: _widened(f) for f in reference.nuisance}
+    for candidate in offered:
+        for f in candidate.frees:
+            if f.name not in known:
+                sigma = TEACHING * 2.0 * f.scale
+                known[f.name] = dataclasses.replace(f, sigma=sigma, mean=reference.values[f.name])
+    return tuple(known.values())
+
+
+def _widened(f: Free) -> Free:
+    slot, half = SLOTS[f.name], 2.0 * BAND * f.sigma
+    return dataclasses.replace(f, low=max(slot.low, f.mean - half), high=min(slot.high, f.mean + half),
+                               sigma=2.0 * f.sigma)
+
+
+def _recentred(f: Free, at: float) -> Free:
+    slot, half = SLOTS[f.name], BAND * f.sigma
+    return dataclasses.replace(f, mean=at, low=max(slot.low, at - half), high=min(slot.high, at + half))
+
+
+def correlated(rests: Sequence[Array]) -> float:
+    """Return how many neighbouring samples count as one: 1 + 2·Σρ over the first positive lags."""
+    total, energy = np.zeros(1), 0.0
+    for rest in rests:
+        centred = rest - rest.mean()
+        n = centred.size
+        spectrum = np.fft.rfft(centred, 2 * n)
+        covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n]
+        if total.size < n:
+            total = np.pad(total, (0, n - total.size))
+        total[:n] += covariance
+        energy += covariance[0]
+    if energy <= 0.0:
+        return 1.0
+    rho = total / energy
+    negative = np.flatnonzero(rho[1:] <= 0.0)
+    last = int(negative[0]) + 1 if negative.size else rho.size
+    return float(1.0 + 2.0 * rho[1:last].sum())

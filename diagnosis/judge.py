@@ -1,0 +1,149 @@
+"""The judgement on one setting: what is searched, what pays, what is said of it.
+
+The rule of this file: thresholds are `verdict`'s, figures of the chosen model are refitted fold by fold; a
+parameter is told as its declared healthy value plus the change that the trial shows against the healthy ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Final
+
+from diagnosis import relations, verdict
+from diagnosis.candidates import Candidate
+from diagnosis.data import Table
+from diagnosis.relations import Block
+from diagnosis.search import Model, Search
+from diagnosis.setting import Setting
+from physics.effects import CATALOGUE
+from physics.models import RELATIONS
+
+MOST_ON_BENCH: Final = 2
+"""Effects in one verdict; what needs a third is not explained."""
+MOST_ELSEWHERE: Final = 4
+"""On a rig compared with an ideal transmission, everything that a real one has is an effect."""
+
+
+class Judge:
+    """One search and its verdict."""
+
+    def __init__(self, setting: Setting, holdout: Sequence[Table]) -> None:
+        self.setting, self.holdout = setting, holdout
+        self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, setting.offered,
+                             setting.folds, self._pays, self._leaves)
+        self.found = self.search.run(MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH)
+
+    def _expected(self, relation: str) -> float:
+        """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
+        floors, weights = self.setting.floors, self.setting.weights
+        return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
+
+    def _excess(self, model: Model, relation: str) -> float:
+        return max(model.by_relation[relation] - self._expected(relation), 0.0)
+
+    def _pays(self, lesser: Model, model: Model) -> bool:
+        healthy = sum(self._expected(n) for n in self.setting.checked)
+        if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+            return False
+        cuts, base = verdict.cut(lesser, model), self.search.baseline
+        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
+                   >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
+
+    def _leaves(self, model: Model) -> bool:
+        """Whether a model leaves more than healthy trials do (always, where none says)."""
+        return self.setting.floors is None or any(
+            self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
+
+    def word(self) -> str:
+        """Return none, found, ambiguous or unexplained."""
+        if self._strange():
+            return "unexplained"
+        if not self.found.best.effects:
+            return "none"
+        return "found" if len(self.rivals()) == len(self.found.best.effects) else "ambiguous"
+
+    def _strange(self) -> bool:
+        """Whether structure remains that the chosen model does not explain; only healthy trials can say."""
+        if self.setting.floors is None:
+            return False
+        best, checked = self.found.best, self.setting.checked
+        left, whole = (sum(self._excess(m, n) for n in checked) for m in (best, self.found.baseline))
+        return left > verdict.STRANGE_SHARE * whole and any(
+            self.setting.rmse(n, best.by_relation[n]) > verdict.STRANGE * self.setting.floors[n] for n in checked)
+
+    def rivals(self) -> list[str]:
+        """Return the class, the chosen effects first; nothing is named where structure remains."""
+        return [] if self._strange() else list(verdict.rivals(self.found))
+
+    def experiment(self) -> str | None:
+        """Return the experiment that splits the class: the chosen effect's; None where nothing is to be split."""
+        names = self.rivals()
+        return str(CATALOGUE[names[0]].experiment) if len(names) > len(self.found.best.effects) else None
+
+    @cached_property
+    def _refitted(self) -> tuple[verdict.CycleSquares, verdict.CycleSquares, list[dict[str, float]]]:
+        setting, found = self.setting, self.found
+        before, _ = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.baseline.fit.values,
+                                   found.baseline.fit.free)
+        after, fitted = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.best.fit.values,
+                                       found.best.fit.free)
+        return before, after, fitted
+
+    def causes(self) -> list[dict[str, Any]]:
+        """Return the chosen effects with their parameters and what each one gains."""
+        return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
+
+    def _cause(self, cause: Candidate) -> dict[str, Any]:
+        units = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
+        fitted, best = self._refitted[2], self.found.best
+        parameters = {}
+        for f in cause.frees:
+            shift = self.setting.declared[f.name] - self.setting.reference.values[f.name]
+            at = best.fit.values[f.name]
+            change = at - self.setting.reference.values[f.name]
+            half = verdict.spread(fitted, f.name, verdict.curvature_sigma(best, f.name), self._likeness(f.name), change)
+            told = {"value": at, "low": at - half, "high": at + half}
+            shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
+            parameters[f.name] = {**shifted, "unit": units[f.name]}
+        without = self.search.without(best, cause)
+        return {"effect": cause.name, "site": cause.site, "parameters": parameters,
+                "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
+
+    def _likeness(self, slot: str) -> float:
+        """Return 1σ of the healthy value among like benches; 0 where nothing is known of it."""
+        bands = {f.name: f.sigma for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        return bands.get(slot, 0.0)
+
+    def figures(self) -> dict[str, verdict.Figures]:
+        """Return every relation's figures, those that were not checked marked so."""
+        lacking = relations.allowed(self.holdout) if self.holdout else {}
+        ahead = relations.blocks_of(
+            self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut) if lacking else []
+        return {name: self._figures(name, ahead) for name in RELATIONS}
+
+    def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:
+        unit = RELATIONS[name].unit
+        if name not in self.setting.checked:
+            return verdict.Figures(unit, False)
+        before, after, _ = self._refitted
+        gain, low, high = verdict.gain(before, after, name)
+        mine = [b for b in ahead if b.relation.name == name and b.keep.size]
+        held, mended = (relations.rmse(b.residual(m.fit.values) for b in mine) if mine else None
+                        for m in (self.found.baseline, self.found.best))
+        floor = self.setting.floors[name] if self.setting.floors else None
+        return verdict.Figures(unit, True, floor, before.rmse(name), after.rmse(name), held, mended, gain, low, high)
+
+    def limits(self) -> dict[str, Mapping[str, Any]] | None:
+        """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
+        if self.setting.any_rig:
+            return None
+        from diagnosis.plan import sight
+
+        return {limit.effect: {"parameter": limit.parameter, "value": limit.size, "unit": limit.unit}
+                for limit in sight(self.setting)}
+
+
+def _inside(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)

@@ -1,0 +1,94 @@
+"""Cycles that a fit has not seen, from one linearisation: the score of a fit, and every candidate's promise.
+
+The rule of this file: it ranks, and nothing is reported from it; what is reported is fitted in full, fold by fold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import Candidate
+from diagnosis.fit import Fit, Problem
+
+Array = NDArray[np.float64]
+
+FOLDS: Final = 5
+RIDGE: Final = 1e-6
+
+
+def folds_of(cycles: NDArray[np.intp]) -> list[frozenset[int]]:
+    """Deal whole cycles into at most `FOLDS` sets, neighbours apart."""
+    labels = np.unique(cycles)
+    count = min(FOLDS, len(labels))
+    return [frozenset(int(c) for c in labels[k::count]) for k in range(count)]
+
+
+class Screen:
+    """Normal matrices, by fold and relation, of the residual's change by each free slot and by each extra column."""
+
+    def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]],
+                 extra: Sequence[Array] | None = None) -> None:
+        self.known = len(fit.free)
+        self.moving = np.flatnonzero([f.low < fit.values[f.name] < f.high for f in fit.free])
+        self.prior = np.array([f.stiffness for f in fit.free])
+        self.pull = np.array([f.pull(fit.values[f.name]) / f.sigma for f in fit.free])
+        self.names = sorted(problem.weights)
+        size = self.known + (len(extra[0]) if extra else 0)
+        shape = (len(folds), len(self.names))
+        self.gram, self.slope, self.cost = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
+        for i, block in enumerate(problem.blocks):
+            columns = fit.slopes[i] if extra is None else np.concatenate([fit.slopes[i], extra[i]])
+            self._add(self.names.index(block.relation.name), columns, fit.residuals[i], block.cycle, folds)
+        self.every_gram, self.every_slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
+
+    def _add(self, relation: int, columns: Array, rest: Array, cycle: NDArray[np.intp],
+             folds: Sequence[frozenset[int]]) -> None:
+        at = np.flatnonzero(columns.any(axis=1))
+        for k, fold in enumerate(folds):
+            inside = np.isin(cycle, list(fold))
+            part, r = columns[np.ix_(at, np.flatnonzero(inside))], rest[inside]
+            self.gram[k, relation, at[:, None], at] += part @ part.T
+            self.slope[k, relation, at] += part @ r
+            self.cost[k, relation] += float(r @ r)
+
+    def unseen(self, extra: int | None = None) -> dict[str, float]:
+        """Return χ² by relation on unseen folds, the free slots (and one extra column) fitted on the others.
+
+        A slot that rests on its bound stays there.
+        """
+        at = self.moving if extra is None else np.append(self.moving, self.known + extra)
+        known = at < self.known
+        prior, pull = np.zeros(len(at)), np.zeros(len(at))
+        prior[known], pull[known] = self.prior[at[known]], self.pull[at[known]]
+        every = self.every_gram[np.ix_(at, at)]
+        ridge = np.diag(prior + RIDGE * np.diag(every) + 1e-12)
+        total = np.zeros(len(self.names))
+        for k in range(len(self.gram)):
+            mine = self.gram[k][:, at[:, None], at]
+            gram, slope = every + ridge, self.every_slope[at] + pull
+            if len(self.gram) > 1:
+                gram, slope = gram - mine.sum(axis=0), slope - self.slope[k].sum(axis=0)[at]
+            step = -np.linalg.solve(gram, slope)
+            total += self.cost[k] + 2.0 * self.slope[k][:, at] @ step + step @ mine @ step
+        return dict(zip(self.names, total.tolist(), strict=True))
+
+
+def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]
+             ) -> list[tuple[float, int, int]]:
+    """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first."""
+    starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
+    extra = []
+    for i, block in enumerate(problem.blocks):
+        rows = np.zeros((len(starts), fit.residuals[i].size))
+        for j, (c, s) in enumerate(starts):
+            if offered[c].slots & block.uses:
+                rows[j] = problem.residual(i, {**fit.values, **offered[c].starts[s]}) - fit.residuals[i]
+        extra.append(rows)
+    screen = Screen(problem, fit, folds, extra)
+    base = sum(screen.unseen().values())
+    falls = [(base - sum(screen.unseen(j).values()), c, s) for j, (c, s) in enumerate(starts)]
+    return sorted(falls, reverse=True)
