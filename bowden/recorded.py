@@ -1,0 +1,83 @@
+"""The experiment that a trial recorded, from what it carries with it.
+
+The rule of this file: everything comes out of the file's attachments and metadata, read by those who read it when
+the trial was run; nothing is taken from the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from master.experiment import Experiment
+    from trial.read import Trial
+
+FILES = ("bench.toml", "calibration.toml")
+CURVES = ("knee", "desired")
+
+
+def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
+    """Build the experiment of a trial; raises `InputError` where the file does not carry it, or it is no gait.
+
+    `scripts` also takes those that ran in place of the gait (see `script`).
+    """
+    from bowden import about, session
+    from master.calibration import read
+    from master.experiment import Experiment
+
+    if recorded.metadata.get("experiment") != "gait" and not (scripts and script(recorded)):
+        told = recorded.metadata.get("experiment", "nothing of the kind")
+        raise InputError(f"{recorded.path}: records {told}, not a gait; give a trial of bowden trial.")
+    with _unpacked(recorded, FILES) as folder:
+        chosen = sections(recorded)
+        knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
+        reference, chosen["gait"], _ = session.reference(
+            chosen["gait"], knee, desired, period_given=True, peak_given=False)
+        model = folder / about.CONTROLLER_MODEL
+        made = Experiment(
+            reference=reference, calibration=read(folder / "calibration.toml"),
+            known=session.known_effects(model if model.exists() else None),
+            dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
+    if recorded.metadata.get("course", about.course(made)) != about.course(made):
+        raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "
+                         "give a trial of bowden trial.")
+    return made
+
+
+def script(recorded: Trial) -> str:
+    """Name of the experiment that a trial ran in place of the gait; "" where it ran none that is known."""
+    from master.experiments import SCRIPTS
+
+    named = recorded.metadata.get("experiment", "")
+    return named if named in SCRIPTS else ""
+
+
+def sections(recorded: Trial) -> dict[str, Any]:
+    """The configuration that a trial carries, as its checked sections; the defaults where it carries none."""
+    from bowden import config
+
+    if "bench.toml" not in recorded.attachments:
+        return config.read(None)
+    with _unpacked(recorded, ("bench.toml",)) as folder:
+        return config.read(folder / "bench.toml")
+
+
+@contextmanager
+def _unpacked(recorded: Trial, needed: tuple[str, ...]) -> Iterator[Path]:
+    from bowden import about
+
+    attached: Mapping[str, bytes] = recorded.attachments
+    for name in needed:
+        if name not in attached:
+            raise InputError(f"{recorded.path}: {name} is not attached; give a trial of bowden trial.")
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        for name in (*needed, about.CONTROLLER_MODEL, *(f"{part}.csv" for part in CURVES)):
+            if name in attached:
+                (Path(folder) / name).write_bytes(attached[name])
+        yield Path(folder)

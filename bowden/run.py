@@ -1,0 +1,94 @@
+"""`bowden trial`: one experiment, on the virtual bus or on a real one, recorded in one MCAP file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bowden import options, terminal
+from bowden.app import app
+
+PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
+"""Relative RMSE that the paper's experiment gives by peak, its section 5.2."""
+
+
+@app.command()
+def trial(
+    output: options.Output,
+    peak: options.Peak = None,
+    period: options.Period = None,
+    cycles: options.Cycles = None,
+    settle: options.Settle = None,
+    rate: options.Rate = None,
+    controller: options.Controller = None,
+    knee: options.Knee = None,
+    desired: options.Desired = None,
+    calibration: options.Calibration = None,
+    controller_model: options.ControllerModel = None,
+    experiment: options.Script = None,
+    dry_run: options.DryRun = False,
+    serial: options.Serial = None,
+    day: options.Day = None,
+    seed: options.Seed = None,
+    plant: options.Plant = None,
+    plant_model: options.PlantModel = None,
+    interface: options.Interface = None,
+    channel: options.Channel = None,
+    bitrate: options.Bitrate = None,
+    option: options.Extra = None,
+    config: options.Config = None,
+    picture: options.Picture = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Run one experiment and record it.
+
+    Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
+    """
+    from bowden import about, bus, session
+    from bowden import config as configuration
+
+    sections = configuration.read(config)
+    sections["network"] = configuration.override(
+        sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", peak), "period_s": ("--period", period), "cycles": ("--cycles", cycles),
+        "settle": ("--settle", settle), "controller": ("--controller", controller)})
+    reference, sections["gait"], notes = session.reference(
+        gait, knee, desired, period_given=period is not None, peak_given=peak is not None)
+    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+    prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
+                               controller_model=controller_model, files=about.curves(knee=knee, desired=desired))
+    for note in notes:
+        terminal.remark(note)
+    result = session.perform(prepared, output, picture, overwrite=overwrite, quiet=json)
+    terminal.emit(result) if json else _show(result, output, picture)
+    return 0 if result["outcome"] == "completed" else 1
+
+
+FORCE_FIGURES = (
+    ("relative RMSE, END (%)", "relative_rmse_percent"),
+    ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
+    ("largest END at idle (N)", "max_idle_tension_n"),
+    ("jump at the peak (N)", "peak_jump_n"),
+)
+
+
+def _show(result: dict[str, Any], output: Path, picture: Path | None) -> None:
+    figure = terminal.number
+    paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
+             f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
+    terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
+        (name, figure(result[key]), figure(result[f"true_{key}"]), paper.get(key, "–")) for name, key in FORCE_FIGURES])
+    ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
+    terminal.table("bus", ("figure", "value"), [
+        ("load, measured (%)", figure(result["bus_load_percent"])),
+        ("load, computed bound (%)", figure(result["bus_load_bound_percent"])),
+        ("missed cycles", str(result["missed_cycles"])),
+        ("stale inputs", str(result["stale_inputs"])),
+        ("wall seconds per simulated second", figure(ratio, 3)),
+    ])
+    if result["stop_reason"]:
+        print(f"Stopped: {result['stop_reason']}")
+    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else ""))

@@ -1,0 +1,213 @@
+"""A trial from checked options to a closed file and its figures.
+
+The rule of this file: everything that can be refused is refused before a file is made or a frame is sent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bowden import outputs, terminal
+from bowden.bus import Chosen, opened
+from bowden.config import override
+from parameters import InputError, read_toml
+from trial.signals import INDEX
+
+if TYPE_CHECKING:
+    import can
+
+    from master.config import Gait
+    from master.correction import Effects
+    from master.experiment import Experiment, Result
+    from master.link import Link
+    from master.log import Sink
+    from physics.reference import Reference
+    from trial.record import Recorder
+
+CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A checked experiment, the bus it will run on, and the sections and other files it came from.
+
+    `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
+    """
+
+    experiment: Experiment
+    sections: Mapping[str, Any]
+    chosen: Chosen
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    script: str = ""
+
+    @property
+    def laps(self) -> int:
+        """How many gait cycles, or laps of the script, are numbered."""
+        from master.experiments import laps
+
+        cycles = self.experiment.gait.cycles
+        return laps(self.script, cycles) if self.script else cycles
+
+    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink) -> Result:
+        """Run it on an open bus."""
+        from master import experiment, experiments
+
+        if self.script:
+            return experiments.run(link, tap, recorder, self.experiment, self.script)
+        return experiment.run(link, tap, recorder, self.experiment)
+
+
+def reference(
+    gait: Gait, knee: Path | None, desired: Path | None, *, period_given: bool, peak_given: bool
+) -> tuple[Reference, Gait, list[str]]:
+    """Build the reference from the paper's formulas or from files; `gait` comes back with their period and peak."""
+    from physics import reference as law
+    from trial.curves import read_curve
+
+    notes: list[str] = []
+    angle, force = law.paper_angle(), None
+    if knee is not None:
+        curve = read_curve(knee, "knee_angle_rad")
+        notes.append(curve.note())
+        angle = law.recorded_angle(curve.percent, curve.values)
+        if not period_given and math.isfinite(curve.stride_s):
+            gait = override(gait, {"period_s": (str(knee), curve.stride_s)})
+    if desired is not None:
+        if peak_given:
+            raise InputError("--peak belongs to the paper's force; leave it out with --desired, which has its own.")
+        curve = read_curve(desired, "desired_force_n")
+        notes.append(curve.note())
+        force = law.recorded_force(curve.percent, curve.values)
+        gait = override(gait, {"peak_n": (str(desired), float(force[0].max()))})
+    return law.Reference(gait.period_s, angle, force or law.paper_force(gait.peak_n)), gait, notes
+
+
+def prepare(
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | None, chosen: Chosen, *, dry_run: bool,
+    controller_model: Path | None = None, files: Mapping[str, bytes] | None = None, script: str | None = None,
+) -> Prepared:
+    """Join options to an experiment that can be run; raises `InputError` where it cannot."""
+    from bowden import about
+    from eds import bus_load
+    from eds.bench import wire
+    from master.calibration import nominal, read, refuse_beyond_validity
+    from master.config import checked_controller
+    from master.experiment import Experiment
+    from master.experiments import checked
+
+    bus_load.refuse(wire(sections["network"]))
+    gait = sections["gait"]
+    checked_controller(gait.controller, where="--controller")
+    if script is not None:
+        checked(script, where="--experiment")
+        if dry_run:
+            raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
+    if gait.settle >= gait.cycles:
+        raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
+    measured = nominal() if calibration is None else read(calibration, bench=chosen.bench)
+    refuse_beyond_validity(measured, reference.peak_n)
+    experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
+                            known=known_effects(controller_model), **sections)
+    return Prepared(experiment, sections, chosen, {**(files or {}), **about.controller_model(controller_model)},
+                    script or "")
+
+
+def known_effects(controller_model: Path | None) -> Effects:
+    """The effects that a controller model states; none without one."""
+    from physics.effects_table import stated
+
+    return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
+
+
+def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite: bool, quiet: bool) -> dict[str, Any]:
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
+    from bowden import about, report
+    from master.link import Link
+    from trial.record import Recorder
+
+    network, simulated = prepared.experiment.network, prepared.chosen.simulated
+    truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
+    outputs.refuse([output, truth, picture], overwrite=overwrite)
+    compile_laws(simulated=simulated, quiet=quiet)
+    with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
+        recorder = Recorder(output, metadata=about.metadata(prepared.experiment, prepared.script),
+                            attachments={**about.attachments(prepared.experiment.calibration, prepared.sections),
+                                         **prepared.files},
+                            threaded=not simulated, overwrite=overwrite)
+        began = time.perf_counter()
+        with terminal.progress("trial", shown=not quiet) as update, bus.host() as refused:
+            sink = Watched(recorder, update, prepared.laps)
+            for sentence in refused:
+                sink.event(bus.clock(), "host", "master", sentence)
+            result = prepared.run(Link(bus.bus, bus.clock), bus.tap, sink)
+        wall_s = time.perf_counter() - began
+        result = closed(recorder, result)
+    kept = recorder.failure is None
+    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept)
+    if picture is not None and kept:
+        report.picture(output, picture, prepared)
+    return figures
+
+
+def closed(recorder: Recorder, result: Result) -> Result:
+    """Close the recording; where its end found no room, the result says that instead of "completed"."""
+    from trial.record import RecordingError
+
+    try:
+        recorder.close(dataclasses.asdict(result))
+    except RecordingError as error:
+        if result.stop_reason is None:
+            return dataclasses.replace(result, outcome="stopped", stop_reason=f"recording failed: {error}")
+    return result
+
+
+@contextmanager
+def discarding(recorder: Recorder) -> Iterator[None]:
+    """Leave no file of a run that is refused before it starts."""
+    try:
+        yield
+    except InputError:
+        recorder.discard()
+        raise
+
+
+def compile_laws(*, simulated: bool, quiet: bool) -> None:
+    """Compile the laws where this machine has not yet; say so with the seconds it took."""
+    import nodes
+    from master import transfer
+    from physics import plant
+
+    began, compiled = time.perf_counter(), False
+    with terminal.waiting("preparing; a first run on a machine compiles the laws", shown=not quiet):
+        transfer.prepare()
+        if simulated:
+            nodes.prepare()
+            compiled = plant.prepare()
+    if compiled:
+        terminal.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
+                        "later runs find them compiled.")
+
+
+class Watched:
+    """A recorder that tells a progress bar how far the gait has come, once in `EVERY` rows."""
+
+    EVERY = 200
+
+    def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
+        self.frame, self.event = recorder.frame, recorder.event
+        self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
+
+    def cycle(self, time_ns: int, values: Sequence[float]) -> None:
+        """Record one control cycle."""
+        self._record(time_ns, values)
+        self._count += 1
+        if not self._count % self.EVERY and values[CYCLE] >= 0:
+            percent = values[GAIT_PERCENT]
+            self._update((values[CYCLE] + (percent / 100 if math.isfinite(percent) else 0)) / self._cycles)

@@ -1,0 +1,78 @@
+"""What a command says: one JSON object or a table on stdout, progress and remarks on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+
+def emit(result: Mapping[str, Any]) -> None:
+    """Write one JSON object on stdout, keys as given; what is undefined (NaN, infinite) is null."""
+    json.dump(_defined(result), sys.stdout, ensure_ascii=False, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _defined(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _defined(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_defined(v) for v in value]
+    return value
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a Rich table on stdout; the first column is text, the others are figures."""
+    from rich.console import Console
+    from rich.table import Table
+
+    drawn = Table()
+    for i, name in enumerate(header):
+        drawn.add_column(name, justify="left" if i == 0 else "right")
+    for row in rows:
+        drawn.add_row(*row)
+    console = Console()
+    console.print(title)
+    console.print(drawn)
+
+
+def remark(text: str) -> None:
+    """Say one line on stderr."""
+    print(f"bowden: {text}", file=sys.stderr, flush=True)
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """Format a figure for a table; what is undefined is a dash."""
+    return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+@contextmanager
+def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr that is told the share done, 0…1; silent unless `shown` and stderr is a terminal."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=1.0)
+        yield lambda share: bar.update(task, completed=share)
+
+
+@contextmanager
+def waiting(text: str, *, shown: bool = True) -> Iterator[None]:
+    """A spinner on stderr while something runs; silent unless `shown` and stderr is a terminal."""
+    if not (shown and sys.stderr.isatty()):
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(text):
+        yield

@@ -1,0 +1,98 @@
+"""`bowden verify`: the closed loop before and after the controller is told what a diagnosis found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bowden import options, terminal
+from bowden.app import app
+
+Model = Annotated[Path, typer.Argument(
+    metavar="EXTENDED", help="extended.toml of bowden diagnose -o.", show_default=False)]
+Output = Annotated[Path, typer.Option(
+    "-o", "--output", metavar="FILE", help="Trials to write: FILE with -before and -after before its suffix.")]
+
+FIGURES = (
+    ("relative RMSE (%)", "relative_rmse_percent"), ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
+    ("largest at idle (N)", "max_idle_tension_n"), ("jump at the peak (N)", "peak_jump_n"),
+)
+
+
+@app.command()
+def verify(
+    model: Model,
+    output: Output,
+    peak: options.Peak = None,
+    period: options.Period = None,
+    cycles: options.Cycles = None,
+    settle: options.Settle = None,
+    rate: options.Rate = None,
+    controller: options.Controller = None,
+    calibration: options.Calibration = None,
+    serial: options.Serial = None,
+    day: options.Day = None,
+    seed: options.Seed = None,
+    plant: options.Plant = None,
+    plant_model: options.PlantModel = None,
+    interface: options.Interface = None,
+    channel: options.Channel = None,
+    bitrate: options.Bitrate = None,
+    option: options.Extra = None,
+    config: options.Config = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Show what a found effect gains in the loop.
+
+    One experiment twice on a bench, the controller not told and told of the effects in EXTENDED.
+
+    The controller is the extended one where no other is named.
+
+    Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
+    """
+    from bowden import bus, outputs, session
+    from bowden import config as configuration
+
+    sections = configuration.read(config)
+    sections["network"] = configuration.override(
+        sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", peak), "period_s": ("--period", period), "cycles": ("--cycles", cycles),
+        "settle": ("--settle", settle), "controller": ("--controller", controller or "extended")})
+    reference, sections["gait"], _ = session.reference(
+        gait, None, None, period_given=period is not None, peak_given=peak is not None)
+    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+    files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
+    outputs.refuse(files.values(), overwrite=overwrite)
+    prepared = {
+        name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
+                              controller_model=model if name == "after" else None) for name in files}
+    figures = {name: session.perform(prepared[name], path, None, overwrite=overwrite, quiet=json)
+               for name, path in files.items()}
+    result = _compared(model, prepared["after"].experiment.known, figures)
+    terminal.emit(result) if json else _tell(result, figures)
+    return 0 if all(one["outcome"] == "completed" for one in figures.values()) else 1
+
+
+def _compared(model: Path, known: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    judged = "true_relative_rmse_percent" if figures["before"]["true_relative_rmse_percent"] is not None else (
+        "relative_rmse_percent")
+    before, after = (figures[name][judged] for name in ("before", "after"))
+    gain = 100.0 * (1.0 - after / before) if before and after is not None else None
+    return {"controller_model": str(model), "effects": {name: dict(values) for name, values in known.items()},
+            "judged_by": judged, "gain_percent": gain, **figures}
+
+
+def _tell(result: dict[str, Any], figures: dict[str, dict[str, Any]]) -> None:
+    figure, true = terminal.number, result["judged_by"].startswith("true_")
+    terminal.table(
+        f"{', '.join(result['effects']) or 'no effect'}: END {'true' if true else 'by its sensor'}, controller "
+        f"{figures['after']['controller']}", ("END", "not told", "told"), [
+            (text, *(figure(figures[name][f"true_{key}" if true else key]) for name in ("before", "after")))
+            for text, key in FIGURES])
+    print(f"Gain in relative RMSE: {figure(result['gain_percent'], 1)} %")
+    for name, one in figures.items():
+        print(f"Trial {name}: {one['trial']}" + (f", stopped: {one['stop_reason']}" if one["stop_reason"] else ""))
