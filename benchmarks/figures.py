@@ -1,0 +1,109 @@
+"""The paper's figures, redrawn from trials and an identification on the virtual bench: docs/figures.md.
+
+    python -m benchmarks.figures
+
+The rule of this file: what a figure shows was recorded or is a formula; what is said under it is computed from that.
+One bench throughout (serial 3, identified on day 0, tried on day 1); Fig. 15 sets the nominal bench beside it.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import redrawn
+from bowden import bus, config, identification, session, sweep_rows, sweep_run
+from bowden.sweep_rows import Row, Value
+from bowden.sweep_table import Table
+from bowden.sweep_trial import digest
+from master.calibration import write
+from trial import read
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT, DOCS = ROOT / "out" / "figures", ROOT / "docs"
+SERIAL = 3
+TRIALS: dict[str, dict[str, Value]] = {
+    "friction 40": {"gait.controller": "friction"},
+    "paper 40": {"gait.controller": "paper"},
+    "paper 50": {"gait.controller": "paper", "gait.peak_n": 50.0},
+    "paper 60": {"gait.controller": "paper", "gait.peak_n": 60.0},
+}
+NOMINAL: dict[str, Value] = {"gait.controller": "paper", "bench.serial": 0, "gait.cycles": 2}
+Columns = Mapping[str, NDArray[np.float64]]
+
+
+def identified() -> tuple[Path, Path]:
+    """Return the calibration of the bench and the recording that it was measured in, made where they are missing."""
+    calibration, recorded = OUT / "calibration.toml", OUT / "identification.mcap"
+    if not calibration.exists():
+        sections = config.read(None)
+        chosen = bus.choose(None, "figures", None, bus.Simulated(SERIAL, 0))
+        reason, found = identification.perform(
+            "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True, quiet=True)
+        if found is None:
+            raise SystemExit(f"the identification stopped: {reason}")
+        calibration.write_text(write(found), encoding="utf-8")
+    return calibration, recorded
+
+
+def recorded_trials(calibration: Path) -> dict[str, Columns]:
+    """Return the columns of every trial, run where its recording is missing."""
+    base: dict[str, Value] = {"bench.serial": SERIAL, "bench.day": 1, "gait.cycles": 2,
+                              "files.calibration": str(calibration.relative_to(ROOT))}
+    wanted: dict[str, Row] = {name: _row({**base, **more}) for name, more in TRIALS.items()}
+    wanted["nominal"] = _row(NOMINAL)
+    rows = list(wanted.values())
+    files = {name: OUT / f"{digest(row)}.mcap" for name, row in wanted.items()}
+    again = not all(file.exists() for file in files.values())
+    with Table(OUT / "trials.csv", list(rows[0]), overwrite=again) as table, sweep_run.local() as crew:
+        sweep_run.sweep(rows, table, crew, OUT, keep=str(OUT))
+    return {name: read.open(file).columns for name, file in files.items()}
+
+
+def _row(given: dict[str, Value]) -> Row:
+    return sweep_rows.rows(config.read(None), given, [])[0]
+
+
+def segments(path: Path, kind: str) -> list[Columns]:
+    """Return the rows of an identification's recording between "begin KIND" and "end KIND", by segment."""
+    recording = read.open(path)
+    begins, ends = ([event.time_ns for event in recording.events if event.text == f"{word} {kind}"]
+                    for word in ("begin", "end"))
+    rows = [(recording.time_ns >= a) & (recording.time_ns < b) for a, b in zip(begins, ends, strict=True)]
+    return [{name: column[inside] for name, column in recording.columns.items()} for inside in rows]
+
+
+def joined(parts: list[Columns], name: str) -> NDArray[np.float64]:
+    """Return one column of several segments, without what is not known."""
+    column: NDArray[np.float64] = np.concatenate([part[name] for part in parts])
+    return column
+
+
+def main() -> None:
+    """Run what is missing, draw every figure, write the page."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    session.compile_laws(simulated=True, quiet=True)
+    calibration, recording = identified()
+    trials = recorded_trials(calibration)
+    stiffness, swing = segments(recording, "stiffness"), segments(recording, "swing")
+    drawn: dict[str, Callable[[Any], str]] = {
+        "05": redrawn.knee,
+        "06": redrawn.desired,
+        "09": lambda axes: redrawn.stiffness(
+            axes, joined(stiffness, "tension_start_n"), joined(stiffness, "servo_position_m")),
+        "10": lambda axes: redrawn.swing(axes, joined(swing, "knee_angle_rad"), joined(swing, "servo_position_m")),
+        "13": lambda axes: redrawn.impedance(axes, trials["friction 40"], trials["paper 40"]),
+        "15": lambda axes: redrawn.experiment(axes, trials["nominal"], trials["paper 40"]),
+        "16": lambda axes: redrawn.peaks(axes, {50: trials["paper 50"], 60: trials["paper 60"]}),
+    }
+    said = {number: redrawn.drawn(draw, DOCS / f"fig{number}.png") for number, draw in drawn.items()}
+    (DOCS / "figures.md").write_text(redrawn.page(said), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
