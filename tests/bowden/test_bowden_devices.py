@@ -1,0 +1,53 @@
+"""A bought drive in bench.toml: it takes the knee's place, or what it lacks is said before anything runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bowden import config
+from eds.bench import KNEE, wire
+from eds.dictionary import key
+
+VENDOR = Path(__file__).parents[1] / "eds" / "vendor_drive.eds"
+TABLE = f'[knee]\nfile = "vendor_drive.eds"\nposition = "3010"\nposition_scale = {2 * math.pi / 524_288!r}\n'
+
+
+@pytest.fixture
+def bench(here: Path) -> Path:
+    """A configuration beside its vendor's file."""
+    shutil.copy(VENDOR, here)
+    (here / "bench.toml").write_text(TABLE)
+    return here / "bench.toml"
+
+
+def test_a_device_of_the_configuration_is_on_the_wire(bench: Path) -> None:
+    assert wire(config.read(bench)["network"]).tpdo[0x180 + KNEE].keys == (key(0x6041), key(0x3010))
+
+
+def test_the_configuration_that_a_trial_carries_names_the_device(bench: Path) -> None:
+    assert 'position = "3010"' in config.as_text(config.read(bench))
+
+
+def test_check_passes_a_device_that_fits(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    status, out, _ = bowden("check", "config", bench, "--json")
+    assert (status, "streams" in json.loads(out)) == (0, True)
+
+
+def test_check_says_what_a_device_lacks(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    bench.write_text(TABLE.replace("3010", "9999"))
+    status, out, _ = bowden("check", "config", bench, "--json")
+    assert status == 1
+    assert "no object 9999" in json.loads(out)["lacks"][0]
+
+
+def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    bench.write_text("[network]\nfittings = []\n")
+    status, out, err = bowden("check", "config", bench)
+    assert (status, out) == (2, "")
+    assert "unknown key fittings" in err

@@ -1,0 +1,47 @@
+"""Every command explains itself: a first line that fits the list, and an example."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import typer.main
+
+from bowden import commands
+from bowden.app import app
+
+
+def names(group: object = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield every command as its words."""
+    if group is None:
+        commands.load()
+        group = typer.main.get_command(app)
+    for name, command in getattr(group, "commands", {}).items():
+        if getattr(command, "commands", None):
+            yield from names(command, (*path, name))
+        else:
+            yield (*path, name)
+
+
+@pytest.mark.parametrize("command", list(names()), ids=" ".join)
+def test_help_has_a_line_and_an_example(bowden: Callable[..., tuple[int, str, str]], command: tuple[str, ...]) -> None:
+    status, out, err = bowden(*command, "--help")
+    assert (status, err) == (0, "")
+    told = " ".join(out.split())
+    assert "Example: bowden" in told
+    assert f"bowden {' '.join(command)}" in told.split("Example: ")[1]
+
+
+def test_the_list_of_commands_is_not_cut(bowden: Callable[..., tuple[int, str, str]]) -> None:
+    status, out, _ = bowden("--help")
+    assert status == 0
+    assert not [line for line in out.splitlines() if line.startswith("  ") and line.endswith("...")]
+
+
+def test_no_command_shows_the_help(bowden: Callable[..., tuple[int, str, str]]) -> None:
+    assert bowden()[:2] == bowden("--help")[:2]
+
+
+def test_an_unknown_command_is_one_sentence(bowden: Callable[..., tuple[int, str, str]]) -> None:
+    status, out, err = bowden("trail")
+    assert (status, out, err.count("\n")) == (2, "", 1)

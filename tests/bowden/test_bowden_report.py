@@ -1,0 +1,43 @@
+"""`bowden report` as a user types it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import trial
+
+
+def record(path: Path) -> None:
+    recorder = trial.Recorder(path, metadata={"bitrate": "1000000"}, attachments={}, threaded=False)
+    for row in range(100):
+        recorder.frame(row * 1_000_000, 0x181, bytes(8))
+        recorder.cycle(row * 1_000_000, [row / 1000, *[0.5] * (len(trial.SIGNALS) - 1)])
+    recorder.close({"outcome": "completed"})
+
+
+def test_report_writes_one_page_and_says_how_large(bowden: Callable[..., Any], here: Path) -> None:
+    record(here / "trial.mcap")
+    told = bowden("report", "trial.mcap", "-o", "report.html", "--json")
+    assert (told.status, told.stderr) == (0, "")
+    assert json.loads(told.stdout) == {"report": "report.html", "bytes": (here / "report.html").stat().st_size}
+    assert sorted(path.name for path in here.iterdir()) == ["report.html", "trial.mcap"]
+
+
+def test_report_keeps_what_is_there(bowden: Callable[..., Any], here: Path) -> None:
+    record(here / "trial.mcap")
+    (here / "report.html").write_text("mine")
+    told = bowden("report", "trial.mcap", "-o", "report.html")
+    assert told.status == 2
+    assert told.stderr == "bowden: report.html: the file exists; give another name or --overwrite.\n"
+    assert (here / "report.html").read_text() == "mine"
+    assert bowden("report", "trial.mcap", "-o", "report.html", "--overwrite").status == 0
+
+
+def test_report_refuses_what_is_no_trial(bowden: Callable[..., Any], here: Path) -> None:
+    (here / "trial.mcap").write_bytes(b"no trial")
+    told = bowden("report", "trial.mcap", "-o", "report.html", "--json")
+    assert (told.status, told.stdout) == (2, "")
+    assert not (here / "report.html").exists()

@@ -1,0 +1,129 @@
+"""A sweep end to end: the figures of `bowden trial`, resumed, interrupted, identified once, on a Dask cluster."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bowden import config, sweep_rows, sweep_run
+from bowden.sweep_table import Table
+from bowden.sweep_trial import FIGURES
+from master.calibration import nominal, write
+
+SHORT = ("--grid", "cycles=2", "--grid", "period=0.6", "--grid", "controller=none")
+
+
+def lines(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def planned(*axes: str) -> list[sweep_rows.Row]:
+    short = ("cycles=2", "period=0.6", "controller=none")
+    return sweep_rows.rows(config.read(None), {}, [sweep_rows.axis(text) for text in (*short, *axes)])
+
+
+def test_a_row_holds_what_the_trial_says_and_a_second_sweep_continues(bowden: Callable[..., Any], here: Path) -> None:
+    told = bowden("sweep", *SHORT, "--grid", "serial=2", "--workers", 1, "-o", "t.csv", "--json")
+    assert told.status == 0, told.stderr
+    assert json.loads(told.stdout) == {"table": "t.csv", "trials": 1, "resumed": 0, "not_completed": 0}
+    alone = bowden("trial", "--cycles", 2, "--period", 0.6, "--controller", "none", "--serial", 2, "-o", "t.mcap",
+                   "--json")
+    expected = json.loads(alone.stdout)
+    assert tuple(expected) == FIGURES
+    (row,) = lines(here / "t.csv")
+    for name in set(FIGURES) - {"trial", "wall_s"}:
+        value = expected[name]
+        assert row[name] == ("" if value is None else repr(value) if isinstance(value, float) else str(value)), name
+    (here / "kept").mkdir()
+    again = bowden("sweep", *SHORT, "--grid", "serial=1-2", "--workers", 1, "-o", "t.csv", "--json", "--keep", "kept")
+    assert json.loads(again.stdout)["resumed"] == 1
+    first, second = lines(here / "t.csv")
+    assert second == row
+    assert Path(first["trial"]).parent == here / "kept"
+    assert Path(first["trial"]).is_file()
+
+
+def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> None:
+    rows = planned("serial=1-6")
+
+    with (ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table,
+          pytest.raises(KeyboardInterrupt)):
+        sweep_run.sweep(rows, table, sweep_run.Workers(executor, 1), tmp_path / "c", update=_interrupting())
+    done = [row["bench.serial"] for row in lines(tmp_path / "t.csv")]
+    assert done[0] == "1"
+    assert len(done) in (1, 2)
+    assert all(row["outcome"] == "completed" for row in lines(tmp_path / "t.csv"))
+
+
+def _interrupting() -> Callable[[float], None]:
+    calls: list[float] = []
+
+    def update(share: float) -> None:
+        calls.append(share)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+
+    return update
+
+
+def test_a_trial_that_is_refused_is_a_row_that_says_why(tmp_path: Path) -> None:
+    soft = tmp_path / "soft.toml"
+    soft.write_text(write(nominal()).replace("value = -1.7e-06", "value = -3e-06"))
+    rows = planned(f"calibration={soft}", "peak=60")
+    with ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table:
+        sweep_run.sweep(rows, table, sweep_run.Workers(executor, 1), tmp_path / "c")
+    (row,) = lines(tmp_path / "t.csv")
+    assert row["outcome"] == "refused"
+    assert "turning point" in row["stop_reason"]
+
+
+@pytest.mark.slow
+def test_a_bench_is_identified_once_and_its_calibration_kept(bowden: Callable[..., Any], here: Path) -> None:
+    wanted = ("sweep", *SHORT, "--grid", "day=1", "--grid", "serial=3", "--identify", "--workers", 1, "-o", "t.csv",
+              "--json")
+    assert bowden(*wanted, "--grid", "peak=40,50").status == 0
+    (calibration,) = (here / "t.calibrations").iterdir()
+    stamp = calibration.stat().st_mtime_ns
+    assert {row["calibration"] for row in lines(here / "t.csv")} == {f"t.calibrations/{calibration.name}"}
+    assert bowden(*wanted, "--grid", "peak=40,50,60").status == 0
+    assert calibration.stat().st_mtime_ns == stamp
+    assert len(lines(here / "t.csv")) == 3
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    (("--grid", "paek=40"), "did you mean peak"),
+    (("--identify", "--calibration", "c.toml"), "leave one of them out"),
+    (("--keep", "absent"), "--keep absent: is no directory"),
+    (("--draws", "0"), "whole numbers from 1"),
+])
+def test_bad_input_ends_in_a_sentence_and_no_table(
+    bowden: Callable[..., Any], here: Path, more: tuple[str, ...], said: str
+) -> None:
+    told = bowden("sweep", *more, "-o", "t.csv")
+    assert told.status == 2
+    assert told.stdout == ""
+    assert said in told.stderr
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.walltime
+def test_a_dask_cluster_of_two_workers_gives_the_same_table(bowden: Callable[..., Any], here: Path) -> None:
+    dask = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    with dask.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        told = bowden("sweep", *SHORT, "--grid", "serial=1-3", "--scheduler", cluster.scheduler_address, "-o",
+                      "far.csv", "--json")
+    assert told.status == 0, told.stderr
+    near = bowden("sweep", *SHORT, "--grid", "serial=1-3", "--workers", 1, "-o", "near.csv", "--json")
+    assert near.status == 0
+    far_lines, near_lines = (
+        [{name: cell for name, cell in row.items() if name != "wall_s"} for row in lines(here / name)]
+        for name in ("far.csv", "near.csv"))
+    assert far_lines == near_lines
+    assert len(far_lines) == 3

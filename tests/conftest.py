@@ -1,0 +1,153 @@
+"""What the tests of several rooms share: a page opened as a reader opens it, in headless Chromium."""
+
+from __future__ import annotations
+
+import base64
+import fcntl
+import io
+import itertools
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+         "--disable-background-networking", "--disable-component-update", "--hide-scrollbars", "--window-size=1200,900")
+AS_3_AND_4 = """import os, sys
+os.dup2(int(sys.argv[1]), 3)
+os.dup2(int(sys.argv[2]), 4)
+os.execv(sys.argv[3], sys.argv[3:])"""  # the descriptors at which --remote-debugging-pipe reads and writes
+PATIENCE_S = 120.0  # a browser that says nothing for so long has hung
+
+
+class Box(NamedTuple):
+    """A rectangle of the document, in CSS pixels."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+class Browser:
+    """One page in Chromium, spoken to over its debugging pipe; `requests` and `complaints` since `open`."""
+
+    def __init__(self, profile: Path) -> None:
+        assert CHROMIUM is not None
+        (ours_in, theirs_out), (theirs_in, ours_out) = os.pipe(), os.pipe()
+        high = [fcntl.fcntl(fd, fcntl.F_DUPFD, 20) for fd in (theirs_in, theirs_out)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", AS_3_AND_4, *map(str, high), CHROMIUM, *FLAGS, f"--user-data-dir={profile}",
+             "--remote-debugging-pipe", "about:blank"],
+            pass_fds=high, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for fd in (theirs_in, theirs_out, *high):
+            os.close(fd)
+        self._in, self._out, self._rest = ours_in, ours_out, b""
+        self._numbers = itertools.count(1)
+        self._session: str | None = None
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        targets = self.call("Target.getTargets")["targetInfos"]
+        page = next(target["targetId"] for target in targets if target["type"] == "page")
+        self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Call a method of the Chrome DevTools protocol and return its result."""
+        number = next(self._numbers)
+        request = {"id": number, "method": method, "params": parameters}
+        if self._session:
+            request["sessionId"] = self._session
+        os.write(self._out, json.dumps(request).encode() + b"\0")
+        while True:
+            answer = self._receive()
+            if answer.get("id") == number:
+                assert "error" not in answer, f"{method}: {answer['error']}"
+                return answer["result"]
+
+    def _receive(self) -> Any:
+        while b"\0" not in self._rest:
+            assert select.select([self._in], [], [], PATIENCE_S)[0], "Chromium says nothing"
+            data = os.read(self._in, 1 << 20)
+            assert data, "Chromium has ended"
+            self._rest += data
+        text, _, self._rest = self._rest.partition(b"\0")
+        message = json.loads(text)
+        told, event = message.get("method"), message.get("params", {})
+        if told == "Network.requestWillBeSent":
+            self.requests.append(event["request"]["url"])
+        elif told == "Runtime.exceptionThrown":
+            self.complaints.append(event["exceptionDetails"].get("exception", {}).get("description", "exception"))
+        elif told == "Log.entryAdded":
+            self.complaints.append(event["entry"]["text"])
+        return message
+
+    def open(self, path: Path) -> None:
+        """Load a file and wait until it is loaded and drawn."""
+        self.requests.clear()
+        self.complaints.clear()
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        while self._receive().get("method") != "Page.loadEventFired":
+            pass
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until what was asked for is painted."""
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))")
+
+    def run(self, script: str) -> Any:
+        """Return the value of a JavaScript expression, awaited."""
+        found = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def box(self, selector: str) -> Box:
+        """Scroll the element that a CSS selector finds into view and return where it stands in the window."""
+        return Box(*self.run(
+            f"(() => {{ const element = document.querySelector({json.dumps(selector)});"
+            "element.scrollIntoView({block: 'center', behavior: 'instant'});"
+            "const box = element.getBoundingClientRect(); return [box.x, box.y, box.width, box.height]; })()"))
+
+    def mouse(self, kind: str, x: float, y: float, clicks: int = 1) -> None:
+        """Send a mouse event: mousePressed, mouseMoved or mouseReleased."""
+        button = "none" if kind == "mouseMoved" else "left"
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=clicks)
+
+    def pixels(self, box: Box) -> NDArray[np.uint8]:
+        """Return a part of the window as it is shown: (height, width, 3)."""
+        from matplotlib.image import imread
+
+        x, y = self.run("[scrollX, scrollY]")
+        place = box._replace(x=box.x + x, y=box.y + y)._asdict()
+        data = self.call("Page.captureScreenshot", format="png", clip={**place, "scale": 1})["data"]
+        shown: NDArray[np.float64] = imread(io.BytesIO(base64.b64decode(data)), format="png")
+        return (shown[:, :, :3] * 255).astype(np.uint8)
+
+    def close(self) -> None:
+        """End the browser."""
+        self._session = None
+        self.call("Browser.close")
+        self._process.wait(PATIENCE_S)
+        os.close(self._in)
+        os.close(self._out)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A browser for the whole session, with a profile of its own."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
+    opened = Browser(tmp_path_factory.mktemp("chromium"))
+    yield opened
+    opened.close()

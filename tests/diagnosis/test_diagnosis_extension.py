@@ -1,0 +1,79 @@
+"""extended.toml: what was found is what simulator and controller load."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis.data import Table, table
+from diagnosis.extension import read, text
+from diagnosis.finder import Diagnosis
+from parameters import InputError
+from physics.effects import CATALOGUE, apply, complete
+from virtual_bus import plant_model
+
+TRIAL: Table = table("runs/gait.mcap", {"time_s": np.arange(0.0, 13.0, 0.5), "tension_end_n": np.ones(26)})
+
+
+def cause(name: str, **values: float) -> dict[str, Any]:
+    units = {p.name: p.unit for p in CATALOGUE[name].parameters}
+    told = {key: {"value": value, "low": 0.9 * value, "high": 1.1 * value, "unit": units[key]}
+            for key, value in values.items()}
+    return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "gain_percent": 31.234}
+
+
+def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
+    found = Diagnosis("ambiguous", [cause("presliding", presliding=4e-4), cause("end_gain", end_gain=1.05)],
+                      ["presliding", "end_gain", "stiffness"], "amplitude_sweep", lowpass_hz=20.0, reference="nominal")
+    path = tmp_path / "extended.toml"
+    path.write_text(text(found, [TRIAL]), encoding="utf-8")
+    extension = read(path)
+    assert extension.effects == {"presliding": {"presliding": 4e-4}, "end_gain": {"end_gain": 1.05}}
+    assert extension.evidence["on"] == ["gait.mcap"]
+    assert extension.evidence["class"] == ["presliding", "end_gain", "stiffness"]
+    assert extension.evidence["gain_percent"] == {"presliding": 31.23, "end_gain": 31.23}
+    assert extension.evidence["lowpass_hz"] == 20.0
+    assert plant_model.read(str(path)).effects == apply(extension.effects)
+
+
+def test_an_effect_per_trial_says_how_long_the_trial_was(tmp_path: Path) -> None:
+    path = tmp_path / "extended.toml"
+    drift = Diagnosis("found", [cause("friction_drift", friction_drift=0.4)], ["friction_drift"], reference="nominal")
+    path.write_text(text(drift, [TRIAL]), encoding="utf-8")
+    assert plant_model.read(str(path)).effects["plant"]["friction_drift_s"] == 12.5
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_every_effect_of_the_catalogue_can_be_written_and_read(name: str, tmp_path: Path) -> None:
+    values = {p.name: 0.75 * p.likely[0] + 0.25 * p.likely[1] for p in CATALOGUE[name].parameters}
+    path = tmp_path / "extended.toml"
+    found = Diagnosis("found", [cause(name, **values)], [name], reference="nominal")
+    path.write_text(text(found, [TRIAL]), encoding="utf-8")
+    told = read(path).effects[name]
+    assert {key: told[key] for key in values} == values
+    assert complete(name, told)
+
+
+def test_nothing_found_is_an_empty_model(tmp_path: Path) -> None:
+    path = tmp_path / "extended.toml"
+    path.write_text(text(Diagnosis("none"), [TRIAL]), encoding="utf-8")
+    assert read(path).effects == {}
+
+
+def test_a_refused_trial_extends_nothing() -> None:
+    with pytest.raises(InputError, match=r"gait\.mcap: refused"):
+        text(Diagnosis("refused", warnings=["a clock runs fast"]), [TRIAL])
+
+
+@pytest.mark.parametrize(("written", "says"), [
+    ("[plant]\nmu1 = 0.1\n", "unknown table plant"), ("found = 3\n", "found is not a table"),
+    ("[effects.gremlin]\n", "gremlin is not in the catalogue"),
+])
+def test_another_file_is_refused(written: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.toml"
+    path.write_text(written, encoding="utf-8")
+    with pytest.raises(InputError, match=f"{path.name}.*{says}"):
+        read(path)

@@ -1,0 +1,117 @@
+"""The page of a diagnosis and its paragraph: what was found is said, drawn and ranked, and nothing is loaded."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis import residuals, words
+from diagnosis.data import Table, table
+from diagnosis.finder import Diagnosis
+from diagnosis.fit import solve
+from diagnosis.report import build, write
+from diagnosis.search import Found, Model
+from diagnosis.setting import settle
+from diagnosis.verdict import Figures
+from physics.effects import CATALOGUE
+from physics.models import RELATIONS
+from tests.hidden.bench import Bench, trial
+
+
+@pytest.fixture(scope="module")
+def measured() -> Table:
+    """Four gait cycles of the bench written apart, its sheath rubbing too much."""
+    return table("rubbing.csv", trial(Bench(cap=0.25), seed=1, cycles=4))
+
+
+@pytest.fixture(scope="module")
+def found(measured: Table) -> Diagnosis:
+    """A diagnosis as the finder gives it, of two models fitted here."""
+    setting = settle([measured], (), None)
+    candidate = next(c for c in setting.offered if c.name == "cable_friction")
+    free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.slots)
+    plain = solve(setting.problem, setting.reference.values, setting.reference.nuisance)
+    fitted = solve(setting.problem, {**plain.values, **candidate.starts[-1]}, (*free, *candidate.frees))
+    base, best = (Model(effects, fit, {"friction": 2.0 * fit.cost})
+                  for effects, fit in (((), plain), ((candidate,), fitted)))
+    figures = {name: Figures(relation.unit, name in setting.checked, 0.25, 2.0, 0.5, 2.2, 0.6, 75.0, 70.0, 79.0)
+               if name in setting.checked else Figures(relation.unit, False) for name, relation in RELATIONS.items()}
+    cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
+        "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}}}
+    return Diagnosis("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
+                     ["the clock is told from one column"], {"smallest": {"mu1": 0.02}}, 1.0, None, "nominal",
+                     Found(base, best, (best, base)))
+
+
+def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: Diagnosis) -> None:
+    said = words.paragraph(found)
+    assert CATALOGUE["cable_friction"].words in said
+    assert "falls by 75 % (95 %: 70 … 79 %), from 2 to 0.5" in said
+    assert "from 2.2 to 0.6" in said
+    assert "cannot tell this from fabric_friction (the fabric rubs on the knee" in said
+    assert "change the sheath's bend by a known angle" in said
+
+
+@pytest.mark.parametrize(("verdict", "says"), [
+    ("none", "Nothing was found"), ("refused", "contradict themselves"), ("unexplained", "no effect of the catalogue"),
+])
+def test_every_verdict_has_its_words(verdict: str, says: str) -> None:
+    assert says in words.paragraph(Diagnosis(verdict))
+
+
+def test_the_page_draws_every_checked_relation_from_every_side(found: Diagnosis, measured: Table) -> None:
+    html = build(found, [measured], [measured]).html()
+    for name, figures in found.relations.items():
+        sides = set(re.findall(rf'aria-label="{name} by ([a-z ]+)"', html))
+        wanted = {"phase", "load", "knee angle", "rope", "time", "load and direction"} if figures.checked else set()
+        assert sides == wanted
+        assert (f'aria-label="{name}: {RELATIONS[name].output}"' in html) == figures.checked
+    assert "Held-out trials" in html
+    assert "the clock is told from one column" in html
+
+
+def test_the_page_ranks_what_was_rejected(found: Diagnosis, measured: Table) -> None:
+    html = build(found, [measured], []).html()
+    assert re.search(r"<td[^>]*>cable_friction</td><td[^>]*>chosen</td>", html)
+    assert re.search(r"<td[^>]*>healthy</td><td[^>]*>rejected</td>", html)
+
+
+def test_the_page_is_written_whole_and_loads_nothing(found: Diagnosis, measured: Table, tmp_path: Path) -> None:
+    path = tmp_path / "diagnosis.html"
+    assert write(found, [measured], [], path) == path.stat().st_size
+    html = path.read_text(encoding="utf-8")
+    assert "default-src 'none'" in html
+    assert not re.search(r"<(?:script|link|img)[^>]+(?:src|href)=", html)
+
+
+def test_a_refused_diagnosis_has_a_page_too(measured: Table) -> None:
+    html = build(Diagnosis("refused", warnings=["velocity is no derivative"]), [measured], []).html()
+    assert "velocity is no derivative" in html
+    assert "contradict themselves" in html
+
+
+def test_residuals_are_what_was_measured_less_what_was_simulated(found: Diagnosis, measured: Table) -> None:
+    parts = residuals.compared(found, [measured])
+    assert set(parts) == {name for name, figures in found.relations.items() if figures.checked}
+    first = parts["friction"][0]
+    assert residuals.rms(first.after) < 0.5 * residuals.rms(first.before)
+    assert np.isin(first.measured, first.block.signals["tension_start_n"]).all()
+
+
+def test_bins_hold_the_mean_and_the_spread() -> None:
+    along = np.repeat([0.0, 1.0], 50)
+    centres, mean, square = residuals.binned(along, np.tile([3.0, 1.0], 50), bins=2)
+    np.testing.assert_allclose(centres, [0.25, 0.75])
+    np.testing.assert_allclose(mean, 2.0)
+    np.testing.assert_allclose(square, np.sqrt(5.0))
+    assert np.isnan(residuals.binned(np.append(along, 9.0), np.zeros(101), bins=9)[1][-1])
+
+
+def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: Diagnosis) -> None:
+    elsewhere = dataclasses.replace(found, reference="none", experiment="two_peaks")
+    assert "bowden trial" not in words.paragraph(elsewhere)
+    assert "bowden trial --experiment two_peaks" in words.paragraph(dataclasses.replace(found, experiment="two_peaks"))

@@ -1,0 +1,67 @@
+"""A calibration: scalars with evidence, read back as written, refused where it does not belong."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from master import calibration
+from master.calibration import Calibration, Evidence
+from parameters import InputError
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "calibration.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_at_most_thirty_scalars_and_no_sequence() -> None:
+    names = calibration.scalars()
+    assert len(names) <= 30
+    assert all(isinstance(getattr(calibration.nominal(), name), float) for name in names)
+
+
+def test_reads_back_what_it_wrote(tmp_path: Path) -> None:
+    evidence = {"stiffness_b": Evidence(2.9e-4, 3.1e-4, 0.98, "2025-11-20", "stiffness.mcap")}
+    made = dataclasses.replace(calibration.nominal(), stiffness_b=3.05e-4, bench="7", evidence=evidence)
+    path = written(tmp_path, calibration.write(made))
+    back = calibration.read(path, bench="7")
+    assert [getattr(back, name) for name in calibration.scalars()] == [
+        getattr(made, name) for name in calibration.scalars()]
+    assert back.evidence["stiffness_b"] == evidence["stiffness_b"]
+    assert (back.bench, back.label) == ("7", str(path))
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("version = 1", "version = 2", "version = 2, expected 1"),
+    ('bench = "7"', 'bench = "8"', "bench = '8', but the bench on the bus is '7'"),
+    ("[scalars.swing_k]", "[scalars.swing_q]", "unknown scalar swing_q"),
+    ('unit = "m/rad"', 'unit = "mm/deg"', "swing_k is in 'mm/deg', expected 'm/rad'"),
+    ("value = 0.13", "value = 13.0", r"cable_exponent = 13\.0 is outside 0 … 1"),
+    ("value = 0.13", 'value = "much"', "cable_exponent = 'much' is not a number"),
+    ("value = 0.13", "value = 0.13\ninterval = [0.2, 0.1]", "low above high"),
+    ("value = 0.13", "value = 0.13\ninterval = [0.2]", r"expected \[low, high\]"),
+])
+def test_refuses_with_the_reason(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = calibration.write(dataclasses.replace(calibration.nominal(), bench="7"))
+    assert text.count(old) >= 1
+    path = written(tmp_path, text.replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        calibration.read(path, bench="7")
+
+
+def test_a_missing_scalar_is_named(tmp_path: Path) -> None:
+    text = re.sub(r"\[scalars\.presliding\][^\[]*", "", calibration.write(calibration.nominal()))
+    with pytest.raises(InputError, match="scalar presliding is missing"):
+        calibration.read(written(tmp_path, text))
+
+
+def test_a_peak_beyond_the_turning_point_is_refused() -> None:
+    soft = Calibration(stiffness_a=-3e-6)
+    calibration.refuse_beyond_validity(soft, 49.0)
+    with pytest.raises(InputError, match=r"60 N is beyond the turning point.*50\.0 N"):
+        calibration.refuse_beyond_validity(soft, 60.0)

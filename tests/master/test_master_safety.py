@@ -1,0 +1,26 @@
+"""Safety's table: every condition has a reaction, and none of them holds the rope."""
+
+from __future__ import annotations
+
+import pytest
+
+from eds.bench import END, KNEE, SERVO, START
+from master.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
+
+
+def test_every_condition_has_a_row() -> None:
+    assert {condition for condition, _ in REACTIONS} == set(Condition)
+
+
+@pytest.mark.parametrize("condition", [Condition.NODE_LOST, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
+def test_the_rope_is_unwound_only_while_start_and_servo_are_there(condition: Condition) -> None:
+    by_node = {node: REACTIONS[condition, node] for node in (SERVO, KNEE, START, END)}
+    assert by_node == {SERVO: Reaction.RELEASE, KNEE: Reaction.UNWIND, START: Reaction.RELEASE, END: Reaction.UNWIND}
+
+
+def test_a_node_that_is_not_of_the_bench_unwinds() -> None:
+    assert reaction_to(StopError(Condition.EMERGENCY, "node 9", 9)) is Reaction.UNWIND
+
+
+def test_the_text_says_what_and_how_much() -> None:
+    assert str(StopError(Condition.END_LIMIT, "95.1 N of 90 N", END)) == "END tension above its limit: 95.1 N of 90 N"

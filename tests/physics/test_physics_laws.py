@@ -1,0 +1,95 @@
+"""The paper's printed and derived figures, and the laws' own identities."""
+
+import math
+
+import numpy as np
+import pytest
+
+from physics import laws
+
+# Printed to 0.01°, so half a unit of the last place.
+ROUNDING_DEG = 0.005
+
+
+@pytest.mark.parametrize(
+    ("percent", "degrees"),
+    [(0, -6.91), (10, -25.52), (13, -28.44), (20, -30.47), (30, -24.63), (70, -72.30), (100, -10.10)],
+)
+def test_knee_angle_eq1(percent: float, degrees: float) -> None:
+    assert math.degrees(laws.knee_angle(percent)) == pytest.approx(degrees, abs=ROUNDING_DEG)
+
+
+def test_knee_angle_least_value_and_open_seam() -> None:
+    angles = np.degrees(laws.knee_angle(np.linspace(0.0, 100.0, 10_001)))
+    assert angles.min() == pytest.approx(-73.54, abs=ROUNDING_DEG)
+    assert math.degrees(laws.knee_angle(0.0, 1)) == pytest.approx(-2.44, abs=ROUNDING_DEG)
+    assert math.degrees(laws.knee_angle(100.0, 1)) == pytest.approx(-0.16, abs=ROUNDING_DEG)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_knee_angle_derivative_is_the_derivative(order: int) -> None:
+    h = 1e-3
+    t = np.linspace(1.0, 99.0, 50)
+    difference = (laws.knee_angle(t + h, order - 1) - laws.knee_angle(t - h, order - 1)) / (2 * h)
+    # central difference: h²/6·θ''' < 1e-9 rad
+    np.testing.assert_allclose(laws.knee_angle(t, order), difference, atol=1e-8)
+
+
+@pytest.mark.parametrize("peak", [40.0, 50.0, 60.0])
+def test_desired_force_eq2(peak: float) -> None:
+    t = np.array([0.0, 9.999, 10.0, 15.0, 20.0, 25.0, 29.9999, 30.0, 70.0])
+    expected = peak * np.array([0, 0, 0, math.sqrt(0.5), 1, math.sqrt(0.5), 0, 0, 0])
+    np.testing.assert_allclose(laws.desired_force(t, peak), expected, atol=2e-3)
+    assert laws.desired_force(20.0, peak) == peak
+
+
+def test_friction_laws_compensate_their_own_loss() -> None:
+    for v in (-0.1, 0.0, 0.1):
+        assert laws.cable_output(laws.cable_input(40.0, 0.157, v), 0.157, v) == pytest.approx(40.0, rel=1e-14)
+        assert laws.fabric_output(laws.fabric_input(40.0, 0.1, v), 0.1, v) == pytest.approx(40.0, rel=1e-14)
+    assert laws.fabric_input(40.0, 0.1, 1.0) == pytest.approx(laws.capstan(40.0, 0.1), rel=1e-14)
+
+
+def test_losses_added_drop_the_product_term() -> None:
+    series = laws.series_input(1.0, 0.157, 1.0, 0.1, 1.0)
+    added = 1.0 + laws.cable_loss(1.0, 0.157, 1.0) + laws.fabric_loss(1.0, 0.1, 1.0)
+    assert series - added == pytest.approx(0.018, abs=0.0005)
+    assert series == pytest.approx(laws.cable_input(laws.fabric_input(1.0, 0.1, 1.0), 0.157, 1.0), rel=1e-14)
+
+
+@pytest.mark.parametrize(("force", "mm"), [(20.0, 15.02), (40.0, 18.98), (60.0, 21.58)])
+def test_stiffness_eq10(force: float, mm: float) -> None:
+    assert laws.stiffness_displacement(force) == pytest.approx(mm * 1e-3, abs=1e-12)
+    assert laws.stiffness_force(mm * 1e-3) == pytest.approx(force, rel=1e-12)
+
+
+def test_stiffness_slope_and_turning_point() -> None:
+    assert laws.stiffness_slope(40.0) == pytest.approx(0.164e-3, rel=1e-12)
+    assert pytest.approx(88.2, abs=0.05) == laws.STIFFNESS_TURNING_N
+    beyond = laws.stiffness_displacement(laws.STIFFNESS_TURNING_N) + 1e-6
+    assert math.isnan(laws.stiffness_force(beyond))
+
+
+def test_swing_eq11_and_the_zeros_that_differ() -> None:
+    at_fit = laws.knee_angle(13.0)
+    assert laws.swing_displacement(at_fit) == pytest.approx(2.09e-3, abs=0.005e-3)
+    assert laws.rope_position(20.0, at_fit) == pytest.approx(15.02e-3, abs=1e-12)
+    assert laws.rope_position(20.0, at_fit + math.radians(1.0)) == pytest.approx(15.726e-3, abs=1e-12)
+
+
+def test_impedance_eq12_to_15() -> None:
+    assert laws.impedance_response(0.0) == pytest.approx(3.333e-3, abs=5e-7)
+    assert pytest.approx(1 / 3, rel=1e-12) == laws.IMPEDANCE_B / laws.IMPEDANCE_K
+    s = 2j * math.pi * 3.0
+    x = laws.impedance_response(s, mass=0.2)
+    assert laws.impedance_force(0.2, laws.IMPEDANCE_B, laws.IMPEDANCE_K, x, s * x, s * s * x) == pytest.approx(1.0)
+
+
+def test_impedance_step_is_exact_for_a_held_error() -> None:
+    once = laws.impedance_step(0.0, 5.0, 1 / 3)
+    assert once == pytest.approx(5.0 / 300.0 * (1 - math.exp(-1)), rel=1e-12)
+    many = 0.0
+    for _ in range(100):
+        many = laws.impedance_step(many, 5.0, 1 / 300)
+    assert many == pytest.approx(once, rel=1e-12)
+    assert laws.impedance_step(0.0, 5.0, 0.02, stiffness=0.0) == pytest.approx(1e-3, rel=1e-12)

@@ -1,0 +1,41 @@
+"""What docs/replay.md names exists, and its tables are the code's."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from master.replay_player import TRANSITIONS
+
+TEXT = (Path(__file__).parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")
+COMMANDS = [line.split("#")[0].split()[1:] for line in TEXT.split("```")[1].splitlines() if line.startswith("bowden")]
+
+
+def test_every_test_that_the_page_names_exists() -> None:
+    named = set(re.findall(r"`(test_\w+)`", TEXT))
+    written = {name for path in Path(__file__).parent.glob("test_*.py")
+               for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)}
+    assert len(named) > 20
+    assert named <= written
+
+
+def test_the_page_has_the_player_s_table() -> None:
+    rows = re.findall(r"^\| (\w+) \| (\w+) \| (\w+) \|$", TEXT, re.MULTILINE)
+    assert rows == [(state.value, command.value, then.value) for (state, command), then in TRANSITIONS.items()]
+
+
+def test_the_page_s_commands_run(
+    bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    statuses = []
+    for words in COMMANDS:
+        if "socketcan" in words:
+            place = words.index("--interface")
+            words = [*words[:place], *words[place + 4:]]  # the virtual bus in the kernel's place
+        statuses.append(bowden(*words).status)
+    assert statuses == [0, 0, 0, 1, 0, 0]

@@ -1,0 +1,135 @@
+"""Bench and master as two processes of one computer, as the command line starts them.
+
+The rule of this file: each process is forked with everything imported and runs one command line; the only thing
+waited for is what comes over the bus or how a process ends.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import can
+
+from bowden.app import run
+from master import experiment, transfer  # noqa: F401  imported before the fork
+from master.socketcan import KernelBus
+from physics import plant
+from trial import read
+from virtual_bus import serve  # noqa: F401  imported before the fork
+
+wall_clock = time.time_ns
+PATIENCE_S = 60
+"""After this long, of the kernel's own time, a process tells where it hangs and ends."""
+plant.prepare()
+transfer.prepare()
+
+
+class Told(NamedTuple):
+    """What a command line said."""
+
+    status: int
+    result: dict[str, Any]
+    stderr: str
+
+
+class Process:
+    """A forked process that runs `job` and ends; its standard streams go to files in `folder`."""
+
+    def __init__(self, folder: Path, name: str, job: Callable[[], int]) -> None:
+        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
+        self.pid = os.fork()
+        if not self.pid:
+            self._become(job)
+
+    def _become(self, job: Callable[[], int]) -> None:
+        status = 70
+        with self._err.open("w") as hung:  # closed by the end of the process
+            faulthandler.dump_traceback_later(PATIENCE_S, exit=True, file=hung)
+            self._run(job, status)
+
+    def _run(self, job: Callable[[], int], status: int) -> None:
+        try:
+            out, err = io.StringIO(), io.StringIO()
+            try:
+                with redirect_stdout(out), redirect_stderr(err):
+                    status = job()
+            except BaseException:
+                err.write(traceback.format_exc())
+            self._out.write_text(out.getvalue())
+            self._err.write_text(err.getvalue())
+        finally:
+            os._exit(status)
+
+    def wait(self) -> Told:
+        """How it ended, and its JSON object."""
+        _, code = os.waitpid(self.pid, 0)
+        self.pid = 0
+        text = self._out.read_text()
+        return Told(os.waitstatus_to_exitcode(code), json.loads(text) if text.strip() else {}, self._err.read_text())
+
+    def end(self) -> Told:
+        """Ask it to end, as a terminal or a service manager would."""
+        os.kill(self.pid, signal.SIGTERM)
+        return self.wait()
+
+
+def bowden(folder: Path, *arguments: object) -> Process:
+    """Start one command line of `bowden`."""
+    name = f"{arguments[0]}-{len(list(folder.iterdir()))}"
+    return Process(folder, name, lambda: run([*map(str, arguments), "--json"]))
+
+
+@contextmanager
+def bench(folder: Path, channel: str, *arguments: object) -> Iterator[Process]:
+    """`bowden bench` on a channel, its four nodes booted."""
+    with KernelBus(channel) as watching:
+        process = bowden(folder, "bench", "--interface", "socketcan", "--channel", channel, *arguments)
+        booting = {0x701, 0x702, 0x703, 0x704}
+        while booting:
+            heard = watching.recv(60.0)
+            assert heard is not None, "the bench did not boot"
+            booting.discard(heard.arbitration_id)
+    try:
+        yield process
+    finally:
+        if process.pid:
+            told = process.end()
+            print("bench:", told)
+
+
+def trial(folder: Path, channel: str, *arguments: object) -> Process:
+    """`bowden trial` on a channel into trial.mcap."""
+    return bowden(folder, "trial", "--interface", "socketcan", "--channel", channel, "-o", folder / "trial.mcap",
+                  *arguments)
+
+
+def heard(bus: can.BusABC, can_id: int, count: int = 1) -> can.Message:
+    """The `count`-th frame with an identifier from now on."""
+    while True:
+        message = bus.recv(30.0)
+        assert message is not None, f"no {can_id:03X}h came"
+        count -= message.arbitration_id == can_id
+        if not count:
+            return message
+
+
+def recorded(folder: Path) -> read.Trial:
+    """The trial that `trial` recorded."""
+    return read.open(folder / "trial.mcap")
+
+
+def shell(command: str) -> None:
+    """Run ip or tc."""
+    subprocess.run(command, shell=True, check=True, stdout=sys.stdout, stderr=sys.stdout)

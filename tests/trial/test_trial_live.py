@@ -1,0 +1,145 @@
+"""The player as a table of states on a handed-in clock, its tape, and the follower of a running bus."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from example_trials import FRAMES_A_CYCLE, PERIOD_NS
+from hypothesis import given
+from hypothesis import strategies as st
+
+import trial
+from eds.bench import Network, wire
+from trial import cdr, decode
+from trial.follow import Follower
+from trial.frames import rows_of
+from trial.live import LONGEST_NS, SPEEDS, TRANSITIONS, Command, Message, Playback, Status, Tape, player
+
+FIRST, LAST = 1_000_000_000, 3_000_000_000
+MS = 1_000_000
+ALL = frozenset((cdr.CYCLE, cdr.FRAMES, cdr.EVENTS))
+
+
+def playing(speed: float = 1.0) -> Playback:
+    return player(FIRST, LAST, 0, speed).told(0, Command.WATCH)
+
+
+def test_it_waits_at_the_start_until_somebody_watches() -> None:
+    waiting = player(FIRST, LAST, 0)
+    assert (waiting.status, waiting.advanced(50 * MS).at_ns) == (Status.READY, FIRST)
+    begun = waiting.advanced(50 * MS).told(50 * MS, Command.WATCH)
+    assert begun.status is Status.PLAYING
+    assert begun.advanced(60 * MS).at_ns == FIRST + 10 * MS
+
+
+def test_every_pair_of_status_and_command_does_what_the_table_says() -> None:
+    for status in Status:
+        for command in Command:
+            one = Playback(FIRST, LAST, FIRST, 0, FIRST, 0, status)
+            assert one.told(0, command).status is TRANSITIONS.get((status, command), status)
+
+
+def test_pause_holds_and_play_goes_on_where_it_stood() -> None:
+    paused = playing().advanced(100 * MS).told(100 * MS, Command.PAUSE)
+    later = paused.advanced(150 * MS)
+    assert later.at_ns == FIRST + 100 * MS
+    assert later.told(150 * MS, Command.PLAY).advanced(160 * MS).at_ns == FIRST + 110 * MS
+
+
+@pytest.mark.parametrize(("asked", "stands"), [(2_000_000_000, 2_000_000_000), (0, FIRST), (9_000_000_000, LAST)])
+def test_a_seek_stays_inside_the_trial(asked: int, stands: int) -> None:
+    assert playing().told(0, Command.PAUSE, seek_ns=asked).at_ns == stands
+
+
+@pytest.mark.parametrize(("asked", "speed"), [(4.0, 4.0), (0.0, 1.0), (-2.0, 1.0), (math.nan, 1.0), (math.inf, 1.0),
+                                              (1e9, SPEEDS[1]), (1e-9, SPEEDS[0])])
+def test_a_speed_is_taken_held_or_left(asked: float, speed: float) -> None:
+    assert playing().told(0, Command.PLAY, speed=asked).speed == speed
+
+
+def test_at_the_end_it_stops_and_begins_again() -> None:
+    ended = playing(100.0).advanced(30 * MS)
+    assert (ended.status, ended.at_ns) == (Status.ENDED, LAST + 1)
+    again = ended.told(30 * MS, Command.PLAY)
+    assert (again.status, again.at_ns) == (Status.PLAYING, FIRST)
+    back = ended.told(30 * MS, Command.PAUSE, seek_ns=FIRST + 5)
+    assert (back.status, back.at_ns) == (Status.PAUSED, FIRST + 5)
+
+
+def test_who_looks_too_seldom_plays_slower() -> None:
+    assert playing().advanced(LONGEST_NS + 700 * MS).at_ns == FIRST + LONGEST_NS
+
+
+@given(st.lists(st.tuples(st.integers(0, 300 * MS), st.sampled_from(Command), st.floats(0.1, 20)), max_size=60))
+def test_whatever_is_pressed_every_moment_is_played_once(steps: list[tuple[int, Command, float]]) -> None:
+    now, clock, reached = playing(), 0, FIRST
+    for wait, command, speed in steps:
+        clock += wait
+        later = now.advanced(clock)
+        assert now.at_ns == reached
+        assert later.at_ns >= now.at_ns
+        if later.status is Status.ENDED:
+            assert later.at_ns == LAST + 1
+            return
+        reached = later.at_ns
+        now = later.told(clock, command, speed=speed)
+
+
+def test_a_tape_played_in_any_spans_is_the_file_once_and_in_order(recorded: Path) -> None:
+    opened = trial.open(recorded)
+    tape = Tape(opened)
+    assert (tape.first_ns, tape.last_ns) == (0, int(opened.frames["time_ns"][-1]))
+    found: list[Message] = []
+    at = tape.first_ns
+    for step in (1, 0, 7 * MS, 333_333, 10**12):
+        found += tape.between(at, at + step, ALL)
+        at += step
+    assert [message.time_ns for message in found] == sorted(message.time_ns for message in found)
+    assert len(found) == len(opened.time_ns) * (1 + FRAMES_A_CYCLE) + len(opened.events)
+    rows = [message.payload for message in found if message.topic == cdr.CYCLE]
+    values = np.array([np.frombuffer(payload, "<f8", offset=12) for payload in rows])
+    np.testing.assert_array_equal(values.T, list(opened.columns.values()))
+    events = [cdr.event_strings(message.payload) for message in found if message.topic == cdr.EVENTS]
+    assert events == [tuple(event[1:]) for event in opened.events]
+
+
+def test_what_nobody_wants_is_left_on_the_tape_and_a_seek_shows_the_last_of_each(recorded: Path) -> None:
+    tape = Tape(trial.open(recorded))
+    assert {message.topic for message in tape.between(0, 10**12, frozenset((cdr.EVENTS,)))} == {cdr.EVENTS}
+    at = 60 * PERIOD_NS + 1
+    shown = {message.topic: message.time_ns for message in tape.latest(at, ALL)}
+    assert shown == {cdr.CYCLE: 60 * PERIOD_NS, cdr.FRAMES: 60 * PERIOD_NS, cdr.EVENTS: 50 * PERIOD_NS}
+    assert tape.latest(0, ALL) == []
+
+
+def log(cycles: int) -> list[tuple[int, int, bytes]]:
+    """A bench's frames with a missing TPDO, a short one and a sensor without a value."""
+    bench, found = wire(Network()), []
+    rng = np.random.default_rng(3)
+    for cycle in range(cycles):
+        start = 5_000_000 + cycle * PERIOD_NS + int(rng.integers(0, 900))
+        found.append((start, decode.SYNC, b""))
+        for place, plan in enumerate((*bench.tpdo.values(), bench.targets)):
+            if rng.random() < 0.1:
+                continue
+            data = rng.integers(0, 256, plan.size, dtype=np.uint8).tobytes()
+            if plan.cob_id == 0x183 and cycle % 7 == 0:
+                data = (decode.NO_TENSION & 0xFFFF).to_bytes(2, "little")
+            found.append((start + 100_000 * (place + 1), plan.cob_id, data[:1] if rng.random() < 0.1 else data))
+    return found
+
+
+def test_following_a_bus_gives_the_rows_that_decoding_its_log_gives() -> None:
+    frames, bench = log(200), wire(Network())
+    whole = decode.cycles(rows_of([(at, can_id, 0, len(data), 0, False, data) for at, can_id, data in frames]), bench)
+    follower = Follower(bench)
+    done = [row for row in (follower.frame(*frame) for frame in (*frames, (10**12, decode.SYNC, b""))) if row]
+    assert [at for at, _ in done] == whole.time_ns.tolist()
+    assert set(whole.columns) == set(follower.names)
+    for place, name in enumerate(follower.names):
+        followed = np.array([values[place] for _, values in done])
+        # Two ways to round the same product: decode divides by the radius after scaling, and takes time as a float.
+        np.testing.assert_allclose(followed, whole.columns[name], rtol=1e-9, err_msg=name)
