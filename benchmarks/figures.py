@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import redrawn
-from bowden import bus, config, identification, session, sweep_rows, sweep_run
+from bowden import bus, config, identification, loops_picture, session, sweep_rows, sweep_run
 from bowden.sweep_rows import Row, Value
 from bowden.sweep_table import Table
 from bowden.sweep_trial import digest
+from master import identify
 from master.calibration import write
 from trial import read
 
@@ -43,11 +44,11 @@ def identified() -> tuple[Path, Path]:
     if not calibration.exists():
         sections = config.read(None)
         chosen = bus.choose(None, "figures", None, bus.Simulated(SERIAL, 0))
-        reason, found = identification.perform(
+        found = identification.perform(
             "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True, quiet=True)
-        if found is None:
-            raise SystemExit(f"the identification stopped: {reason}")
-        calibration.write_text(write(found), encoding="utf-8")
+        if found.calibration is None:
+            raise SystemExit(f"the identification stopped: {found.reason}")
+        calibration.write_text(write(found.calibration), encoding="utf-8")
     return calibration, recorded
 
 
@@ -69,34 +70,18 @@ def _row(given: dict[str, Value]) -> Row:
     return sweep_rows.rows(config.read(None), given, [])[0]
 
 
-def segments(path: Path, kind: str) -> list[Columns]:
-    """Return the rows of an identification's recording between "begin KIND" and "end KIND", by segment."""
-    recording = read.open(path)
-    begins, ends = ([event.time_ns for event in recording.events if event.text == f"{word} {kind}"]
-                    for word in ("begin", "end"))
-    rows = [(recording.time_ns >= a) & (recording.time_ns < b) for a, b in zip(begins, ends, strict=True)]
-    return [{name: column[inside] for name, column in recording.columns.items()} for inside in rows]
-
-
-def joined(parts: list[Columns], name: str) -> NDArray[np.float64]:
-    """Return one column of several segments, without what is not known."""
-    column: NDArray[np.float64] = np.concatenate([part[name] for part in parts])
-    return column
-
-
 def main() -> None:
     """Run what is missing, draw every figure, write the page."""
     OUT.mkdir(parents=True, exist_ok=True)
     session.compile_laws(simulated=True, quiet=True)
     calibration, recording = identified()
     trials = recorded_trials(calibration)
-    stiffness, swing = segments(recording, "stiffness"), segments(recording, "swing")
+    segments = identify.recorded(read.open(recording))
     drawn: dict[str, Callable[[Any], str]] = {
         "05": redrawn.knee,
         "06": redrawn.desired,
-        "09": lambda axes: redrawn.stiffness(
-            axes, joined(stiffness, "tension_start_n"), joined(stiffness, "servo_position_m")),
-        "10": lambda axes: redrawn.swing(axes, joined(swing, "knee_angle_rad"), joined(swing, "servo_position_m")),
+        "09": lambda axes: loops_picture.stiffness(axes, segments),
+        "10": lambda axes: loops_picture.swing(axes, segments),
         "13": lambda axes: redrawn.impedance(axes, trials["friction 40"], trials["paper 40"]),
         "15": lambda axes: redrawn.experiment(axes, trials["nominal"], trials["paper 40"]),
         "16": lambda axes: redrawn.peaks(axes, {50: trials["paper 50"], 60: trials["paper 60"]}),

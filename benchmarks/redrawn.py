@@ -71,32 +71,6 @@ def desired(axes: Any) -> str:
     return "Formula (2): two quarter sines between 10, 20 and 30 % of the gait."
 
 
-def stiffness(axes: Any, force_n: Floats, position_m: Floats) -> str:
-    """Fig. 9: five pulls and releases, and the parabola through them."""
-    fitted = np.polyfit(force_n, position_m, 2)
-    r_squared = explained(position_m, np.polyval(fitted, force_n))
-    at = np.linspace(20.0, 60.0, 200)
-    axes.plot(force_n[::5], 1e3 * position_m[::5], ".", ms=1.5, color="0.6", label="five pulls and releases")
-    axes.plot(at, 1e3 * np.polyval(fitted, at), color="tab:blue", label="fit")
-    axes.plot(at, 1e3 * laws.stiffness_displacement(at), "--", color="tab:orange", label="the paper's (10)")
-    axes.set(xlabel="START tension (N)", ylabel="rope position (mm)")
-    a, b, c = 1e3 * fitted
-    return (f"x1 = {a:.5f}·F² + {b:.3f}·F + {c:.2f} mm, R² = {r_squared:.4f} (paper: −0.0017, 0.3, 9.7, R² = 0.9868); "
-            "the loop is friction, which a parabola through both sides leaves out.")
-
-
-def swing(axes: Any, knee_rad: Floats, position_m: Floats) -> str:
-    """Fig. 10: ten slow swings under 20 N, and the line through them."""
-    degrees = np.degrees(knee_rad)
-    fitted = np.polyfit(degrees, 1e3 * position_m, 1)
-    r_squared = explained(1e3 * position_m, np.polyval(fitted, degrees))
-    axes.plot(degrees[::20], 1e3 * position_m[::20], ".", ms=1.5, color="0.6", label="ten swings at 20 N")
-    axes.plot(degrees, np.polyval(fitted, degrees), color="tab:blue", label="fit")
-    axes.set(xlabel="knee angle (°)", ylabel="rope position (mm)")
-    return (f"x2 = {fitted[0]:.3f}·θ + {fitted[1]:.2f} mm, R² = {r_squared:.4f} (paper: 0.706, R² = 0.998; the "
-            "constant is a matter of the encoder's zero).")
-
-
 def impedance(axes: Any, without: Columns, law: Columns) -> str:
     """Fig. 13: friction compensated, without and with the impedance law."""
     phase, wanted = cycle(without, "gait_percent"), cycle(without, "desired_force_n")
@@ -141,8 +115,3 @@ def relative(columns: Columns, peak_n: float) -> float:
     """Return the relative RMSE, %, of the gait cycle that is shown."""
     error = cycle(columns, "tension_end_n") - cycle(columns, "desired_force_n")
     return float(100.0 * np.sqrt(np.nanmean(error**2)) / peak_n)
-
-
-def explained(values: Floats, fitted: Any) -> float:
-    """Return R²."""
-    return float(1.0 - np.sum((values - fitted) ** 2) / np.sum((values - values.mean()) ** 2))

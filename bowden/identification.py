@@ -1,24 +1,34 @@
-"""An identification from checked options to a calibration."""
+"""An identification from checked options to a calibration: measured now, or fitted again to what was recorded."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bowden import about, session, terminal
+from bowden import about, recorded, session, terminal
 from bowden.bus import Chosen, opened
+from parameters import InputError
 
 if TYPE_CHECKING:
     from master.calibration import Calibration
+    from master.fits import Segment
+
+
+class Identified(NamedTuple):
+    """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to."""
+
+    reason: str | None
+    calibration: Calibration | None
+    segments: Sequence[Segment]
 
 
 def perform(
-    what: str, sections: Mapping[str, Any], guess: Path | None, chosen: Chosen, recorded: Path, *, date: str,
+    what: str, sections: Mapping[str, Any], guess: Path | None, chosen: Chosen, recording: Path, *, date: str,
     overwrite: bool, quiet: bool,
-) -> tuple[str | None, Calibration | None]:
-    """Run the experiments of `what`, recorded in `recorded`; returns the reason of a stop, or the calibration."""
+) -> Identified:
+    """Run the experiments of `what` on a bus, recorded in `recording`."""
     from master import identify
     from master.calibration import nominal, read
     from master.link import Link
@@ -31,8 +41,9 @@ def perform(
     session.compile_laws(simulated=chosen.simulated, quiet=quiet)
     with opened(chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus:
         recorder = Recorder(
-            recorded, metadata={"experiment": f"identify {what}", "rate_hz": str(network.rate_hz),
-                                "bitrate": str(network.bitrate), "commit": about.commit()},
+            recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
+                                 "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
+                                 "commit": about.commit()},
             attachments=about.attachments(wanted.guess, sections), threaded=not chosen.simulated, overwrite=overwrite)
         with session.discarding(recorder), terminal.progress(f"identify {what}", shown=not quiet) as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
@@ -40,9 +51,32 @@ def perform(
         try:
             recorder.close(dataclasses.asdict(outcome))
         except RecordingError as error:
-            return outcome.reason or f"recording failed: {error}", None
+            return Identified(outcome.reason or f"recording failed: {error}", None, segments)
     if outcome.reason is not None:
-        return outcome.reason, None
+        return Identified(outcome.reason, None, segments)
     with terminal.waiting("fitting", shown=not quiet):
-        return None, identify.calibrate(
-            what, segments, wanted.guess, bench=chosen.bench, date=date, trial=recorded.name)
+        return Identified(None, identify.calibrate(
+            what, segments, wanted.guess, bench=chosen.bench, date=date, trial=recording.name), segments)
+
+
+def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, quiet: bool) -> Identified:
+    """Fit to the experiments that `trials` recorded, on one bench; without a `guess` it starts where the first did.
+
+    Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
+    """
+    from master import identify, transfer
+    from master.calibration import read
+    from trial import read as trial
+
+    opened = [trial.open(path) for path in trials]
+    benches = {told.metadata.get("bench", "") for told in opened} - {""}
+    if len(benches) > 1:
+        raise InputError(f"--from: the trials are of different benches, {' and '.join(sorted(benches))}; "
+                         "identify one bench at a time.")
+    segments = [segment for told in opened for segment in identify.recorded(told)]
+    start = recorded.calibration(opened[0]) if guess is None else read(guess)
+    transfer.prepare()
+    with terminal.waiting("fitting", shown=not quiet):
+        return Identified(None, identify.calibrate(
+            what, segments, start, bench=next(iter(benches), ""), date=date,
+            trial=", ".join(path.name for path in trials)), segments)

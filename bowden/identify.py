@@ -1,4 +1,4 @@
-"""`bowden identify`: measure a bench by the paper's procedures and write its calibration."""
+"""`bowden identify`: measure a bench by the paper's procedures, or fit its recorded trials, into a calibration."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from parameters import InputError
 
 if TYPE_CHECKING:
+    from bowden.identification import Identified
     from master.calibration import Calibration
 
 What = Annotated[str, typer.Argument(metavar="WHAT", help="stiffness, swing, friction, sensors or all.")]
 Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="What it starts from.")]
+From = Annotated[list[Path] | None, typer.Option(
+    "--from", metavar="TRIAL", help="Fit recorded experiments in place of measuring; repeatable.")]
+Picture = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Draw the paper's Figs. 9 and 10 (png, svg, pdf).")]
 
 
 @app.command()
@@ -23,6 +29,8 @@ def identify(
     what: What,
     output: options.Output,
     calibration: Guess = None,
+    recorded: From = None,
+    picture: Picture = None,
     rate: options.Rate = None,
     serial: options.Serial = None,
     day: options.Day = None,
@@ -39,28 +47,55 @@ def identify(
 ) -> int:
     """Measure a bench and write its calibration.
 
-    The trial that it was measured in is recorded beside it.
+    The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus.
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
     from bowden import bus, identification, outputs
     from bowden import config as configuration
 
+    _drawable(what, picture)
+    today = datetime.date.today().isoformat()
+    if recorded:
+        _no_bench(interface=interface, channel=channel, bitrate=bitrate, option=option, config=config, rate=rate,
+                  serial=serial, day=day, seed=seed, plant=plant, plant_model=plant_model)
+        outputs.refuse([output, picture], overwrite=overwrite)
+        found = identification.again(what, recorded, calibration, date=today, quiet=json)
+        return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
     sections = configuration.read(config)
     sections["network"] = configuration.override(
         sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
     chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
-    recorded = output.with_suffix(".mcap")
-    outputs.refuse([output, recorded], overwrite=overwrite)
-    outcome, found = identification.perform(
-        what, sections, calibration, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=overwrite,
-        quiet=json)
-    if found is not None:
+    recording = output.with_suffix(".mcap")
+    outputs.refuse([output, recording, picture], overwrite=overwrite)
+    found = identification.perform(
+        what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, quiet=json)
+    return _ended(found, output, str(recording), picture, json)
+
+
+def _drawable(what: str, picture: Path | None) -> None:
+    if picture is not None and what == "sensors":
+        raise InputError(f"--picture {picture}: identify sensors pulls and swings nothing that could be drawn; "
+                         "leave it out.")
+
+
+def _no_bench(**given: object) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
+
+
+def _ended(found: Identified, output: Path, source: str, picture: Path | None, json: bool) -> int:
+    if found.calibration is not None:
         from master.calibration import write
 
-        output.write_text(write(found), encoding="utf-8")
-    terminal.emit(_object(output, recorded, outcome, found)) if json else _tell(output, recorded, outcome, found)
-    return 0 if outcome is None else 1
+        output.write_text(write(found.calibration), encoding="utf-8")
+        if picture is not None:
+            from bowden import loops_picture
+
+            loops_picture.draw(found.segments, f"{output.name}, measured in {source}", picture)
+    terminal.emit(_object(found, output, source)) if json else _tell(found, output, source)
+    return 0 if found.reason is None else 1
 
 
 def _rows(found: Calibration) -> dict[str, dict[str, Any]]:
@@ -74,19 +109,20 @@ def _rows(found: Calibration) -> dict[str, dict[str, Any]]:
     }
 
 
-def _object(output: Path, recorded: Path, reason: str | None, found: Calibration | None) -> dict[str, Any]:
+def _object(found: Identified, output: Path, source: str) -> dict[str, Any]:
+    made = found.calibration
     return {
-        "calibration": None if found is None else str(output), "trial": str(recorded),
-        "outcome": "completed" if reason is None else "stopped", "stop_reason": reason,
-        "scalars": {} if found is None else _rows(found),
+        "calibration": None if made is None else str(output), "trial": source,
+        "outcome": "completed" if found.reason is None else "stopped", "stop_reason": found.reason,
+        "scalars": {} if made is None else _rows(made),
     }
 
 
-def _tell(output: Path, recorded: Path, reason: str | None, found: Calibration | None) -> None:
-    if found is None:
-        print(f"Stopped: {reason}; no calibration was written. Trial: {recorded}")
+def _tell(found: Identified, output: Path, source: str) -> None:
+    if found.calibration is None:
+        print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
         return
-    terminal.table(f"{output}, measured in {recorded}", ("scalar", "unit", "value", "95 % low", "high", "R²"), [
+    terminal.table(f"{output}, measured in {source}", ("scalar", "unit", "value", "95 % low", "high", "R²"), [
         (name, row["unit"] or "1", f"{row['value']:.4g}",
          *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
-        for name, row in _rows(found).items()])
+        for name, row in _rows(found.calibration).items()])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from parameters import InputError
 
 if TYPE_CHECKING:
+    from master.calibration import Calibration
     from master.experiment import Experiment
     from trial.read import Trial
 
@@ -66,6 +67,14 @@ def sections(recorded: Trial) -> dict[str, Any]:
         return config.read(None)
     with _unpacked(recorded, ("bench.toml",)) as folder:
         return config.read(folder / "bench.toml")
+
+
+def calibration(recorded: Trial) -> Calibration:
+    """The calibration that a trial was run with; raises `InputError` where it carries none."""
+    from master.calibration import read
+
+    with _unpacked(recorded, ("calibration.toml",)) as folder:
+        return read(folder / "calibration.toml")
 
 
 @contextmanager

@@ -53,12 +53,12 @@ def identify(bench: Row) -> tuple[str | None, str]:
     sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
     with tempfile.TemporaryDirectory() as folder:
         try:
-            reason, found = identification.perform(
+            found = identification.perform(
                 "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
                 date=datetime.date.today().isoformat(), overwrite=False, quiet=True)
         except InputError as error:
             return str(error), ""
-    return reason, "" if found is None else write(found)
+    return found.reason, "" if found.calibration is None else write(found.calibration)
 
 
 def perform(row: Row, calibration: str, label: str, keep: str | None) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from scipy.signal import lfilter
 from master import transfer
 from master.adaptation import smoothed
 from master.calibration import Calibration, Evidence
+from master.jackknife import Line, Measured, half_width
 from parameters import InputError
 
 Array = NDArray[np.float64]
@@ -54,11 +55,8 @@ class Segment(NamedTuple):
     end: Array
 
 
-class Line(NamedTuple):
-    """A fit as the paper makes it: coefficients, highest power first, and R²."""
-
-    coefficients: tuple[float, ...]
-    r_squared: float
+LAPS = 10
+"""Parts that a swing and a rest are cut into, where an interval wants laps to leave out."""
 
 
 class Rest(NamedTuple):
@@ -91,30 +89,46 @@ _UNKNOWNS = (
 def rest(segments: Sequence[Segment]) -> Rest:
     """Offsets and START's noise from the segments at rest; raises `InputError` where there is none."""
     still = _of(segments, "rest")
-    start = np.concatenate([segment.start for segment in still])
-    return Rest(float(start.mean()), float(np.concatenate([s.end for s in still]).mean()),
-                float(np.sqrt(np.mean([np.var(segment.start) for segment in still]))))
+    return Rest(_mean([s.start for s in still]), _mean([s.end for s in still]), _noise([s.start for s in still]))
+
+
+def start_at_rest(segments: Sequence[Segment]) -> dict[str, Measured]:
+    """START's offset and noise, N, by the calibration's names, with their intervals."""
+    still, parts = rest(segments), [
+        part for s in _of(segments, "rest") for part in np.array_split(s.start, LAPS)]
+    return {"start_offset": Measured(still.start_offset, float(half_width(parts, _mean))),
+            "start_noise": Measured(still.start_noise, float(half_width(parts, _noise)))}
+
+
+def _mean(parts: Sequence[Array]) -> float:
+    return float(np.concatenate(parts).mean())
+
+
+def _noise(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean([np.var(part) for part in parts])))
 
 
 def stiffness(segments: Sequence[Segment], offset_n: float) -> Line:
     """(10) as the paper fits it: rope position over START tension, quadratic, through pulls and releases."""
-    loops = _of(segments, "stiffness")
-    force = np.concatenate([segment.start for segment in loops]) - offset_n
-    return _line(force, np.concatenate([segment.position for segment in loops]), 2)
+    return _line([(s.start - offset_n, s.position) for s in _of(segments, "stiffness")], 2)
 
 
 def swing(segments: Sequence[Segment]) -> Line:
     """(11) as the paper fits it: rope position over knee angle at a constant START tension, linear."""
-    swings = _of(segments, "swing")
-    return _line(np.concatenate([s.knee for s in swings]), np.concatenate([s.position for s in swings]), 1)
+    laps = [zip(np.array_split(s.knee, LAPS), np.array_split(s.position, LAPS), strict=True)
+            for s in _of(segments, "swing")]
+    return _line([lap for swings in laps for lap in swings], 1)
 
 
-def bandwidth(segments: Sequence[Segment]) -> float:
+def bandwidth(segments: Sequence[Segment]) -> Measured:
     """Bandwidth, Hz, of the first-order lag from the delayed target to rope position."""
     moving = [segment for segment in segments if segment.kind in ("stiffness", "ramp")]
     if not moving:
         raise InputError("identification: no loop among the recorded experiments; run identify stiffness or friction.")
+    return Measured(_bandwidth(moving), float(half_width(moving, _bandwidth)))
 
+
+def _bandwidth(moving: Sequence[Segment]) -> float:
     def misses(log_lag: float) -> float:
         return sum(_lag_error(segment, math.exp(log_lag)) for segment in moving)
 
@@ -199,10 +213,16 @@ def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int]) -> Array:
     return np.asarray(np.sqrt((count - 1) / count * (spread**2).sum(axis=0)) / scale)
 
 
-def _line(over: Array, values: Array, degree: int) -> Line:
-    coefficients = np.polyfit(over, values, degree)
-    left = values - np.polyval(coefficients, over)
-    return Line(tuple(coefficients.tolist()), float(1.0 - np.var(left) / np.var(values)))
+def _line(laps: Sequence[tuple[Array, Array]], degree: int) -> Line:
+    def fitted(chosen: Sequence[tuple[Array, Array]]) -> Array:
+        over, values = (np.concatenate(columns) for columns in zip(*chosen, strict=True))
+        return np.polyfit(over, values, degree)
+
+    coefficients = fitted(laps)
+    values = np.concatenate([lap[1] for lap in laps])
+    left = values - np.polyval(coefficients, np.concatenate([lap[0] for lap in laps]))
+    return Line(tuple(coefficients.tolist()), float(1.0 - np.var(left) / np.var(values)),
+                tuple(half_width(laps, fitted).tolist()))
 
 
 def _of(segments: Sequence[Segment], kind: str) -> list[Segment]:

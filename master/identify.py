@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import can
@@ -33,6 +33,7 @@ from master.config import Homing, Limits
 from master.cycle import Exchange, Inputs
 from master.fits import Segment
 from master.home import home, swing_to
+from master.jackknife import Line
 from master.link import Link
 from master.log import Sink
 from parameters import InputError
@@ -77,25 +78,31 @@ def run(
     progress: Progress = lambda what, share: None,
 ) -> tuple[Outcome, list[Segment]]:
     """Run the experiments of a procedure; returns how it ended and what was recorded."""
-    if identification.what not in PROCEDURES:
-        raise InputError(f"identify {identification.what}: expected one of {', '.join(PROCEDURES)}.")
+    procedure(identification.what)
     transfer.prepare()
     bench = _Experiments(identification, progress)
     outcome = conduct(link, tap, recorder, identification.network, identification.limits, bench.perform)
     return outcome, bench.segments
 
 
-def calibrate(what: str, segments: list[Segment], guess: Calibration, *, bench: str, date: str,
+def procedure(what: str) -> tuple[str, ...]:
+    """The experiments that identify `what`; raises `InputError` where it is none of the procedures."""
+    if what not in PROCEDURES:
+        raise InputError(f"identify {what}: expected one of {', '.join(PROCEDURES)}.")
+    return PROCEDURES[what]
+
+
+def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, bench: str, date: str,
               trial: str) -> Calibration:
     """The calibration that the segments of a procedure give; scalars it does not tell of stay as in `guess`."""
     told: dict[str, tuple[float, Evidence]] = {}
     still = fits.rest(segments)
-    told["start_offset"] = still.start_offset, Evidence(math.nan, math.nan)
-    told["start_noise"] = still.start_noise, Evidence(math.nan, math.nan)
-    kinds = PROCEDURES[what]
+    told |= {name: (seen.value, seen.evidence) for name, seen in fits.start_at_rest(segments).items()}
+    kinds = procedure(what)
     if "stiffness" in kinds:
         told |= _named(("stiffness_a", "stiffness_b", "stiffness_c"), fits.stiffness(segments, still.start_offset))
-        told["drive_bandwidth"] = fits.bandwidth(segments), Evidence(math.nan, math.nan)
+        drive = fits.bandwidth(segments)
+        told["drive_bandwidth"] = drive.value, drive.evidence
     if "swing" in kinds:
         told |= _named(("swing_k", "swing_p"), fits.swing(segments))
     if "ramp" in kinds:
@@ -110,9 +117,8 @@ def calibrate(what: str, segments: list[Segment], guess: Calibration, *, bench: 
     return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
 
 
-def _named(names: tuple[str, ...], line: fits.Line) -> dict[str, tuple[float, Evidence]]:
-    proof = Evidence(math.nan, math.nan, line.r_squared)
-    return {name: (value, proof) for name, value in zip(names, line.coefficients, strict=True)}
+def _named(names: tuple[str, ...], line: Line) -> dict[str, tuple[float, Evidence]]:
+    return dict(zip(names, zip(line.coefficients, line.evidence, strict=True), strict=True))
 
 
 def _replaced(guess: Calibration, told: Mapping[str, tuple[float, Evidence]]) -> Calibration:

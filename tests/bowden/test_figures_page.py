@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import redrawn
+from bowden import loops_picture
+from master.fits import Segment
 from physics import laws
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -29,10 +31,14 @@ def test_the_figures_of_formulas_say_what_the_page_says() -> None:
 
 def test_a_scatter_of_the_papers_own_stretch_gives_its_coefficients_and_no_residual() -> None:
     force = np.linspace(20.0, 60.0, 500)
-    said = redrawn.stiffness(Figure().subplots(), force, laws.stiffness_displacement(force))
+    stretch = laws.stiffness_displacement(force)
+    pulls = Segment("stiffness", 1e-3, stretch, stretch, np.zeros(500), force, force)
+    said = loops_picture.stiffness(Figure().subplots(), [pulls])
     assert said.startswith("x1 = -0.00170·F² + 0.300·F + 9.70 mm, R² = 1.0000")
     knee = np.radians(np.linspace(-65.0, -5.0, 400))
-    assert redrawn.swing(Figure().subplots(), knee, laws.swing_displacement(knee)).startswith(
+    taken, held = laws.swing_displacement(knee), np.full(400, 20.0)
+    swings = Segment("swing", 1e-3, taken, taken, knee, held, held)
+    assert loops_picture.swing(Figure().subplots(), [swings]).startswith(
         "x2 = 0.706·θ + 22.17 mm, R² = 1.0000")
 
 
