@@ -19,15 +19,21 @@ LIMIT = 1_500_000
 """Bytes of a file: it is full after the rope has been loaded for the first time."""
 
 
-def test_a_full_disk_stops_a_trial_safely_with_its_file_whole(tmp_path: Path) -> None:
+def limited(folder: Path, *arguments: str) -> dict[str, object]:
+    """What a command line answers whose files may have `LIMIT` bytes; it ends with status 1."""
     told = subprocess.run(
-        [sys.executable, "-c", "import bowden; bowden.main()", "trial", "--cycles", "2", "--json", "-o", "full.mcap"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", "import bowden; bowden.main()", *arguments, "--json"],
+        cwd=folder, capture_output=True, text=True, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT)))  # refuses as a full disk does
     assert told.returncode == 1, told.stderr
-    result = json.loads(told.stdout)
+    answer: dict[str, object] = json.loads(told.stdout)
+    return answer
+
+
+def test_a_full_disk_stops_a_trial_safely_with_its_file_whole(tmp_path: Path) -> None:
+    result = limited(tmp_path, "trial", "--cycles", "2", "-o", "full.mcap")
     assert result["outcome"] == "stopped"
-    assert result["stop_reason"].startswith("recording failed: full.mcap: recording stopped (File too large)")
+    assert str(result["stop_reason"]).startswith("recording failed: full.mcap: recording stopped (File too large)")
     assert result["relative_rmse_percent"] is None
     assert (tmp_path / "full.mcap").stat().st_size <= LIMIT
     assert recover(tmp_path / "full.mcap", tmp_path / "whole.mcap").damaged == 0
@@ -36,6 +42,14 @@ def test_a_full_disk_stops_a_trial_safely_with_its_file_whole(tmp_path: Path) ->
     assert np.nanmax(kept.columns["tension_start_n"]) > 20.0
     assert truth.time_ns[-1] > kept.time_ns[-1]
     assert truth.columns["true_start_n"][-1] < 2.0
+
+
+def test_a_full_disk_stops_an_identification_and_writes_no_calibration(tmp_path: Path) -> None:
+    result = limited(tmp_path, "identify", "all", "-o", "c.toml")
+    assert (result["outcome"], result["calibration"], result["scalars"]) == ("stopped", None, {})
+    assert str(result["stop_reason"]).startswith("recording failed: c.mcap: recording stopped (File too large)")
+    assert not (tmp_path / "c.toml").exists()
+    assert recover(tmp_path / "c.mcap", tmp_path / "whole.mcap").damaged == 0
 
 
 def test_a_side_file_without_room_ends_and_the_bench_goes_on(tmp_path: Path) -> None:
