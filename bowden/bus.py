@@ -13,20 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bowden.asked import Simulated as Simulated
 from parameters import InputError
 
 VIRTUAL = "bowden"
 KERNEL = "socketcan"
-
-
-class Simulated(NamedTuple):
-    """What belongs to simulated benches only; None where it was not given."""
-
-    serial: int | None = None
-    day: int | None = None
-    seed: int | None = None
-    plant: str | None = None
-    plant_model: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, Simulated, grouped
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -25,22 +27,17 @@ Picture = Annotated[Path | None, typer.Option(
 
 
 @app.command()
+@grouped
 def identify(
     what: What,
     output: options.Output,
     calibration: Guess = None,
     recorded: From = None,
     picture: Picture = None,
+    *,
     rate: options.Rate = None,
-    serial: options.Serial = None,
-    day: options.Day = None,
-    seed: options.Seed = None,
-    plant: options.Plant = None,
-    plant_model: options.PlantModel = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    simulated: Simulated,
+    bus: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -51,21 +48,17 @@ def identify(
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
-    from bowden import bus, identification, outputs
-    from bowden import config as configuration
+    from bowden import identification, outputs
 
     _drawable(what, picture)
     today = datetime.date.today().isoformat()
     if recorded:
-        _no_bench(interface=interface, channel=channel, bitrate=bitrate, option=option, config=config, rate=rate,
-                  serial=serial, day=day, seed=seed, plant=plant, plant_model=plant_model)
+        _no_bench({"rate": rate, "config": config, **bus._asdict(), **simulated._asdict()})
         outputs.refuse([output, picture], overwrite=overwrite)
         found = identification.again(what, recorded, calibration, date=today, quiet=json)
         return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
-    sections = configuration.read(config)
-    sections["network"] = configuration.override(
-        sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
-    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+    sections = bus.sections(config, rate)
+    chosen = bus.chosen(simulated)
     recording = output.with_suffix(".mcap")
     outputs.refuse([output, recording, picture], overwrite=overwrite)
     found = identification.perform(
@@ -79,7 +72,7 @@ def _drawable(what: str, picture: Path | None) -> None:
                          "leave it out.")
 
 
-def _no_bench(**given: object) -> None:
+def _no_bench(given: Mapping[str, object]) -> None:
     for name, value in given.items():
         if value is not None:
             raise InputError(f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")

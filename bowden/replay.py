@@ -9,6 +9,7 @@ import typer
 
 from bowden import options
 from bowden.app import app
+from bowden.asked import Bus, Simulated, grouped
 from parameters import InputError
 
 ONTO = ("bus", "controller", "plant")
@@ -36,6 +37,7 @@ Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE"
 
 
 @app.command()
+@grouped
 def replay(
     context: typer.Context,
     trial: Recorded,
@@ -50,15 +52,9 @@ def replay(
     direction: Direction = None,
     map_: Map = None,
     nodes_only: NodesOnly = False,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
-    serial: options.Serial = None,
-    day: options.Day = None,
-    seed: options.Seed = None,
-    plant: options.Plant = None,
-    plant_model: options.PlantModel = None,
+    *,
+    reached: Bus,
+    simulated: Simulated,
     output: Residuals = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -79,17 +75,17 @@ def replay(
     given = opened(trial)
     if onto == "controller":
         return replay_onto_controller.replay(given, json=json)
-    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+    chosen = reached.chosen(simulated)
     if onto == "plant":
         return replay_onto_plant.replay(given, chosen, output, overwrite=overwrite, json=json)
     network = recorded.sections(given)["network"]
     if nodes_only:
-        return replay_onto_master.replay(given, chosen, bitrate or network.bitrate, json=json)
+        return replay_onto_master.replay(given, chosen, reached.bitrate or network.bitrate, json=json)
     channels = replay_onto_bus.channel_map(map_)
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     return replay_onto_bus.replay(
-        given, selection, bus.rated(chosen, bitrate or network.bitrate, network.rate_hz), channels, speed=speed,
+        given, selection, bus.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels, speed=speed,
         loops=loop, stepped=step, json=json)
 
 

@@ -7,35 +7,27 @@ from typing import Any
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, Simulated, Walk, grouped
 
 PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
 """Relative RMSE that the paper's experiment gives by peak, its section 5.2."""
 
 
 @app.command()
+@grouped
 def trial(
     output: options.Output,
-    peak: options.Peak = None,
-    period: options.Period = None,
-    cycles: options.Cycles = None,
-    settle: options.Settle = None,
-    rate: options.Rate = None,
-    controller: options.Controller = None,
+    walk: Walk,
     knee: options.Knee = None,
     desired: options.Desired = None,
     calibration: options.Calibration = None,
     controller_model: options.ControllerModel = None,
     experiment: options.Script = None,
     dry_run: options.DryRun = False,
-    serial: options.Serial = None,
-    day: options.Day = None,
-    seed: options.Seed = None,
-    plant: options.Plant = None,
-    plant_model: options.PlantModel = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    rate: options.Rate = None,
+    simulated: Simulated,
+    bus: Bus,
     config: options.Config = None,
     picture: options.Picture = None,
     overwrite: options.Overwrite = False,
@@ -45,18 +37,13 @@ def trial(
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden import about, bus, session
-    from bowden import config as configuration
+    from bowden import about, session
 
-    sections = configuration.read(config)
-    sections["network"] = configuration.override(
-        sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
-    gait = configuration.override(sections["gait"], {
-        "peak_n": ("--peak", peak), "period_s": ("--period", period), "cycles": ("--cycles", cycles),
-        "settle": ("--settle", settle), "controller": ("--controller", controller)})
+    sections = bus.sections(config, rate)
     reference, sections["gait"], notes = session.reference(
-        gait, knee, desired, period_given=period is not None, peak_given=peak is not None)
-    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
+        peak_given=walk.peak is not None)
+    chosen = bus.chosen(simulated)
     prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
                                controller_model=controller_model, files=about.curves(knee=knee, desired=desired))
     for note in notes:
