@@ -28,7 +28,7 @@ reproduce: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.reproduce
 
 hidden: $(VENV)/.installed-test
-	$(BIN)/python -m tests.hidden.run
+	$(BIN)/python -m tests.hidden.run --page
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; say make PYTHON=python3.x"; exit 2; }

@@ -15,7 +15,7 @@ import numpy as np
 from diagnosis import tracking
 from diagnosis.data import Table
 from diagnosis.finder import Diagnosis
-from diagnosis.residuals import Compared, binned, compared, directions, joined, rms
+from diagnosis.residuals import Compared, binned, bins_of, compared, directions, joined, rms
 from diagnosis.words import interval, paragraph
 from physics.effects import CATALOGUE
 from physics.experiments import EXPERIMENTS
@@ -132,7 +132,8 @@ def _residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
         for signal, word, axis in SIDES:
             along, before, after = joined(parts, signal)
             if along.size and float(np.ptp(along)) > 0.0:
-                page.plot(f"{name} by {word}", binned(along, before)[0], _banded(along, before, after), axis, unit,
+                centres = binned(along, before, bins_of(along.size))[0]
+                page.plot(f"{name} by {word}", centres, _banded(along, before, after), axis, unit,
                           linked=f"{signal} bins", height=190)
         _loops(page, name, parts)
 
@@ -140,7 +141,7 @@ def _residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
 def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> list[Series]:
     series = []
     for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
-        _, mean, square = binned(along, residual)
+        _, mean, square = binned(along, residual, bins_of(along.size))
         series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=1.8)]
     return series
 
@@ -161,15 +162,16 @@ def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
     load, before, after = joined(parts, "tension_start_n")
     if not masks or load.size != sum(p.measured.size for p in parts) or float(np.ptp(load)) <= 0.0:
         return
-    edges, series = binned(load, before)[0], []
+    bins, series = bins_of(load.size), list[Series]()
     for word, dash in (("pulled", False), ("paid out", True)):
         if not masks[word].any():
             continue
         for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
             along = np.concatenate([load[masks[word]], [load.min(), load.max()]])
-            mean = binned(along, np.concatenate([residual[masks[word]], [0.0, 0.0]]))[1]
+            mean = binned(along, np.concatenate([residual[masks[word]], [0.0, 0.0]]), bins)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
-    page.plot(f"{name} by load and direction", edges, series, "tension_start_n (N)", parts[0].block.relation.unit,
+    centres = binned(load, before, bins)[0]
+    page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].block.relation.unit,
               linked="tension_start_n bins", height=190)
 
 

@@ -75,7 +75,12 @@ def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:
     return along[known], before[known], after[known]
 
 
-def binned(along: Array, residual: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
+def bins_of(samples: int) -> int:
+    """Return into how many bins so many samples go: the fewer samples, the fewer bins."""
+    return max(1, min(BINS, samples // (2 * LEAST_IN_BIN)))
+
+
+def binned(along: Array, residual: Array, bins: int) -> tuple[Array, Array, Array]:
     """Return centres, mean and root mean square of `residual` in equal bins of `along`; NaN in bins of few samples."""
     edges = np.linspace(float(along.min()), float(along.max()), bins + 1)
     place = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, bins - 1)

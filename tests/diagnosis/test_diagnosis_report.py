@@ -19,7 +19,8 @@ from diagnosis.setting import settle
 from diagnosis.verdict import Figures
 from physics.effects import CATALOGUE
 from physics.models import RELATIONS
-from tests.hidden.bench import Bench, trial
+from tests.hidden.bench import Bench
+from tests.hidden.walk import trial
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
-"""A gait trial on the bench of `truth`: reference motion, a feed-forward master, drives, sensors, noise.
+"""One bench of `truth`: its numbers, the chain they make, and how like benches differ.
 
-The rule of this file: what it returns are the canonical columns and nothing of the truth; effects are settings
-of `Bench`, each with its own law here, drawn elsewhere.
+The rule of this file: effects are settings of `Bench`, each with its own law in this room, drawn elsewhere.
 """
 
 from __future__ import annotations
@@ -73,10 +72,6 @@ class Bench:
     drive_offset: float = 0.0
     drive_asymmetry: float = 0.0
     drive_inertia: float = 0.35
-    force_limit: float = 1e9
-    speed_limit: float = 1e9
-    late_start_ms: int = 0
-    lost_share: float = 0.0
     temperature: float = 0.0
     thump: float = 0.0
     resonance: float = 0.0
@@ -108,175 +103,9 @@ def preloaded(bench: Bench) -> float:
     return float(truth.stretch(20.0, p)) + 20.0 * (bench.lead + bench.sheath)
 
 
-def knee_motion(percent: np.ndarray) -> np.ndarray:
-    """Formula (1), rad, closed by fading into its own continuation over the last 12 % of the gait."""
-    def formula(q):
-        return np.radians(sum(a * np.sin(b * q + c) for a, b, c in zip(A, B, C, strict=True)))
-
-    q = np.mod(percent, 100.0)
-    u = np.clip((q - 88.0) / 12.0, 0.0, 1.0)
-    fade = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    return (1.0 - fade) * formula(q) + fade * formula(q - 100.0)
-
-
-def desired(percent: np.ndarray, peak: float) -> np.ndarray:
-    """Formula (2), N."""
-    q = np.mod(percent, 100.0)
-    return peak * np.where((q >= 10.0) & (q < 30.0), np.sin(np.pi * np.clip(q - 10.0, 0.0, 20.0) / 20.0), 0.0)
-
-
-def second_order(target: np.ndarray, dt: float, hz: float, damping: float = 0.9) -> np.ndarray:
-    """The position loop's answer to its target, started at rest on it."""
-    from scipy.signal import StateSpace, lsim
-
-    w = 2.0 * math.pi * hz
-    system = StateSpace([[0.0, 1.0], [-w * w, -2.0 * damping * w]], [[0.0], [w * w]], [[1.0, 0.0]], [[0.0]])
-    t = np.arange(target.size) * dt
-    return lsim(system, target, t, X0=[target[0], 0.0])[1]
-
-
-def held(signal: np.ndarray, width: float) -> np.ndarray:
-    """A dead band of total `width`."""
-    out = np.empty_like(signal)
-    y = signal[0]
-    for k, value in enumerate(signal.tolist()):
-        y = min(max(y, value - 0.5 * width), value + 0.5 * width)
-        out[k] = y
-    return out
-
-
-def trial(bench: Bench, seed: int, peak: float = 40.0, period: float = 1.3, cycles: int = 10,
-          slack_m: float = 2.0e-3) -> dict[str, np.ndarray]:
-    """Run one gait trial at 1 kHz; return the canonical columns."""
-    rng = np.random.default_rng(seed)
-    dt = 1e-3
-    time = np.arange(round(cycles * period / dt)) * dt
-    percent = 100.0 * time / period
-    theta_ref, force_ref = knee_motion(percent), desired(percent, peak)
-    theta_drive = second_order(np.roll(theta_ref, 2), dt, 20.0)
-    leg = held(theta_drive, bench.backlash) if bench.backlash > 0.0 else theta_drive
-    target = master(theta_ref, force_ref, slack_m)
-    x, force_limit = rope(target, dt, bench)
-    p, widths, weights, slopes = chain(bench)
-    base = preloaded(bench) - (9.7e-3 + 0.3e-3 * 20.0 - 0.0017e-3 * 400.0) + bench.zero
-    w = K2 * (leg - THETA_13) + bench.arm2 * (leg - THETA_13) ** 2
-    drum = x + bench.ecc * np.sin(x / 0.020 + bench.ecc_phase) + base - bench.slack
-    speed = np.gradient(x, dt)
-    scaled = p.copy()
-    end, start = truth.run(drum, w, leg, speed, time, scaled, time[-1], widths, weights, slopes)
-    if bench.temperature != 0.0:
-        start = start + bench.temperature * force_ref**2 / peak * np.sin(2.0 * np.pi * 3.0 * percent / 100.0)
-    if bench.thump != 0.0:
-        q = np.mod(percent, 100.0)
-        start = start + bench.thump * np.exp(-(((q - 15.0) / 1.2) ** 2)) * np.sin((q - 15.0) * 1.3)
-    if bench.resonance != 0.0:
-        end = end + bench.resonance * rung(end, dt)
-    columns = sensors(bench, rng, time, leg, end, start)
-    force = drive_force(bench, rng, time, x, start)
-    columns |= {
-        "time_s": time, "gait_percent": np.mod(percent, 100.0), "cycle": np.floor(percent / 100.0 + 1e-9),
-        "servo_target_m": target, "servo_position_m": np.round(x + rng.normal(0.0, 1e-6, x.size), 6),
-        "servo_force_n": np.round(force, 1), "knee_target_rad": theta_ref,
-        "knee_angle_rad": np.round(theta_drive * 57295.78) / 57295.78, "desired_force_n": force_ref}
-    columns["servo_velocity_m_s"] = np.gradient(columns["servo_position_m"], dt)
-    del force_limit
-    return columns
-
-
-def master(theta: np.ndarray, force: np.ndarray, slack_m: float) -> np.ndarray:
-    """Feed-forward by the nominal calibration: (10) and (11), a slack rope while no force is wanted."""
-    stretch = 9.7e-3 + 0.3e-3 * force - 0.0017e-3 * force**2
-    idle = np.where(force > 0.0, 0.0, slack_m)
-    kernel = np.hanning(81) / np.hanning(81).sum()
-    idle = np.convolve(np.pad(idle, 40, mode="wrap"), kernel, "valid")
-    return stretch + K2 * (theta - THETA_13) - idle
-
-
-def rope(target: np.ndarray, dt: float, bench: Bench) -> tuple[np.ndarray, float]:
-    """The drum's motion: target two cycles late, the position loop, limits of speed."""
-    x = second_order(np.concatenate([target[:1], target[:1], target[:-2]]), dt, bench.drive_hz)
-    if bench.speed_limit < 1e8:
-        step = bench.speed_limit * dt
-        out = np.empty_like(x)
-        y = x[0]
-        for k, value in enumerate(x.tolist()):
-            y += min(max(value - y, -step), step)
-            out[k] = y
-        x = out
-    return x, bench.force_limit
-
-
-def noise(bench: Bench, rng: np.random.Generator, n: int) -> np.ndarray:
-    """White noise and a slow coloured part (first-order, 30 ms), N."""
-    from scipy.signal import lfilter
-
-    slow = lfilter([1.0], [1.0, -math.exp(-1e-3 / 0.03)], rng.normal(size=n + 500))[500:]
-    return bench.noise * rng.normal(size=n) + bench.coloured * slow / slow.std()
-
-
-def filtered(signal: np.ndarray, seconds: float) -> np.ndarray:
-    from scipy.signal import lfilter
-
-    a = math.exp(-1e-3 / seconds)
-    return lfilter([1.0 - a], [1.0, -a], signal, zi=[a * signal[0]])[0]
-
-
-def late(signal: np.ndarray, seconds: float) -> np.ndarray:
-    t = np.arange(signal.size) * 1e-3
-    return np.interp(t - seconds, t, signal)
-
-
-def rung(signal: np.ndarray, dt: float) -> np.ndarray:
-    """A cantilever's ringing at 9 Hz after each change of load, relative to 1 N."""
-    from scipy.signal import lfilter
-
-    w, damping = 2.0 * math.pi * 9.0 * dt, 0.05
-    kick = np.gradient(signal, dt) / 400.0
-    rings = lfilter([w], [1.0, -2.0 * (1.0 - damping * w) * math.cos(w), (1.0 - damping * w) ** 2], kick)
-    return rings / np.abs(rings).max()
-
-
-def sensors(bench: Bench, rng: np.random.Generator, time: np.ndarray, leg: np.ndarray, end: np.ndarray,
-            start: np.ndarray) -> dict[str, np.ndarray]:
-    """What the two tension sensors say."""
-    progress = time / time[-1]
-    swing = np.gradient(np.gradient(leg, time), time)
-    felt = end + bench.end_mass * (9.81 * np.cos(leg) + bench.end_arm * swing)
-    said = {}
-    for name, signal, gain, offset, drift in (
-            ("tension_start_n", start, bench.start_gain, bench.start_offset, bench.start_drift),
-            ("tension_end_n", felt, bench.end_gain, bench.end_offset, bench.end_drift)):
-        signal = filtered(signal, 0.7e-3)
-        if name == "tension_end_n":
-            signal = filtered(signal, bench.end_filter) if bench.end_filter > 0.0 else signal
-            signal = late(signal, bench.end_delay) if bench.end_delay > 0.0 else signal
-        if bench.skew:
-            signal = late(signal, bench.skew)
-        signal = gain * signal + offset + drift * progress + noise(bench, rng, signal.size)
-        said[name] = np.round(signal / bench.quantum) * bench.quantum
-    if bench.late_start_ms:
-        said["tension_start_n"] = repeated(said["tension_start_n"], bench.late_start_ms)
-    if bench.lost_share > 0.0:
-        gone = np.flatnonzero(rng.random(time.size) < bench.lost_share)
-        for k in gone[gone > 0]:
-            said["tension_end_n"][k] = said["tension_end_n"][k - 1]
-    return said
-
-
-def repeated(signal: np.ndarray, every: int) -> np.ndarray:
-    """A PDO that comes only each `every` ms: the values between are the last one's."""
-    return signal[(np.arange(signal.size) // every) * every]
-
-
-def drive_force(bench: Bench, rng: np.random.Generator, time: np.ndarray, x: np.ndarray, start: np.ndarray
-                ) -> np.ndarray:
-    """The servo's force, N: tension, friction by direction and speed, inertia, ripple."""
-    v = np.gradient(x, time)
-    a = np.gradient(v, time)
-    s = np.tanh(v / 1.5e-3)
-    coulomb = bench.drive_coulomb * s * (1.0 + bench.drive_asymmetry * s)
-    return (start + coulomb + bench.drive_viscous * v + bench.drive_inertia * a + bench.drive_offset
-            + rng.normal(0.0, 0.3, x.size))
+def zero(bench: Bench) -> float:
+    """Rope of the chain at the drum's zero, m: homed at 20 N by the nominal stretch (10), less slack."""
+    return preloaded(bench) - (9.7e-3 + 0.3e-3 * 20.0 - 0.0017e-3 * 400.0) + bench.zero - bench.slack
 
 
 def like(bench: Bench, seed: int, tolerance: float = 1.0) -> Bench:

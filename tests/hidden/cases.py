@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.hidden.bench import Bench, like, trial
+from tests.hidden.bench import Bench, like
+from tests.hidden.readings import wired
+from tests.hidden.walk import trial
 
 Rng = np.random.Generator
 Drawn = tuple[dict[str, float], dict[str, float]]
@@ -116,52 +118,80 @@ ALTERED = (
 """Structures of healthy plants: half of the cases have one other than the first."""
 
 
+WIRE: dict[str, Callable[[Rng], tuple[dict[str, float], dict[str, float]]]] = {
+    "lost_pdo": lambda r: (lambda p: ({"lost": p}, {"lost_share": p}))(_log(r, 0.02, 0.2)),
+    "late_pdo": lambda r: (lambda d, p: ({"late": d, "late_share": p}, {"late": 1e-3 * d, "late_share": p}))(
+        int(r.integers(1, 6)), r.uniform(0.1, 0.6)),
+    "quantisation": lambda r: (lambda q: ({"quantum": q}, {"quantum": q}))(_log(r, 0.4, 2.0)),
+}
+"""Faults of wire and converter: what the bus does to the columns, and the same as the catalogue says it."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is asked for: a kind, a seed, what is hidden (drawn where empty), and whether the structure is altered."""
+
+    kind: str
+    seed: int
+    names: tuple[str, ...] = ()
+    altered: bool = False
+
+
 @dataclass(frozen=True)
 class Case:
     """One hidden case: columns of the trial, of a holdout at another peak and cadence, of healthy trials."""
 
-    seed: int
-    kind: str
+    job: Job
     hidden: tuple[str, ...]
     sizes: dict[str, float]
+    harmed: Bench
     trial: dict[str, np.ndarray]
     holdout: dict[str, np.ndarray]
     healthy: tuple[dict[str, np.ndarray], ...]
-    unharmed: dict[str, np.ndarray]
 
 
-def structure(seed: int) -> Bench:
-    """The structure of a seed's bench: every second one altered."""
+def structure(seed: int, altered: bool) -> Bench:
+    """The structure of a seed's bench."""
     rng = np.random.default_rng((seed, 1))
-    altered = ALTERED[0] if seed % 2 == 0 else ALTERED[1 + int(rng.integers(len(ALTERED) - 1))]
-    return dataclasses.replace(NOMINAL, **altered)
+    chosen = ALTERED[1 + int(rng.integers(len(ALTERED) - 1))] if altered else ALTERED[0]
+    return dataclasses.replace(NOMINAL, **chosen)
 
 
-def case(seed: int, kind: str, names: tuple[str, ...] = (), healthy: int = 2) -> Case:
-    """Draw a case: `kind` is one, two, none or outside; `names` what is hidden, drawn where empty."""
-    rng = np.random.default_rng((seed, 2))
-    base = structure(seed)
-    if not names and kind in ("one", "two"):
-        names = tuple(rng.choice(sorted(EFFECTS), size=1 if kind == "one" else 2, replace=False).tolist())
-    if not names and kind == "outside":
-        names = (str(rng.choice(sorted(OUTSIDE))),)
-    own = like(base, int(rng.integers(1 << 30)))
+def hide(job: Job, own: Bench, rng: Rng) -> tuple[tuple[str, ...], Bench, dict[str, float], dict[str, float]]:
+    """Return what is hidden, the bench that has it, what its wire does, and the sizes by the catalogue's names."""
+    pool = {"one": EFFECTS, "two": EFFECTS, "none": {}, "outside": OUTSIDE, "wire": WIRE}[job.kind]
+    count = min(len(pool), 2 if job.kind == "two" else 1)
+    names = job.names or tuple(rng.choice(sorted(pool), size=count, replace=False).tolist() if count else ())
     given: dict[str, float] = {}
+    wire: dict[str, float] = {}
     sizes: dict[str, float] = {}
     for name in names:
-        if kind == "outside":
+        if job.kind == "outside":
             given |= OUTSIDE[name](rng)
-        else:
-            fields, said = EFFECTS[name](rng, own)
-            given |= fields
-            sizes |= said
-    harmed = dataclasses.replace(own, **given)
+            continue
+        fields, said = WIRE[name](rng) if job.kind == "wire" else EFFECTS[name](rng, own)
+        sizes |= said
+        (given if job.kind != "wire" or "quantum" in fields else wire).update(fields)
+    return names, dataclasses.replace(own, **given), wire, sizes
+
+
+def case(job: Job, healthy: int = 2, cycles: int = 10) -> Case:
+    """Draw a case: the same job gives the same case."""
+    rng = np.random.default_rng((job.seed, 2))
+    base = structure(job.seed, job.altered)
+    names, harmed, wire, sizes = hide(job, like(base, int(rng.integers(1 << 30))), rng)
     seeds = rng.integers(1 << 30, size=3 + healthy).tolist()
     period = float(rng.uniform(1.2, 1.5))
     peak = float(rng.choice([40.0, 50.0]))
+
+    def recorded(bench: Bench, seed: int, peak: float, period: float, count: int, faults: dict[str, float]
+                 ) -> dict[str, np.ndarray]:
+        walked = trial(bench, seed, peak, period, count)
+        # every second wire is one whose recorder says ages, the others show repeats alone
+        return wired(walked, rng, **faults, ages=job.seed % 2 == 0) if job.kind == "wire" else walked
+
     return Case(
-        seed, kind, names, sizes, trial(harmed, seeds[0], peak, period),
-        trial(harmed, seeds[1], 90.0 - peak, period * 1.25, cycles=4),
-        tuple(trial(like(base, s), s + 1, peak if i % 2 == 0 else 90.0 - peak, period * (1.0 + 0.1 * i))
-              for i, s in enumerate(seeds[3:])),
-        trial(own, seeds[2], peak, period))
+        job, names, sizes, harmed, recorded(harmed, seeds[0], peak, period, cycles, wire),
+        recorded(harmed, seeds[1], 90.0 - peak, period * 1.25, 4, wire),
+        tuple(recorded(like(base, s), s + 1, peak if i % 2 == 0 else 90.0 - peak, period * (1.0 + 0.1 * i), cycles, {})
+              for i, s in enumerate(seeds[3:])))

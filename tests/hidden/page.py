@@ -1,0 +1,87 @@
+"""The judging's part of docs/diagnosis.md: bars, what tells against those not met, and the confusion matrix.
+
+The rule of this file: pure text from answers; what is written here stands between two marks of the page, nothing else
+of it is touched.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from tests.hidden import cases
+from tests.hidden.answers import LEAST_RATIO, Answer
+from tests.hidden.bars import Bar, bars
+
+BEGIN, END = "<!-- judged: begin -->", "<!-- judged: end -->"
+SHOWN = 8
+"""Kinds of failure that are told of one bar."""
+
+
+def text(told: Sequence[Answer], said: str) -> str:
+    """Return all tables; `said`: by which command, commit and seeds."""
+    found = bars(told)
+    return "\n".join([said, "", *table(found), "", *failures(found), "", *confusion(told), "", *effects(told)])
+
+
+def table(found: Sequence[Bar]) -> list[str]:
+    """Return the table of bars."""
+    return ["| bar | figure | of | bound | met |", "|---|---|---|---|---|",
+            *(f"| {b.name} | {b.figure:.3g} | {b.count} | {b.bound or '—'} | {_met(b)} |" for b in found)]
+
+
+def _met(bar: Bar) -> str:
+    return "—" if bar.met is None else "yes" if bar.met else "no"
+
+
+def failures(found: Sequence[Bar]) -> list[str]:
+    """Return a line for each bar that is not met: the cases against it, hidden → said."""
+    lines = []
+    for bar in found:
+        if bar.met is False and bar.against:
+            most = "; ".join(f"{case} ×{count}" for case, count in bar.against[:SHOWN])
+            more = sum(count for _, count in bar.against[SHOWN:])
+            lines.append(f"- *{bar.name}*, {sum(c for _, c in bar.against)} cases against it: {most}"
+                         + (f"; {more} more" if more else "") + ".")
+    return ["Against the bars that are not met (hidden → said, how often):", "", *lines] if lines else [
+        "No case tells against a bar that is not met."]
+
+
+def confusion(told: Sequence[Answer]) -> list[str]:
+    """Return the matrix hidden × first name, of cases that count; a column's number is its effect's row."""
+    counted = [a for a in told if (a.job.kind == "wire" or (a.counts and a.job.kind in ("one", "outside"))) and a.hidden
+               ] + [a for a in told if a.job.kind == "none"]
+    rows = {name: Counter(a.first for a in counted if (a.hidden or ("nothing",))[0] == name)
+            for name in (*sorted(cases.EFFECTS), *sorted(cases.WIRE), *sorted(cases.OUTSIDE), "nothing")}
+    number = {name: i for i, name in enumerate(rows, 1)}
+    said = {name for row in rows.values() for name in row}
+    columns = [*(name for name in rows if name in said), *sorted(said - set(rows))]
+    heads = [str(number.get(name, name)) for name in columns]
+    return [f"Hidden (row) against the first name said (column: the number of its row), single effects with a residual "
+            f"of at least {LEAST_RATIO} healthy floors, wire faults, effects outside the catalogue and healthy plants:",
+            "", "| # | hidden | " + " | ".join(heads) + " |", "|---|---|" + "---|" * len(columns),
+            *(f"| {number[name]} | `{name}` | " + " | ".join(str(row[c]) if row[c] else "" for c in columns) + " |"
+              for name, row in rows.items() if row)]
+
+
+def effects(told: Sequence[Answer]) -> list[str]:
+    """Return one line an effect: how often it was hidden, counted, first, in the class, missed, unexplained."""
+    lines = [f"| effect | cases | ratio ≥ {LEAST_RATIO} | first | in class | none | unexplained | refused |",
+             "|---|---|---|---|---|---|---|---|"]
+    for name in (*sorted(cases.EFFECTS), *sorted(cases.WIRE)):
+        mine = [a for a in told if a.job.kind in ("one", "wire") and a.hidden == (name,)]
+        counted = [a for a in mine if a.counts or a.job.kind == "wire"]
+        words = [sum(a.verdict == word for a in counted) for word in ("none", "unexplained", "refused")]
+        if mine:
+            lines.append(f"| `{name}` | {len(mine)} | {sum(a.counts for a in mine)} "
+                         f"| {sum(a.first == name for a in counted)} | {sum(name in a.rivals for a in counted)} | "
+                         + " | ".join(map(str, words)) + " |")
+    return lines
+
+
+def put(page: Path, written: str) -> None:
+    """Write the tables between the page's marks."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    _, _, after = rest.partition(END)
+    page.write_text(f"{before}{BEGIN}\n{written}\n{END}{after}", encoding="utf-8")
