@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,10 @@ Extended = Annotated[Path | None, typer.Option(
 Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
+Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="With --each: processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(
+    metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
     "bowden trial --experiment, would show.")]
@@ -45,6 +50,9 @@ def diagnose(
     output: Extended = None,
     report: Report = None,
     tracked: Tracked = None,
+    each: Each = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,
@@ -62,26 +70,67 @@ def diagnose(
     from bowden import outputs
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
+    given = {"TRIAL": trials, "-o": output, "--report": report, "--lowpass": lowpass, "--holdout": holdout,
+             "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
     if plan is not None:
-        for option, value in {"TRIAL": trials, "-o": output, "--report": report, "--lowpass": lowpass,
-                              "--holdout": holdout, "--tracked": tracked}.items():
-            if value:
-                raise InputError(f"--plan is before any trial; leave {option} out.")
+        _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, asked, calibration, healthy or [], json)
+    chosen = _trials(trials, asked, given)
+    if each:
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
+    outputs.refuse([output, report], overwrite=overwrite)
+    began = time.perf_counter()
+    with terminal.waiting("diagnosing", shown=not json):
+        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
+    result = found.as_json() | {"seconds": time.perf_counter() - began}
+    terminal.emit(result) if json else _tell(found, result)
+    return 2 if found.verdict == "refused" else 0
+
+
+def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
+    for option in names:
+        if given[option]:
+            raise InputError(f"{reason}; leave {option} out.")
+
+
+def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, Any]) -> list[Path]:
+    """Return the trials; raises `InputError` for options that do not belong beside each other."""
     for option, value in asked.items():
         if value is not None:
             raise InputError(f"{option} belongs to --plan; leave it out, or name an experiment with --plan.")
     if not trials:
         raise InputError("diagnose: no trial given; name at least one, or an experiment with --plan.")
-    if tracked is not None and report is None:
+    if given["--each"]:
+        _leave_out(given, ("-o", "--report", "--tracked"), "--each gives a verdict for every trial and writes none")
+    for option in ("--workers", "--scheduler"):
+        if given[option] and not given["--each"]:
+            raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
+    if given["--tracked"] and not given["--report"]:
         raise InputError("--tracked is shown in the report; name one with --report.")
-    outputs.refuse([output, report], overwrite=overwrite)
-    began = time.perf_counter()
-    with terminal.waiting("diagnosing", shown=not json):
-        found = _diagnosed(trials, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
-    result = found.as_json() | {"seconds": time.perf_counter() - began}
-    terminal.emit(result) if json else _tell(found, result)
-    return 2 if found.verdict == "refused" else 0
+    return trials
+
+
+def _each(
+    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
+    scheduler: str | None, workers: int | None, json: bool,
+) -> int:
+    """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
+    from bowden import diagnose_each
+
+    given = diagnose_each.Given(calibration, healthy, holdout, lowpass)
+    with diagnose_each.crew(scheduler, workers) as crew, terminal.progress("diagnosing", shown=not json) as update:
+        told = diagnose_each.each(trials, given, crew, update)
+    terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
+    refused = sum(one["verdict"] == "refused" for one in told.values())
+    return 2 if refused == len(told) else 1 if refused else 0
+
+
+def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
+    terminal.table("diagnoses" + (f" (low-pass {lowpass:g} Hz)" if lowpass else ""), (
+        "trial", "verdict", "causes", "class", "to do next, or why not"), [
+        (trial, one["verdict"], "; ".join(f"{c['effect']} {_parameters(c['parameters'])}" for c in one["causes"]),
+         ", ".join(one["class"]), one["warnings"][0] if one["verdict"] == "refused" else one["experiment"] or "")
+        for trial, one in told.items()])
 
 
 def _diagnosed(

@@ -1,0 +1,148 @@
+"""`bowden diagnose` as it is typed: bad data, what is said where, many trials."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.hidden.bench import Bench
+from tests.hidden.walk import trial
+
+Run = Callable[..., Any]
+Columns = dict[str, np.ndarray]
+FRICTION = ("time_s", "cycle", "servo_position_m", "servo_velocity_m_s", "tension_start_n", "tension_end_n")
+"""Columns of one relation: what is tested here is not how well many are searched."""
+KEYS = ("verdict", "causes", "class", "experiment", "relations", "warnings", "detection_limit", "seconds")
+
+
+@pytest.fixture(scope="module")
+def walked() -> Columns:
+    """Four gait cycles at 100 Hz of the bench written apart, its END sensor 3 N off."""
+    whole = trial(Bench(end_offset=3.0), seed=1, cycles=4)
+    return {name: whole[name][::10] for name in FRICTION}
+
+
+def written(path: Path, columns: Columns) -> Path:
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    return path
+
+
+def cut(columns: Columns, cycles: int) -> Columns:
+    return {name: values[columns["cycle"] < cycles] for name, values in columns.items()}
+
+
+def velocity_in_millimetres(columns: Columns) -> Columns:
+    return {**columns, "servo_velocity_m_s": 1e3 * columns["servo_velocity_m_s"]}
+
+
+def slow_clock(columns: Columns) -> Columns:
+    return {**columns, "time_s": 1.25 * columns["time_s"]}
+
+
+def without_end(level: float) -> Callable[[Columns], Columns]:
+    return lambda columns: {**columns, "tension_end_n": np.full(columns["time_s"].size, level)}
+
+
+def nothing_at_all(columns: Columns) -> Columns:
+    return {name: values if name in ("time_s", "cycle") else np.full(values.size, np.nan)
+            for name, values in columns.items()}
+
+
+def holes(columns: Columns) -> Columns:
+    end = columns["tension_end_n"].copy()
+    end[::3] = np.nan
+    return {**columns, "tension_end_n": end}
+
+
+@pytest.mark.parametrize(("spoilt", "says"), [
+    (lambda columns: cut(columns, 2), "2 cycles; expected at least 3"),
+    (without_end(7.0), "tension_end_n is constant at 7"),
+    (without_end(np.nan), "tension_end_n is empty"),
+    (nothing_at_all, "no relation can be checked"),
+    (holes, "tension_end_n lacks 33"),
+], ids=["two cycles", "constant", "all NaN", "everything NaN", "a third missing"])
+def test_where_nothing_can_be_said_it_is_refused(
+    spoilt: Callable[[Columns], Columns], says: str, walked: Columns, bowden: Run, here: Path
+) -> None:
+    told = bowden("diagnose", written(here / "bad.csv", spoilt(walked)), "--json", "-o", "extended.toml")
+    assert told.status == 2
+    result = json.loads(told.stdout)
+    assert (result["verdict"], result["causes"], result["class"]) == ("refused", [], [])
+    assert any("bad.csv" in text and says in text for text in result["warnings"])
+    assert not (here / "extended.toml").exists()
+
+
+@pytest.mark.parametrize(("spoilt", "says"), [
+    (velocity_in_millimetres, "servo_velocity_m_s is 1000 times the derivative of servo_position_m: it is in mm/s"),
+    (slow_clock, "the clock of time_s runs 1.25 times too slow"),
+], ids=["velocity", "clock"])
+def test_another_unit_or_clock_is_warned_of_with_its_factor(
+    spoilt: Callable[[Columns], Columns], says: str, walked: Columns, bowden: Run, here: Path
+) -> None:
+    told = bowden("diagnose", written(here / "odd.csv", spoilt(walked)), "--json")
+    assert told.status == 0, told.stderr
+    assert any(says in text for text in json.loads(told.stdout)["warnings"])
+
+
+def test_a_clock_is_told_from_other_files_where_no_velocity_tells_it(walked: Columns, bowden: Run, here: Path) -> None:
+    plain = {name: values for name, values in walked.items() if name != "servo_velocity_m_s"}
+    written(here / "a.csv", plain)
+    written(here / "b.csv", {**plain, "tension_end_n": plain["tension_end_n"] + 0.1})
+    late = written(here / "late.csv", {**slow_clock(plain), "tension_end_n": plain["tension_end_n"] + 0.2})
+    told = bowden("diagnose", "a.csv", "b.csv", "--holdout", late, "--json")
+    assert any("late.csv" in text and "off by a factor of 1.25" in text
+               for text in json.loads(told.stdout)["warnings"])
+
+
+def test_one_file_as_trial_and_holdout_is_refused(walked: Columns, bowden: Run, here: Path) -> None:
+    written(here / "a.csv", walked)
+    told = bowden("diagnose", "a.csv", "--holdout", written(here / "b.csv", walked), "--json")
+    assert told.status == 2
+    assert "the same data as a.csv" in json.loads(told.stdout)["warnings"][0]
+
+
+def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns, bowden: Run, here: Path) -> None:
+    arguments = ("diagnose", written(here / "a.csv", walked), "--lowpass", 20, "-o", "extended.toml", "--report",
+                 "page.html", "--overwrite")
+    told = bowden(*arguments, "--json")
+    assert told.status == 0, told.stderr
+    result = json.loads(told.stdout)
+    assert tuple(result) == (*KEYS, "lowpass_hz")
+    assert result["lowpass_hz"] == 20.0
+    assert set(result["relations"]["friction"]) == {
+        "unit", "checked", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent",
+        "low", "high"}
+    assert [name for name, row in result["relations"].items() if row["checked"]] == ["friction"]
+    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent"}
+    assert "lowpass_hz = 20.0" in (here / "extended.toml").read_text(encoding="utf-8")
+    assert "low-passed at 20 Hz" in (here / "page.html").read_text(encoding="utf-8")
+    assert "(low-pass 20 Hz)" in bowden(*arguments).stdout
+
+
+def test_each_trial_is_told_for_itself_by_several_processes(walked: Columns, bowden: Run, here: Path) -> None:
+    written(here / "long.csv", walked)
+    written(here / "short.csv", cut(walked, 2))
+    told = bowden("diagnose", "long.csv", "short.csv", "none.csv", "--each", "--workers", 2, "--json")
+    assert told.status == 1
+    result = json.loads(told.stdout)["trials"]
+    assert list(result) == ["long.csv", "short.csv", "none.csv"]
+    assert [one["verdict"] == "refused" for one in result.values()] == [False, True, True]
+    assert tuple(result["long.csv"]) == (*KEYS, "lowpass_hz")
+    assert "no such file" in result["none.csv"]["warnings"][0]
+
+
+@pytest.mark.parametrize(("arguments", "says"), [
+    (["a.csv", "--each", "-o", "x.toml"], "leave -o out"),
+    (["a.csv", "--workers", "2"], "--workers belongs to --each"),
+    (["a.csv", "--scheduler", "127.0.0.1:9"], "--scheduler belongs to --each"),
+])
+def test_what_each_trial_for_itself_cannot_have(arguments: list[str], says: str, bowden: Run, here: Path) -> None:
+    told = bowden("diagnose", *arguments)
+    assert (told.status, told.stdout) == (2, "")
+    assert says in told.stderr
