@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from diagnosis.data import Table, table
 from diagnosis.finder import Diagnosis
 from diagnosis.fit import solve
 from diagnosis.report import build, write
+from diagnosis.report_where import concentrated
 from diagnosis.search import Found, Model
 from diagnosis.setting import settle
 from diagnosis.verdict import Figures
@@ -44,7 +46,9 @@ def found(measured: Table) -> Diagnosis:
     cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
         "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}}}
     return Diagnosis("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
-                     ["the clock is told from one column"], {"smallest": {"mu1": 0.02}}, 1.0, None, "nominal",
+                     ["the clock is told from one column"], {
+                         "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
+                         "slack": {"parameter": "slack", "value": None, "unit": "m"}}, 1.0, None, "nominal",
                      Found(base, best, (best, base)))
 
 
@@ -78,7 +82,44 @@ def test_the_page_draws_every_checked_relation_from_every_side(found: Diagnosis,
 def test_the_page_ranks_what_was_rejected(found: Diagnosis, measured: Table) -> None:
     html = build(found, [measured], []).html()
     assert re.search(r"<td[^>]*>cable_friction</td><td[^>]*>chosen</td>", html)
-    assert re.search(r"<td[^>]*>healthy</td><td[^>]*>rejected</td>", html)
+    assert re.search(r"<td[^>]*>as simulated</td><td[^>]*>the simulation as it was</td>", html)
+
+
+def test_the_page_says_what_could_have_been_seen(found: Diagnosis, measured: Table) -> None:
+    html = build(found, [measured], []).html()
+    rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
+    assert [(row[0], row[2], row[5]) for row in rows] == [
+        ("cable_friction", "0.02", "from there on"), ("slack", "–", "no")]
+
+
+def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measured: Table) -> None:
+    strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
+    html = build(strange, [measured], []).html()
+    # the fixture's figures: 0.5 after, over a floor of 0.25
+    assert "2 times what healthy trials leave" in html
+    assert re.search(r"Half of its square lies at \d+ … \d+ % of gait and START at", html)
+
+
+def test_half_of_the_squares_is_found_where_it_lies() -> None:
+    along = np.linspace(0.0, 100.0, 1001)
+    low, high = concentrated(along, np.where((along > 20.0) & (along < 24.0), 1.0, 0.01))
+    # bins of 2: half of what lies in 20…24 is one or two of them
+    assert 20.0 <= low < high <= 24.0
+
+
+def test_a_browser_shows_it_with_nothing_fetched(
+    found: Diagnosis, measured: Table, browser: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "diagnosis.html"
+    write(found, [measured], [measured], path)
+    browser.open(path)
+    assert browser.requests == [path.resolve().as_uri()]
+    assert browser.complaints == []
+    drawn = browser.run("document.querySelectorAll('.plot[role=img] canvas').length")
+    assert drawn == browser.run("document.querySelectorAll('.plot[role=img]').length") > 20
+    assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+    legends = set(browser.run("[...document.querySelectorAll('.legend')].map(l => l.innerText.trim())"))
+    assert "" not in legends
 
 
 def test_the_page_is_written_whole_and_loads_nothing(found: Diagnosis, measured: Table, tmp_path: Path) -> None:
