@@ -6,7 +6,6 @@ same verdict.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -24,7 +23,10 @@ from parameters import InputError, read_toml
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The verdict and its figures; `as_json` gives exactly the published keys."""
+    """The verdict and its figures; `as_json` gives exactly the published keys.
+
+    `seconds` is for the caller that has a clock: nothing here reads one.
+    """
 
     verdict: str
     causes: list[dict[str, Any]] = field(default_factory=list)
@@ -33,7 +35,7 @@ class Diagnosis:
     relations: dict[str, Figures] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     detection_limit: dict[str, Any] | None = None
-    seconds: float = 0.0
+    seconds: float | None = None
     lowpass_hz: float | None = None
     reference: str = "none"
     found: Found | None = field(default=None, repr=False)
@@ -58,7 +60,6 @@ def diagnose(
     `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
     Raises `InputError` for files and options that cannot be used; data that contradict themselves are `refused`.
     """
-    started = time.perf_counter()
     if not trials:
         raise InputError("diagnose: no trial given; name at least one.")
     held = [[_read(t) for t in group] for group in (trials, holdout, healthy)]
@@ -67,11 +68,10 @@ def diagnose(
     warnings = [f.text for f in findings if not f.refuses] + [n for g in held for t in g for n in t.notes]
     refusals = [f.text for f in findings if f.refuses]
     if refusals:
-        return Diagnosis("refused", warnings=refusals + warnings, lowpass_hz=lowpass,
-                         seconds=time.perf_counter() - started)
+        return Diagnosis("refused", warnings=refusals + warnings, lowpass_hz=lowpass)
     groups = [[_filtered(integrity.usable(t), lowpass) for t in group] for group in held]
     result = _judged(groups, _calibration(calibration), warnings)
-    return replace(result, seconds=time.perf_counter() - started, lowpass_hz=lowpass)
+    return replace(result, lowpass_hz=lowpass)
 
 
 def _judged(groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None, warnings: list[str]) -> Diagnosis:

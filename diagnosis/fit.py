@@ -1,8 +1,9 @@
 """Bounded least squares over whole cycles, with what is known beforehand about the parameters.
 
 The rule of this file: a fit sees blocks and slots, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·Σ((p − p0)/σ)²,
-w the relation's floor times the root of the samples that count as one.  Slopes are taken again only where the
-last ones have stopped predicting what a step gains: most steps cost one evaluation.
+w the relation's floor times the root of the samples that count as one.  Slopes are taken by differences once and
+then follow each step (Broyden 1965, Math. Comp. 19, eq. 4.5); a fit that adds to another starts from that one's: most
+steps cost one evaluation.
 """
 
 from __future__ import annotations
@@ -22,10 +23,16 @@ Values = Mapping[str, float]
 MAX_STEPS: Final = 40
 DIFFERENCE: Final = 0.02
 """Step of a slope, of a slot's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
-ENOUGH: Final = 2e-4
+ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
-TRUSTED: Final = 0.6
+IDLE: Final = 1e-5
+"""Share of the cost below which what a slot's step changes is nothing: it stays, and so do the blocks that read it."""
+SHORT: Final = 1e-3
+"""Step, of the scales, below which it teaches nothing of the slopes."""
+TRUSTED: Final = 0.25
 """Share of the predicted gain that a step must reach for its slopes to be used again."""
+MOVED: Final = 0.25
+"""Way of a slot, of its scale, after which its own slope is taken again."""
 
 
 @dataclass(frozen=True)
@@ -70,17 +77,6 @@ class Problem:
             step = -step
         return (self.residual(i, {**values, f.name: values[f.name] + step}) - residual) / step
 
-    def slopes(self, values: Values, residuals: Sequence[Array], free: Sequence[Free]) -> list[Array]:
-        """Return, by block, ∂residual/∂slot as one row a slot; rows of slots that the block does not read are zero."""
-        found = []
-        for i, block in enumerate(self.blocks):
-            rows = np.zeros((len(free), residuals[i].size))
-            for j, f in enumerate(free):
-                if f.name in block.uses:
-                    rows[j] = self.slope(i, values, residuals[i], f)
-            found.append(rows)
-        return found
-
 
 @dataclass(frozen=True)
 class Fit:
@@ -95,33 +91,94 @@ class Fit:
     steps: int
 
 
-def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS) -> Fit:
-    """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected."""
+class Slopes:
+    """∂residual/∂slot by block, one row a slot; rows of slots that a block does not read are zero."""
+
+    def __init__(self, problem: Problem, free: Sequence[Free], residuals: Sequence[Array], known: Fit | None) -> None:
+        self.problem, self.free = problem, free
+        self.scale = np.array([f.scale for f in free])
+        self.taken = np.full(len(free), np.nan)
+        self.rows = [np.zeros((len(free), r.size)) for r in residuals]
+        self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
+        if known is not None:
+            self._carry(known)
+
+    def _carry(self, known: Fit) -> None:
+        place = {f.name: j for j, f in enumerate(known.free)}
+        here = np.flatnonzero([f.name in place for f in self.free])
+        there = np.array([place[self.free[j].name] for j in here], dtype=np.intp)
+        self.taken[here] = [known.values[self.free[j].name] for j in here]
+        for rows, carried, mask in zip(self.rows, known.slopes, self.problem.masks, strict=True):
+            rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
+
+    def stale(self, values: Values) -> NDArray[np.intp]:
+        """Return the slots whose slope was never taken, or too far from `values`."""
+        at = np.array([values[f.name] for f in self.free])
+        return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
+
+    def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> None:
+        """Take the slopes of the slots `which` by differences."""
+        for i, block in enumerate(self.problem.blocks):
+            for j in which:
+                if self.free[j].name in block.uses:
+                    self.rows[i][j] = self.problem.slope(i, values, residuals[i], self.free[j])
+        self.taken[which] = [values[self.free[j].name] for j in which]
+
+    def follow(self, step: Array, before: Sequence[Array], after: Sequence[Array]) -> None:
+        """Make the slopes agree with what `step` did."""
+        for rows, reads, old, new in zip(self.rows, self.reads, before, after, strict=True):
+            way = step[reads] / self.scale[reads]
+            length = float(way @ way)
+            if length > SHORT**2 and np.isfinite(new).all():
+                missed = new - old - step[reads] @ rows[reads]
+                rows[reads] += np.outer(way / self.scale[reads] / length, missed)
+
+    def curvature(self) -> Array:
+        total = np.diag([f.stiffness for f in self.free])
+        for rows, reads in zip(self.rows, self.reads, strict=True):
+            total[np.ix_(reads, reads)] += rows[reads] @ rows[reads].T
+        return total
+
+    def gradient(self, residuals: Sequence[Array], values: Values) -> Array:
+        total = np.array([f.pull(values[f.name]) / f.sigma for f in self.free])
+        for rows, reads, r in zip(self.rows, self.reads, residuals, strict=True):
+            total[reads] += rows[reads] @ r
+        return total
+
+
+def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS, known: Fit | None = None
+          ) -> Fit:
+    """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected.
+
+    `known`: a fit of the same blocks whose slopes are near those at `start`.
+    """
     values = dict(start)
     for f in free:
         values[f.name] = min(max(values[f.name], f.low), f.high)
     residuals = problem.residuals(values)
-    cost, slopes = _cost(residuals, free, values), problem.slopes(values, residuals, free)
-    curvature, damping, fresh, steps = _curvature(slopes, free), 1e-3, True, 0
+    cost, slopes = _cost(residuals, free, values), Slopes(problem, free, residuals, known)
+    slopes.take(values, residuals, np.flatnonzero(np.isnan(slopes.taken)))
+    curvature, damping, steps = slopes.curvature(), 1e-3, 0
     while free and steps < max_steps and damping < 1e6:
         steps += 1
-        gradient = _gradient(slopes, residuals, free, values)
-        trial, predicted = _stepped(values, free, gradient, curvature, damping)
-        tried = problem.residuals(trial)
-        gain = cost - _cost(tried, free, trial)
+        trial, predicted = _stepped(values, free, slopes.gradient(residuals, values), curvature, damping,
+                                    cost)
+        gain, arrived = 0.0, predicted < ENOUGH * cost
+        if not arrived:
+            tried = problem.residuals(trial)
+            gain = cost - _cost(tried, free, trial)
+            slopes.follow(np.array([trial[f.name] - values[f.name] for f in free]), residuals, tried)
         if gain > 0.0:
             values, residuals, cost = trial, tried, cost - gain
             damping = max(damping / 5.0, 1e-9)
-        elif fresh:
-            damping *= 8.0
-        if fresh and max(gain, predicted) < ENOUGH * cost:
-            break
-        if gain < max(TRUSTED * predicted, 10.0 * ENOUGH * cost) and (gain > 0.0 or not fresh):
-            slopes, fresh = problem.slopes(values, residuals, free), True
-            curvature = _curvature(slopes, free)
-        elif gain > 0.0:
-            fresh = False
-    return Fit(values, cost, tuple(free), residuals, slopes, curvature, steps)
+        if gain < TRUSTED * predicted or arrived:
+            stale = slopes.stale(values)
+            if arrived and not stale.size:
+                break
+            slopes.take(values, residuals, stale)
+            damping *= 1.0 if stale.size or gain > 0.0 else 8.0
+        curvature = slopes.curvature()
+    return Fit(values, cost, tuple(free), residuals, slopes.rows, curvature, steps)
 
 
 def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> float:
@@ -129,17 +186,8 @@ def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> f
     return total if np.isfinite(total) else np.inf
 
 
-def _curvature(slopes: Sequence[Array], free: Sequence[Free]) -> Array:
-    return np.asarray(sum((j @ j.T for j in slopes), np.diag([f.stiffness for f in free])))
-
-
-def _gradient(slopes: Sequence[Array], residuals: Sequence[Array], free: Sequence[Free], values: Values) -> Array:
-    prior = np.array([f.pull(values[f.name]) / f.sigma for f in free])
-    return np.asarray(sum((j @ r for j, r in zip(slopes, residuals, strict=True)), prior))
-
-
-def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: Array, damping: float
-             ) -> tuple[dict[str, float], float]:
+def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: Array, damping: float,
+             cost: float) -> tuple[dict[str, float], float]:
     """Return the next values and the gain that the slopes promise; slots that would leave stop on their bound."""
     at = np.array([values[f.name] for f in free])
     down, up = np.array([f.low for f in free]) - at, np.array([f.high for f in free]) - at
@@ -156,6 +204,7 @@ def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: A
             break
         step[out] = np.clip(step, down, up)[out]
         moving &= ~out
+    step[np.maximum(np.abs(gradient * step), (scale * step) ** 2) < IDLE * cost] = 0.0
     promised = -float(gradient @ step) - 0.5 * float(step @ curvature @ step)
     new = np.clip(at + step, at + down, at + up)
     return {**values, **{f.name: float(v) for f, v in zip(free, new, strict=True)}}, promised

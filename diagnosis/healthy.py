@@ -43,11 +43,15 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequ
     """Fit all healthy trials together, then each alone; `floors`, `tied`: what is assumed before they are seen."""
     blocks = [b for trial in trials for b in trial]
     weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
-    taught = solve(Problem(blocks, weights), reference.values, _teachable(reference, offered), STEPS).values
+    together = solve(Problem(blocks, weights), reference.values, _teachable(reference, offered), STEPS)
+    taught = together.values
     moved = Reference(reference.kind, taught, tuple(_recentred(f, taught[f.name]) for f in reference.nuisance))
     rests: dict[str, list[Array]] = {n: [] for n in floors}
+    first = 0
     for trial in trials:
-        alone = solve(Problem(trial, weights), moved.values, moved.nuisance).values
+        near = dataclasses.replace(together, slopes=together.slopes[first:first + len(trial)])
+        first += len(trial)
+        alone = solve(Problem(trial, weights), moved.values, moved.nuisance, known=near).values
         for block in trial:
             rests[block.relation.name].append(block.residual(alone))
     return Lesson(moved, {n: rmse(r) for n, r in rests.items()},

@@ -32,7 +32,7 @@ class Judge:
     def __init__(self, setting: Setting, holdout: Sequence[Table]) -> None:
         self.setting, self.holdout = setting, holdout
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, setting.offered,
-                             setting.folds, self._pays, self._leaves)
+                             setting.folds, self._pays, self._leaves, near=not setting.any_rig)
         self.found = self.search.run(MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH)
 
     def _expected(self, relation: str) -> float:
@@ -85,10 +85,8 @@ class Judge:
     @cached_property
     def _refitted(self) -> tuple[verdict.CycleSquares, verdict.CycleSquares, list[dict[str, float]]]:
         setting, found = self.setting, self.found
-        before, _ = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.baseline.fit.values,
-                                   found.baseline.fit.free)
-        after, fitted = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.best.fit.values,
-                                       found.best.fit.free)
+        before, _ = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.baseline.fit)
+        after, fitted = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.best.fit)
         return before, after, fitted
 
     def causes(self) -> list[dict[str, Any]]:
@@ -142,7 +140,7 @@ class Judge:
         from diagnosis.plan import sight
 
         return {limit.effect: {"parameter": limit.parameter, "value": limit.size, "unit": limit.unit}
-                for limit in sight(self.setting)}
+                for limit in sight(self.setting, self.found.baseline.fit)}
 
 
 def _inside(value: float, low: float, high: float) -> float:

@@ -86,20 +86,19 @@ def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[s
     if not setting.checked or len(setting.folds) < integrity.LEAST_CYCLES:
         raise InputError(f"{simulated.source}: {len(setting.folds)} laps and {len(setting.checked)} relations to check;"
                          f" expected at least {integrity.LEAST_CYCLES} and one: give an experiment that moves.")
-    return _Sight(setting).plan()
+    return _Sight(setting, solve(setting.problem, setting.reference.values, setting.reference.nuisance)).plan()
 
 
-def sight(setting: Setting) -> tuple[Limit, ...]:
-    """Return every effect's limit on a setting's own trials."""
-    return _Sight(setting).plan().limits
+def sight(setting: Setting, baseline: Fit) -> tuple[Limit, ...]:
+    """Return every effect's limit on a setting's own trials; `baseline`: what fits them without an effect."""
+    return _Sight(setting, baseline).plan().limits
 
 
 class _Sight:
     """Residuals of one healthy trial, and how they change."""
 
-    def __init__(self, setting: Setting) -> None:
-        self.setting, self.problem = setting, setting.problem
-        self.fit: Fit = solve(self.problem, setting.reference.values, setting.reference.nuisance)
+    def __init__(self, setting: Setting, baseline: Fit) -> None:
+        self.setting, self.problem, self.fit = setting, setting.problem, baseline
         self.slopes = np.concatenate(self.fit.slopes, axis=1)
         self.inverse = np.linalg.pinv(self.fit.curvature, rcond=1e-12)
         names = [b.relation.name for b in setting.blocks]

@@ -59,13 +59,14 @@ class Found:
 
 
 class Search:
-    """One search over one problem."""
+    """One search over one problem; `near`: effects are small enough for slopes to outlive one more of them."""
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
-                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open) -> None:
+                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
-        self.pays, self.leaves = pays, leaves
+        self.pays, self.leaves, self.near = pays, leaves, near
         self.tried: dict[tuple[str, ...], Model] = {}
+        self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.baseline = self.model((), start)
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
@@ -73,9 +74,10 @@ class Search:
         own = {f.name: f for c in effects for f in c.frees}
         return tuple(f for f in self.nuisance if f.name not in own) + tuple(own.values())
 
-    def model(self, effects: Sequence[Candidate], start: Values) -> Model:
-        """Fit `effects` from `start`; keep it when it beats the same effects from elsewhere."""
-        fit = solve(self.problem, start, self.free_of(effects))
+    def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None) -> Model:
+        """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
+        known_fit = near.fit if near is not None and self.near else None
+        fit = solve(self.problem, start, self.free_of(effects), known=known_fit)
         made = Model(tuple(effects), fit, Screen(self.problem, fit, self.folds).unseen())
         known = self.tried.get(made.names)
         if known is None or made.fit.cost < known.fit.cost:
@@ -83,15 +85,21 @@ class Search:
         return self.tried[made.names]
 
     def grow(self, model: Model, most: int) -> list[Model]:
-        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen."""
+        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
         offered = [c for c in self.offered if c.name not in model.names]
         chosen: dict[int, int] = {}
         for fall, c, s in promises(self.problem, model.fit, self.folds, offered):
             if fall <= 0.0 or len(chosen) == most:
                 break
             chosen.setdefault(c, s)
-        return [self.model((*model.effects, offered[c]), {**model.fit.values, **offered[c].starts[s]})
-                for c, s in chosen.items()]
+        return [self._grown(model, offered[c], s) for c, s in chosen.items()]
+
+    def _grown(self, model: Model, candidate: Candidate, start: int) -> Model:
+        step = (model.names, candidate.name, start)
+        if step not in self.grown:
+            self.grown.add(step)
+            self.model((*model.effects, candidate), {**model.fit.values, **candidate.starts[start]}, model)
+        return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: Model) -> Model:
         """Take out, one by one, the effects that do not pay for themselves, the least first."""
@@ -108,7 +116,7 @@ class Search:
         left = [c for c in model.effects if c is not out]
         known = self.tried.get(tuple(sorted(c.name for c in left)))
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
-        return known if known is not None and not left else self.model(left, {**model.fit.values, **back})
+        return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
 
     def run(self, most: int) -> Found:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.fit import Free, Problem, solve
+from diagnosis.fit import Fit, Problem, solve
 from diagnosis.relations import Block
 from diagnosis.search import Found, Model
 
@@ -81,13 +81,13 @@ class CycleSquares:
         return math.sqrt(squares.sum() / counts.sum())
 
 
-def unseen(blocks: Sequence[Block], weights: Mapping[str, float], folds: Sequence[frozenset[int]], start: Values,
-           free: Sequence[Free]) -> tuple[CycleSquares, list[dict[str, float]]]:
+def unseen(blocks: Sequence[Block], weights: Mapping[str, float], folds: Sequence[frozenset[int]], fit: Fit
+           ) -> tuple[CycleSquares, list[dict[str, float]]]:
     """Refit in full for each fold on the other cycles; return the squares on the fold's own, and each fold's values."""
     squares, fitted = CycleSquares(), []
     everything = frozenset().union(*folds)
     for fold in folds:
-        values = solve(Problem(blocks, weights, (everything - fold) or fold), start, free).values
+        values = solve(Problem(blocks, weights, (everything - fold) or fold), fit.values, fit.free, known=fit).values
         fitted.append(values)
         for block in blocks:
             inside = np.isin(block.cycle, list(fold))

@@ -47,7 +47,8 @@ _PATH: Final = frozenset({
     "knee_backlash", "moment_arm", "eccentricity", "eccentricity_phase", "rope_zero", "home_preload",
     "knee_ratio"})
 _DRIVE: Final = frozenset({
-    "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset", "drive_asymmetry", "drive_presliding"})
+    "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset", "drive_asymmetry", "drive_presliding",
+    "drive_calm"})
 
 RELATIONS: Final[Mapping[str, Relation]] = {
     relation.name: relation for relation in (

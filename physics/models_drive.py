@@ -29,6 +29,8 @@ def drive_force(signals: Signals, p: Values) -> Array:
     slip = signals.remember(
         "drive", p, ("drive_presliding",),
         lambda: states.presliding(signals["rope_m"], signals.fresh, p["drive_presliding"]))
+    if p["drive_calm"] > 0.0:
+        slip = slip * np.tanh(np.abs(signals["rope_m_s"]) / p["drive_calm"])
     force = p["drive_coulomb"] * slip * (1.0 + p["drive_asymmetry"] * slip) + p["drive_offset"]
     force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):

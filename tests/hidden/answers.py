@@ -11,6 +11,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import dataclasses
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -81,7 +82,9 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
     case = cases.case(job, healthy, cycles)
     trial, holdout = data.table("trial", case.trial), data.table("holdout", case.holdout)
     taught = [data.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
+    began = time.perf_counter()
     said = diagnose([trial], healthy=taught, holdout=[holdout])
+    seconds = time.perf_counter() - began
     ratio, share = _risen(said)
     after = None
     if again and said.verdict == "ambiguous" and said.experiment in moves.EXPERIMENTS:
@@ -89,7 +92,7 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
         told = diagnose([trial, second], healthy=taught)
         after = After(said.experiment, told.verdict, tuple(told.rivals))
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
-                  said.causes, ratio, share, said.seconds, said.experiment, after)
+                  said.causes, ratio, share, seconds, said.experiment, after)
 
 
 def _risen(said: Any) -> tuple[float, float | None]:
