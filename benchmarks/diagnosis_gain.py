@@ -1,4 +1,4 @@
-"""What a diagnosis is worth in the closed loop: `python -m benchmarks.diagnosis_gain > docs/diagnosis-gain.md`.
+"""What a diagnosis is worth in the closed loop: `python -m benchmarks.diagnosis_gain [--page] [EFFECT…]`.
 
 The rule of this file: it says on the command line what an engineer would: identify a bench, record it healthy, record
 it with an effect at work, diagnose, and run again with the controller told what was found.  Nothing of the effect but
@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks import marked
 from bowden.app import run
 
 SERIAL, PERIOD_S = 3, 1.3
@@ -25,11 +26,10 @@ EFFECTS = {
     "moment_arm": {"moment_arm": 1.8e-3},
     "stribeck": {"stribeck_ratio": 1.8, "stribeck_speed": 0.015},
 }
-HEAD = f"""# What a diagnosis is worth in the closed loop
-
-Written by `python -m benchmarks.diagnosis_gain`. Bench {SERIAL} is identified (`bowden identify all`), recorded
-healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and the calibration, and what it
-finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s, 40 N, the first left out;
+PAGE = Path("docs/diagnosis.md")
+HEAD = f"""Printed by `python -m benchmarks.diagnosis_gain`. Bench {SERIAL} is identified (`bowden identify all`),
+recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and the calibration, and what
+it finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s, 40 N, the first left out;
 relative RMSE of true END.
 
 | at work | verdict | found | not told (%) | told what was found (%) | told the truth (%) | gain (%) |
@@ -72,8 +72,10 @@ def row(folder: Path, name: str, values: dict[str, float]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def main(names: list[str]) -> None:
-    """Print the page; `names` picks some of the effects."""
+def main(arguments: list[str]) -> None:
+    """Print the table, and with `--page` write it into the page; names pick some of the effects."""
+    names = [argument for argument in arguments if argument != "--page"]
+    rows = []
     with TemporaryDirectory() as given:
         folder = Path(given)
         command("identify", "all", "--serial", SERIAL, "-o", folder / "calibration.toml")
@@ -81,7 +83,10 @@ def main(names: list[str]) -> None:
                 folder / "calibration.toml", "-o", folder / "healthy.mcap")
         print(HEAD, end="")
         for name in names or EFFECTS:
-            print(row(folder, name, EFFECTS[name]), flush=True)
+            rows.append(row(folder, name, EFFECTS[name]))
+            print(rows[-1], flush=True)
+    if "--page" in arguments:
+        marked.put(PAGE, "gain", HEAD + "\n".join(rows))
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ work is done; a trial that cannot be read is refused like one that contradicts i
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import AbstractContextManager
@@ -36,10 +37,12 @@ def perform(trial: Path, given: Given) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
     from diagnosis.finder import Diagnosis, diagnose
 
+    began = time.perf_counter()
     try:
-        return diagnose([trial], given.calibration, given.healthy, given.holdout, given.lowpass).as_json()
+        told = diagnose([trial], given.calibration, given.healthy, given.holdout, given.lowpass)
     except InputError as error:
-        return Diagnosis("refused", warnings=[str(error)], lowpass_hz=given.lowpass).as_json()
+        told = Diagnosis("refused", warnings=[str(error)], lowpass_hz=given.lowpass)
+    return told.as_json() | {"seconds": time.perf_counter() - began}
 
 
 def each(trials: Sequence[Path], given: Given, workers: sweep_run.Workers, update: Callable[[float], None]

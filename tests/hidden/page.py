@@ -1,20 +1,17 @@
 """The judging's part of docs/diagnosis.md: bars, what tells against those not met, and the confusion matrix.
 
-The rule of this file: pure text from answers; what is written here stands between two marks of the page, nothing else
-of it is touched.
+The rule of this file: pure text from answers.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 from tests.hidden import cases
 from tests.hidden.answers import LEAST_RATIO, Answer
 from tests.hidden.bars import Bar, bars
 
-BEGIN, END = "<!-- judged: begin -->", "<!-- judged: end -->"
 SHOWN = 8
 """Kinds of failure that are told of one bar."""
 
@@ -78,10 +75,3 @@ def effects(told: Sequence[Answer]) -> list[str]:
                          f"| {sum(a.first == name for a in counted)} | {sum(name in a.rivals for a in counted)} | "
                          + " | ".join(map(str, words)) + " |")
     return lines
-
-
-def put(page: Path, written: str) -> None:
-    """Write the tables between the page's marks."""
-    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    page.write_text(f"{before}{BEGIN}\n{written}\n{END}{after}", encoding="utf-8")

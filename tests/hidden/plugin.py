@@ -1,8 +1,9 @@
 """The bench of `truth` behind the real nodes: a plug-in plant, one factory for each hidden effect.
 
-The rule of this file: `tests.hidden.plugin:healthy` and `tests.hidden.plugin:EFFECT` are factories as `bowden.plants`
-has them; what is hidden is drawn from the seed, nothing of the package's laws is used, and only what devices can feel
-comes out.  Mechanics: two inertias with friction, leap-frog at 50 µs around the quasi-static chain.
+The rule of this file: `tests.hidden.plugin:healthy`, `…:EFFECT`, `…:EFFECT+EFFECT` and `…:resonance`, which is outside
+the catalogue, are factories as `bowden.plants` has them; what is hidden is drawn from the seed, nothing of the
+package's laws is used, and only what devices can feel comes out.  Mechanics: two inertias with friction, leap-frog at
+50 µs around the quasi-static chain.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ class Plant:
         self.s[0] = -K2 * THETA_13 - self.m[9] - START_SLACK_M
         self.old, self.new = np.full(truth.NODES, -K2 * THETA_13), np.zeros(truth.NODES)
         self.z, self.z_new = np.zeros((truth.NODES, truth.STOPS)), np.zeros((truth.NODES, truth.STOPS))
-        self.lagged = 0.0
+        self.lagged = self.was = self.rate = 0.0
+        self.ring = np.zeros(2)
         return self.felt()
 
     def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
@@ -100,9 +102,18 @@ class Plant:
     def _colour(self, count: int) -> None:
         dt = count * STEP_NS * 1e-9
         fade = math.exp(-dt / SLOW_S)
+        self._ring(dt)
         self.slow = fade * self.slow + math.sqrt(1.0 - fade**2) * self.bench.coloured * self.noise.normal(size=2)
         if self.bench.end_filter > 0.0:
             self.lagged += (self._carried() - self.lagged) * (1.0 - math.exp(-dt / self.bench.end_filter))
+
+    def _ring(self, dt: float) -> None:
+        """A cantilever at 9 Hz that END's changes kick: some `resonance` N on the gait's loading."""
+        if self.bench.resonance > 0.0 and dt > 0.0:
+            w, rate = 2.0 * math.pi * 9.0, (self.s[5] - self.was) / dt
+            self.ring[1] += dt * (-w * w * self.ring[0] - 0.1 * w * self.ring[1]) + RING * (rate - self.rate)
+            self.ring[0] += dt * self.ring[1]
+            self.was, self.rate = float(self.s[5]), rate
 
     def _carried(self) -> float:
         return float(self.s[5] + self.bench.end_mass * (9.81 * math.cos(self.s[4]) + self.bench.end_arm * self.s[9]))
@@ -115,15 +126,18 @@ class Plant:
         return Outputs(
             float(s[0]), float(s[1]), float(s[2]), float(s[3]), float(s[4]),
             float(b.start_gain * s[6] + b.start_offset + b.start_drift * share + self.slow[0]),
-            float(b.end_gain * end + b.end_offset + b.end_drift * share + self.slow[1]))
+            float(b.end_gain * end + b.end_offset + b.end_drift * share + self.slow[1] + b.resonance * self.ring[0]))
 
     def truth(self) -> Mapping[str, float]:
         """The true END force, for the truth file only."""
         return {"true_end_n": float(self.s[5]), "true_start_n": float(self.s[6])}
 
 
+RING = 0.5
+"""What of END's acceleration the cantilever takes: 1 N of ringing for a loading to 40 N in a tenth of a gait cycle."""
 SPAN_S = 20.0
 """Time over which what drifts does so."""
+OUTSIDE = "resonance"
 ELSEWHERE = frozenset({"end_delay", "timestamp_skew"})
 """Effects that a bridge has not: dead times are the converter's and the bus's."""
 
@@ -132,11 +146,17 @@ def drawn(effect: str, seed: int) -> Bench:
     """The bench of a seed: every second one altered in structure, one like the others, with `effect` hidden in it."""
     rng = np.random.default_rng((seed, 6))
     own = like(cases.structure(seed, seed % 2 == 1), int(rng.integers(1 << 30)))
-    return own if effect == "healthy" else dataclasses.replace(own, **cases.EFFECTS[effect](rng, own)[0])
+    if effect == "healthy":
+        return own
+    if effect == OUTSIDE:
+        return dataclasses.replace(own, **cases.OUTSIDE[effect](rng))
+    for name in effect.split("+"):
+        own = dataclasses.replace(own, **cases.EFFECTS[name](rng, own)[0])
+    return own
 
 
 def __getattr__(name: str) -> Callable[[dict[str, float], int], Plant]:
-    """`healthy`, or an effect's name: its factory."""
-    if name != "healthy" and (name not in cases.EFFECTS or name in ELSEWHERE):
+    """`healthy`, `resonance`, an effect's name or two joined by +: its factory."""
+    if name not in ("healthy", OUTSIDE) and set(name.split("+")) - (set(cases.EFFECTS) - ELSEWHERE):
         raise AttributeError(name)
     return lambda parameters, seed: Plant(drawn(name, seed), seed)

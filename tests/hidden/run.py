@@ -21,6 +21,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from benchmarks import marked
 from bowden import about, sweep_run, terminal
 from tests.hidden import cases, page
 from tests.hidden.answers import Answer, answer, from_json
@@ -31,6 +32,7 @@ FIRST = 100_000
 FULL = {"one": 14 * len(cases.EFFECTS), "two": 60, "none": 90, "outside": 45, "wire": 30}
 QUICK = {"one": len(cases.EFFECTS), "two": 8, "none": 14, "outside": 6, "wire": 6}
 OUT = Path("out")
+Question = Callable[[Job], Answer]
 DOCS = Path("docs/diagnosis.md")
 
 
@@ -74,12 +76,12 @@ class Kept:
             stream.write(json.dumps({"commit": commit, "answer": told.as_json()}) + "\n")
 
 
-def ask(todo: Iterable[Job], crew: sweep_run.Workers) -> Iterator[Answer]:
+def ask(todo: Iterable[Job], crew: sweep_run.Workers, question: Question) -> Iterator[Answer]:
     """Yield answers as they come, little more than one a worker under way."""
     left, under_way = iter(todo), set[Future[Answer]]()
     while True:
         for job in left:
-            under_way.add(crew.executor.submit(answer, job))
+            under_way.add(crew.executor.submit(question, job))
             if len(under_way) > crew.at_once:
                 break
         if not under_way:
@@ -93,14 +95,14 @@ def crew_of(scheduler: str | None, workers: int | None) -> AbstractContextManage
     return sweep_run.local(workers) if scheduler is None else sweep_run.cluster(scheduler)
 
 
-def answered(wanted: Sequence[Job], kept: Kept, crew: Callable[[], AbstractContextManager[sweep_run.Workers]]
-             ) -> list[Answer]:
+def answered(wanted: Sequence[Job], kept: Kept, crew: Callable[[], AbstractContextManager[sweep_run.Workers]],
+             question: Question = answer) -> list[Answer]:
     """Return the answers of `wanted`, in their order, those that are not kept yet by a crew."""
     todo = [job for job in wanted if job not in kept.answers]
     commit = about.commit()
     if todo:
         with crew() as workers, terminal.progress(f"{len(todo)} cases") as update:
-            for i, told in enumerate(ask(todo, workers), 1):
+            for i, told in enumerate(ask(todo, workers, question), 1):
                 kept.add(told, commit)
                 update(i / len(todo))
     return [kept.answers[job] for job in wanted]
@@ -136,7 +138,7 @@ def main(arguments: Sequence[str]) -> int:
                         f"{wanted[0].seed} to {wanted[-1].seed}.")
     print(written)
     if asked.page:
-        page.put(DOCS, written)
+        marked.put(DOCS, "judged", written)
     return 0
 
 
