@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -100,8 +100,11 @@ def opened_one(chosen: Chosen, bitrate: int, **more: Any) -> Iterator[Any]:
         raise InputError(
             f"interface {arguments['interface']}, channel {arguments['channel']}: cannot be opened ({error}); "
             "check the name, that it is up, and its options.") from None
-    with bus:
+    try:
         yield bus
+    finally:
+        with suppress(can.CanError, OSError):  # an adapter that is gone cannot be closed; the run has said so
+            bus.shutdown()
 
 
 def clock_of(bus: Any) -> Callable[[], int]:

@@ -69,7 +69,7 @@ def _look(
             return
     with bus.opened_one(chosen, network.bitrate) as opened:
         try:
-            yield from heard(Link(opened, bus.clock_of(opened)), wire(network))
+            yield from heard(Link(opened, bus.clock_of(opened), heartbeat_ms=None), wire(network))
         except LinkError as error:
             yield computer.Finding("bus", False, str(error), "mend the interface first")
 

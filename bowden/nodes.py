@@ -129,7 +129,7 @@ def _bench(
         raise InputError(f"{name!r} is no node of the bench; expected one of {', '.join(nodes)}.")
     chosen = bus.choose(interface, channel, option, bus.Simulated())
     with bus.opened_one(chosen, network.bitrate) as opened:
-        link = Link(opened, bus.clock_of(opened))
+        link = Link(opened, bus.clock_of(opened), heartbeat_ms=None)
         try:
             link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, nodes[name].node_id)
             link.sdo_read(nodes[name].node_id, 0x1000)

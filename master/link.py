@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import can
@@ -25,9 +26,12 @@ from eds.cia301 import (
 from master.sdo import Sdo
 
 NS = 1_000_000_000
+NEVER = 1 << 62
 SEND_RETRY_NS = 1_000_000
 SEND_RETRIES = 20
 _TRANSIENT = (errno.ENOBUFS, errno.EAGAIN)
+FAILURES = (can.CanError, OSError)
+"""What python-can's interfaces raise when they, or what they are connected by, fail."""
 BUS_OFF = 0x040
 """Class of an error frame (linux/can/error.h)."""
 _NODE_MASK = 0x7F
@@ -66,11 +70,12 @@ class Link:
 
     `beats` holds every node's last heartbeat, `emergencies` what EMCYs came and were not taken yet, `boots` the
     nodes that booted meanwhile, `errors` the error frames seen, `rivals` the time stamps of another master's NMT.
+    `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
     `pump(deadline_ns)` is how an SDO waits: by receiving, or by whole control cycles once they run.
     """
 
     def __init__(
-        self, bus: can.BusABC, clock: Callable[[], int], *, node_id: int = 127, heartbeat_ms: int = 100
+        self, bus: can.BusABC, clock: Callable[[], int], *, node_id: int = 127, heartbeat_ms: int | None = 100
     ) -> None:
         self.bus = bus
         self.clock = clock
@@ -85,8 +90,8 @@ class Link:
         self._heartbeat = can.Message(
             arbitration_id=HEARTBEAT_BASE + node_id, data=b"\x05", is_extended_id=False
         )
-        self._heartbeat_ns = heartbeat_ms * 1_000_000
-        self._beat_due_ns = clock()
+        self._heartbeat_ns = None if heartbeat_ms is None else heartbeat_ms * 1_000_000
+        self._beat_due_ns = NEVER if heartbeat_ms is None else clock()
         self._sync: Any = None
         self._pace_ns = self._sync_due_ns = 0
         self._due_ns = self._beat_due_ns
@@ -105,7 +110,7 @@ class Link:
             until = min(deadline_ns, self._due_ns)
             try:
                 message = self.bus.recv((until - now) / NS if until > now else 0.0)
-            except can.CanError as error:
+            except FAILURES as error:
                 raise LinkError(f"receiving failed: {error}") from error
             if message is None:
                 if clock() >= deadline_ns:
@@ -119,7 +124,7 @@ class Link:
     def _serve(self, now_ns: int) -> can.Message | None:
         """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
         paced = None
-        if now_ns >= self._beat_due_ns:
+        if self._heartbeat_ns is not None and now_ns >= self._beat_due_ns:
             self._beat_due_ns = now_ns + self._heartbeat_ns
             self.try_send(self._heartbeat)
         if self._pace_ns and now_ns >= self._sync_due_ns:
@@ -160,7 +165,7 @@ class Link:
         """Send once, without waiting; False (and counted) where the bus did not take it."""
         try:
             self.bus.send(message)
-        except can.CanError:
+        except FAILURES:
             self.send_failures += 1
             return False
         return True
@@ -171,9 +176,9 @@ class Link:
         for _attempt in range(SEND_RETRIES):
             try:
                 return self.bus.send(message)
-            except can.CanOperationError as error:
+            except FAILURES as error:
                 failure = error
-                if error.error_code not in (None, *_TRANSIENT):
+                if getattr(error, "error_code", None) not in (None, *_TRANSIENT):
                     break
                 self.wait(SEND_RETRY_NS)
         raise LinkError(f"sending failed: {failure}") from failure
@@ -187,7 +192,8 @@ class Link:
     def listen(self, duration_ns: int) -> Iterator[can.Message]:
         """Every data frame for a while, without a word sent, not even a heartbeat."""
         deadline = self.clock() + duration_ns
-        self._beat_due_ns = self._due_ns = deadline
+        if self._heartbeat_ns is not None:
+            self._beat_due_ns = self._due_ns = deadline
         while (message := self.receive(deadline)) is not None:
             yield message
 
@@ -220,10 +226,16 @@ class Link:
         self.send(NMT_COB_ID, bytes((command, node_id)))
 
     def sync_start(self, period_ns: int) -> None:
-        """Let the bus send SYNC every `period_ns` (the kernel's broadcast manager on SocketCAN)."""
+        """Let the bus send SYNC every `period_ns` (the kernel's broadcast manager on SocketCAN).
+
+        Raises `LinkError` when the interface is down or gone.
+        """
         self.sync_stop()
         message = can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False)
-        self._sync = self.bus.send_periodic(message, period_ns / NS)
+        try:
+            self._sync = self.bus.send_periodic(message, period_ns / NS)
+        except FAILURES as error:
+            raise LinkError(f"SYNC cannot be started: {error}") from error
 
     def sync_pace(self, period_ns: int) -> None:
         """Send SYNC from `receive` itself, for a bus that does not show its periodic messages to their sender."""
@@ -232,11 +244,12 @@ class Link:
         self._due_ns = min(self._due_ns, self._sync_due_ns)
 
     def sync_stop(self) -> None:
-        """Stop SYNC; harmless when none runs."""
+        """Stop SYNC; harmless when none runs, or when it ended with its interface."""
         self._pace_ns = 0
         task, self._sync = self._sync, None
         if task is not None:
-            task.stop()
+            with suppress(*FAILURES):
+                task.stop()
 
     def sdo_read(self, node_id: int, index: int, subindex: int = 0) -> bytes:
         """Upload an object; raises `SdoError` with node, object and reason."""

@@ -178,3 +178,8 @@ class KernelBus(SocketcanBus):
             self.socket.send(_FRAME.pack(can_id, msg.dlc, bytes(msg.data)))
         except OSError as error:
             raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
+
+    def shutdown(self) -> None:
+        """Close every socket: the broadcast manager ends what it sends for one, if its interface has not done so."""
+        self._periodic_tasks.clear()
+        super().shutdown()

@@ -34,6 +34,20 @@ def test_the_masters_heartbeat_goes_out_while_it_waits(composer: Composer) -> No
     assert np.abs(np.diff(beats) - 100 * MS).max() < MS
 
 
+def test_who_only_asks_sends_no_heartbeat(composer: Composer) -> None:
+    """A node that has heard one would watch over a master that is not there."""
+    bus, tap = composer.link()
+    asking = Link(bus.bus, bus.clock, heartbeat_ms=None)
+    assert len(asking.sdo_read(1, 0x1000)) == 4
+    assert list(asking.listen(300 * MS))
+    asking.wait(300 * MS)
+    heard = set()
+    while (message := tap.recv(0)) is not None:
+        heard.add(message.arbitration_id)
+    assert 0x601 in heard
+    assert 0x77F not in heard
+
+
 def test_waiting_takes_exactly_its_time(composer: Composer) -> None:
     link, _ = composer.link()
     before = link.clock()

@@ -1,7 +1,7 @@
 """Where these tests run: on this kernel if it has CAN, else in a guest kernel, else not at all, with the reason.
 
-The rule of this file: a test is an ordinary test either way.  All tests of one file share one guest, chosen by the
-file's marker `guest(back end, seconds)`; the guest's own reports are handed on as they are.
+The rule of this file: a test is an ordinary test either way.  A file's marker `guest(place, …)` names where its tests
+may run, best first; all tests of one back end share one guest, and the guest's own reports are handed on as they are.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import socket
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +28,19 @@ GUEST = ROOT.parent / "shared" / "run_in_vm.sh"
 INSIDE = "CANVM" in os.environ
 REPORTS = "BOWDEN_GUEST_REPORTS"
 NO_GUEST = 125
+NATIVE = "native"
+LIMIT_S = 1800
+"""Wall time that one guest may take: several times what it needs on two idle cores."""
+MEMORY_MIB = 2048
 _CHANNELS = ("vcan0", "vcan1")
+
+_OWN = "vcan7"
+
+Reports = dict[str, list[dict[str, Any]]]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "guest(backend, seconds): the guest kernel that a file's tests want")
+    config.addinivalue_line("markers", f"guest(place, …): where a file's tests may run: {NATIVE}, uml, icount")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -40,27 +50,48 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.socketcan)
 
 
-def kernel_lacks() -> str | None:
-    """Why this kernel cannot run the tests itself; None where it can."""
+@cache
+def lacks(place: str) -> str | None:
+    """Why a place cannot run tests; None where it can, or where only running them there will tell."""
+    if place != NATIVE:
+        return _guest_lacks(place)
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
         return f"this kernel has no CAN ({errno.errorcode[error.errno or 0]})"
     absent = [name for name in _CHANNELS if not Path("/sys/class/net", name).exists()]
-    return f"no interface {' and '.join(absent)} (sudo ip link add {absent[0]} type vcan)" if absent else None
+    if absent:
+        return f"no interface {' and '.join(absent)} (sudo ip link add {absent[0]} type vcan)"
+    return "only root may take interfaces down" if os.geteuid() else None
+
+
+def _guest_lacks(backend: str) -> str | None:
+    if not GUEST.exists():
+        return f"{GUEST.name} is absent"
+    tried = subprocess.run([GUEST, "-b", backend, "-t", "300", "--", "true"], cwd=ROOT, text=True, check=False,
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    return tried.stdout.strip().rpartition("\n")[2] if tried.returncode else None
+
+
+def place_of(item: pytest.Item) -> str | None:
+    """The best place that there is for a test; None for a test of another kind."""
+    marker = item.get_closest_marker("guest")
+    if INSIDE or marker is None:
+        return None
+    *better, last = marker.args
+    return next((place for place in better if lacks(place) is None), str(last))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    """Take the reports of a test from its file's guest; None lets it run here."""
-    marker = item.get_closest_marker("guest")
-    if INSIDE or marker is None or (kernel_lacks() is None and marker.args[0] == "uml"):
+    """Take the reports of a test from its guest; None lets it run here."""
+    place = place_of(item)
+    if place is None or place == NATIVE:
         return None
-    reports = item.session.stash.setdefault(_STASH, {})
-    if item.path not in reports:
-        chosen = [other.nodeid for other in item.session.items if other.path == item.path]
-        reports[item.path] = _in_guest(chosen, *marker.args)
-    said, why = reports[item.path]
+    had = item.session.stash.setdefault(_STASH, {})
+    if place not in had:
+        had[place] = _in_guest([other.nodeid for other in item.session.items if place_of(other) == place], place)
+    said, why = had[place]
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     reports_of = said.get(item.nodeid, [])
     ended = any(report["when"] == "teardown" for report in reports_of)
@@ -71,25 +102,35 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     return True
 
 
-_STASH = pytest.StashKey[dict[Path, tuple[dict[str, list[dict[str, Any]]], str]]]()
+_STASH = pytest.StashKey[dict[str, tuple[Reports, str]]]()
 
 
-def _in_guest(chosen: list[str], backend: str, seconds: int) -> tuple[dict[str, list[dict[str, Any]]], str]:
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say where the tests ran, and why not where they would rather have."""
+    session = terminalreporter._session
+    for place, (said, _) in (session.stash.get(_STASH, {}) if session else {}).items():
+        terminalreporter.write_line(f"kernel's CAN: {len(said)} tests ran in a guest, {place}")
+        for better in {other for item in session.items for mark in item.iter_markers("guest") for other in mark.args}:
+            if better != place and (reason := lacks(better)) is not None:
+                terminalreporter.write_line(f"  not {better}: {reason}")
+
+
+def _in_guest(chosen: list[str], backend: str) -> tuple[Reports, str]:
     """Run tests in a guest; their reports by node id, and what became of the rest ("skip: …" or "fail: …")."""
     if not GUEST.exists():
-        return {}, f"skip: not run: {kernel_lacks() or 'this needs emulated controllers'}, and {GUEST} is absent"
+        return {}, f"skip: not run: {lacks(NATIVE) or 'this wants a guest of its own'}, and {GUEST.name} is absent"
     warm()
     lean = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     with tempfile.TemporaryDirectory() as folder, open(Path(tempfile.gettempdir(), "canvm.lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         reports = Path(folder, "reports.jsonl")
         ended = subprocess.run(
-            [GUEST, "-b", backend, "-t", str(seconds), "-w", folder, "--", sys.executable, "-m", "pytest", "-q",
-             "-p", "no:cacheprovider", "-m", "socketcan", *chosen], cwd=ROOT, text=True, check=False,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            [GUEST, "-b", backend, "-t", str(LIMIT_S), "-m", str(MEMORY_MIB), "-w", folder, "--",
+             sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "socketcan", *chosen],
+            cwd=ROOT, text=True, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             env={**os.environ, **ENVIRONMENT, **lean, REPORTS: str(reports)})
         lines = reports.read_text().splitlines() if reports.exists() else []
-    said: dict[str, list[dict[str, Any]]] = {}
+    said: Reports = {}
     for line in map(json.loads, lines):
         said.setdefault(line["nodeid"], []).append(line)
     outcome = "skip: not run: no guest could be had" if ended.returncode == NO_GUEST else "fail: the guest ended"
@@ -105,6 +146,14 @@ def _absent(item: pytest.Item, why: str) -> dict[str, Any]:
         text if failed else (str(item.path), item.location[1] or 0, text), "call" if failed else "setup")
     data: dict[str, Any] = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
     return data
+
+
+@pytest.fixture
+def own() -> Iterator[str]:
+    """An interface on which nobody else speaks; the test may remove it."""
+    subprocess.run(f"ip link add {_OWN} type vcan && ip link set {_OWN} up", shell=True, check=True)
+    yield _OWN
+    subprocess.run(["ip", "link", "del", _OWN], check=False, stderr=subprocess.DEVNULL)
 
 
 @pytest.hookimpl(trylast=True)

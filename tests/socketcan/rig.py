@@ -7,15 +7,17 @@ waited for is what comes over the bus or how a process ends.
 from __future__ import annotations
 
 import faulthandler
+import functools
 import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,17 +25,12 @@ from typing import Any, NamedTuple
 import can
 
 from bowden.app import run
-from master import experiment, transfer  # noqa: F401  imported before the fork
 from master.socketcan import KernelBus
-from physics import plant
 from trial import read
-from virtual_bus import serve  # noqa: F401  imported before the fork
 
 wall_clock = time.time_ns
-PATIENCE_S = 60
-"""After this long, of the kernel's own time, a process tells where it hangs and ends."""
-plant.prepare()
-transfer.prepare()
+PATIENCE_S = 600
+"""After this long, of the kernel's own time, a trial tells where it hangs and ends; a bench serves until told."""
 
 
 class Told(NamedTuple):
@@ -47,19 +44,20 @@ class Told(NamedTuple):
 class Process:
     """A forked process that runs `job` and ends; its standard streams go to files in `folder`."""
 
-    def __init__(self, folder: Path, name: str, job: Callable[[], int]) -> None:
+    def __init__(self, folder: Path, name: str, job: Callable[[], int], *, serves: bool = False) -> None:
         self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
         self.pid = os.fork()
         if not self.pid:
-            self._become(job)
+            self._become(job, serves)
 
-    def _become(self, job: Callable[[], int]) -> None:
-        status = 70
+    def _become(self, job: Callable[[], int], serves: bool) -> None:
         with self._err.open("w") as hung:  # closed by the end of the process
-            faulthandler.dump_traceback_later(PATIENCE_S, exit=True, file=hung)
-            self._run(job, status)
+            if not serves:
+                faulthandler.dump_traceback_later(PATIENCE_S, exit=True, file=hung)
+            self._run(job)
 
-    def _run(self, job: Callable[[], int], status: int) -> None:
+    def _run(self, job: Callable[[], int]) -> None:
+        status = 70
         try:
             out, err = io.StringIO(), io.StringIO()
             try:
@@ -85,18 +83,34 @@ class Process:
         return self.wait()
 
 
+@functools.cache
+def rehearse() -> None:
+    """Import, compile and read whatever the command lines will, once, before any process is forked.
+
+    That takes most of a short run: a bench that is served for no time, and a trial that finds no nodes.
+    """
+    on = ["--interface", "socketcan", "--channel", "vcan1", "--json"]
+    with tempfile.TemporaryDirectory() as folder, redirect_stdout(io.StringIO()) as out, redirect_stderr(out):
+        run(["bench", *on, "--for", "0"])
+        told = run(["trial", *on, "--dry-run", "-o", str(Path(folder, "trial.mcap"))])
+    assert told == 1, out.getvalue()
+
+
 def bowden(folder: Path, *arguments: object) -> Process:
     """Start one command line of `bowden`."""
+    rehearse()
     name = f"{arguments[0]}-{len(list(folder.iterdir()))}"
-    return Process(folder, name, lambda: run([*map(str, arguments), "--json"]))
+    return Process(folder, name, lambda: run([*map(str, arguments), "--json"]), serves=arguments[0] == "bench")
 
 
 @contextmanager
-def bench(folder: Path, channel: str, *arguments: object) -> Iterator[Process]:
-    """`bowden bench` on a channel, its four nodes booted."""
+def bench(
+    folder: Path, channel: str, *arguments: object, nodes: Sequence[int] = (1, 2, 3, 4)
+) -> Iterator[Process]:
+    """`bowden bench` on a channel, its `nodes` booted."""
     with KernelBus(channel) as watching:
         process = bowden(folder, "bench", "--interface", "socketcan", "--channel", channel, *arguments)
-        booting = {0x701, 0x702, 0x703, 0x704}
+        booting = {0x700 + node for node in nodes}
         while booting:
             heard = watching.recv(60.0)
             assert heard is not None, "the bench did not boot"

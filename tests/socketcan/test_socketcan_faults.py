@@ -10,7 +10,6 @@ import socket
 import struct
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -22,10 +21,12 @@ from master.socketcan import KernelBus
 from tests.socketcan import rig
 from trial.cdr import ERROR
 
-pytestmark = pytest.mark.guest("uml", 480)
+pytestmark = pytest.mark.guest("native", "icount")
 
 RATE = 100
 SHORT = ("--rate", RATE, "--cycles", 1, "--settle", 0, "--period", 1, "--peak", 20, "--dry-run")
+ENDLESS = (*SHORT, "--cycles", 600)
+"""Ten minutes of gait: such a trial ends by the fault, or fails its test."""
 TARGETS, BUS_OFF, PROTOCOL = 0x201, 0x040, 0x008
 STARVED = r"emergency message: \w+: 0x8250, RPDO time-out"
 """ip and tc hold this guest's one processor for longer than the drives wait for targets."""
@@ -45,13 +46,12 @@ def shaped() -> Iterator[None]:
     subprocess.run(["tc", "qdisc", "del", "dev", "vcan0", "root"], check=False, stderr=subprocess.DEVNULL)
 
 
-@contextmanager
-def running(folder: Path, *arguments: object) -> Iterator[rig.Process]:
-    """A short trial whose cycle runs already."""
+def running(folder: Path, *arguments: object) -> rig.Process:
+    """A trial whose cycle runs already."""
     with KernelBus("vcan0") as watching:
-        process = rig.trial(folder, "vcan0", *(arguments or SHORT))
+        process = rig.trial(folder, "vcan0", *arguments)
         rig.heard(watching, TARGETS, 20)
-    yield process
+    return process
 
 
 def raw(can_id: int, data: bytes) -> None:
@@ -84,10 +84,10 @@ def test_candump_holds_the_same_frames(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("nodes")
 def test_a_link_that_goes_down_ends_the_trial_and_the_next_one_runs(tmp_path: Path) -> None:
-    with running(tmp_path, "--rate", RATE, "--cycles", 1, "--settle", 0, "--peak", 20) as process:
-        rig.shell("ip link set vcan0 down")
-        told = process.wait()
-        rig.shell("ip link set vcan0 up")
+    process = running(tmp_path, *(option for option in ENDLESS if option != "--dry-run"))
+    rig.shell("ip link set vcan0 down")
+    told = process.wait()
+    rig.shell("ip link set vcan0 up")
     assert (told.status, told.result["outcome"]) == (1, "stopped")
     assert re.match(r"bus failed: .*vcan0: Network is down", told.result["stop_reason"]), told
     (tmp_path / "again").mkdir()
@@ -95,28 +95,28 @@ def test_a_link_that_goes_down_ends_the_trial_and_the_next_one_runs(tmp_path: Pa
     assert again.result["outcome"] == "completed", again
 
 
-def test_an_interface_that_is_removed_ends_bench_and_trial(tmp_path: Path) -> None:
-    try:
-        with rig.bench(tmp_path, "vcan1", "--rate", RATE) as bench:
-            with KernelBus("vcan1") as watching:
-                process = rig.trial(tmp_path, "vcan1", *SHORT)
-                rig.heard(watching, TARGETS, 20)
-            rig.shell("ip link del vcan1")
-            told, served = process.wait(), bench.wait()
-    finally:
-        rig.shell("ip link add vcan1 type vcan && ip link set vcan1 up")
-    assert (told.status, served.status) == (1, 1)
-    assert re.match(rf"(bus failed: .*vcan1: (No such device|Network is down)|{STARVED}|SYNC missing: none for)",
+@pytest.mark.parametrize(("can_id", "count"), [(0x604, 3), (TARGETS, 20)], ids=["in bring-up", "in the cycle"])
+def test_an_interface_that_is_removed_ends_bench_and_trial(
+    tmp_path: Path, own: str, can_id: int, count: int
+) -> None:
+    with rig.bench(tmp_path, own, "--rate", RATE) as bench:
+        with KernelBus(own) as watching:
+            process = rig.trial(tmp_path, own, *ENDLESS)
+            rig.heard(watching, can_id, count)
+        rig.shell(f"ip link del {own}")
+        told, served = process.wait(), bench.wait()
+    assert (told.status, served.status) == (1, 1), (told, served)
+    assert re.match(rf"(bus failed: .*{own}: (No such device|Network is down)|{STARVED}|SYNC missing: none for)",
                     told.result["stop_reason"]), told
-    assert "vcan1" in served.stderr
-    assert "Traceback" not in served.stderr
+    assert own in served.stderr
+    assert "Traceback" not in told.stderr + served.stderr
 
 
 @pytest.mark.usefixtures("nodes", "shaped")
 def test_lost_frames_are_counted(tmp_path: Path) -> None:
-    with running(tmp_path) as process:
-        rig.shell("tc qdisc add dev vcan0 root netem loss 3%")
-        told = process.wait()
+    process = running(tmp_path, *SHORT, "--cycles", 4)
+    rig.shell("tc qdisc add dev vcan0 root netem loss 3%")
+    told = process.wait()
     assert told.result["missed_cycles"] > 0
     assert told.result["stop_reason"] is None or re.match(
         r"(inputs too old|heartbeat lost|emergency message|SYNC missing): ", told.result["stop_reason"]), told
@@ -129,9 +129,9 @@ def test_lost_frames_are_counted(tmp_path: Path) -> None:
     ("limit 1 delay 200ms", r"(SYNC missing: none for \d+ ms|inputs too old: .*|emergency message: .*)"),
 ])
 def test_a_bus_that_cannot_keep_up_stops_the_trial(tmp_path: Path, discipline: str, reason: str) -> None:
-    with running(tmp_path) as process:
-        rig.shell(f"tc qdisc add dev vcan0 root netem {discipline}")
-        told = process.wait()
+    process = running(tmp_path, *ENDLESS)
+    rig.shell(f"tc qdisc add dev vcan0 root netem {discipline}")
+    told = process.wait()
     assert told.status == 1
     assert re.fullmatch(reason, told.result["stop_reason"]), told
 
@@ -146,21 +146,19 @@ def test_at_one_mbit_the_pdos_take_their_time(tmp_path: Path) -> None:
     assert np.nanmedian(arrival) > 4 * 128_000
 
 
-@pytest.mark.usefixtures("shaped")
-def test_a_full_transmit_queue_is_waited_for_then_named() -> None:
-    rig.shell("tc qdisc add dev vcan0 root netem limit 3 delay 10ms")
-    with KernelBus("vcan0") as bus:
+def test_a_full_transmit_queue_is_waited_for_then_named(own: str) -> None:
+    rig.shell(f"tc qdisc add dev {own} root netem limit 3 delay 10ms")
+    with KernelBus(own) as bus:
         link = Link(bus, rig.wall_clock)
         assert not list(link.listen(1_000_000))
         send_many(link)  # each waits for room by receiving
-        rig.shell("tc qdisc change dev vcan0 root netem limit 3 delay 10s")
-        with pytest.raises(LinkError, match="sending failed: vcan0: No buffer space available"):
+        rig.shell(f"tc qdisc change dev {own} root netem limit 3 delay 10s")
+        with pytest.raises(LinkError, match=f"sending failed: {own}: No buffer space available"):
             send_many(link)
 
 
-@pytest.mark.usefixtures("nodes")
-def test_what_a_full_receive_queue_drops_is_counted() -> None:
-    with KernelBus("vcan0", receive_buffer=4096) as narrow, KernelBus("vcan0") as sender:
+def test_what_a_full_receive_queue_drops_is_counted(own: str) -> None:
+    with KernelBus(own, receive_buffer=4096) as narrow, KernelBus(own) as sender:
         message = can.Message(arbitration_id=0x7E0, is_extended_id=False)
         for _ in range(100):
             sender.send(message)
@@ -173,10 +171,10 @@ def test_what_a_full_receive_queue_drops_is_counted() -> None:
 
 @pytest.mark.usefixtures("nodes")
 def test_error_frames_are_recorded_and_bus_off_ends_the_trial(tmp_path: Path) -> None:
-    with running(tmp_path) as process:
-        raw(ERROR_FLAG | PROTOCOL, bytes(8))
-        raw(ERROR_FLAG | BUS_OFF, bytes(8))
-        told = process.wait()
+    process = running(tmp_path, *ENDLESS)
+    raw(ERROR_FLAG | PROTOCOL, bytes(8))
+    raw(ERROR_FLAG | BUS_OFF, bytes(8))
+    told = process.wait()
     assert told.status == 1
     assert re.match(r"bus failed: the CAN controller is bus-off", told.result["stop_reason"]), told
     frames = rig.recorded(tmp_path).frames

@@ -10,7 +10,7 @@ import pytest
 from eds.cia301 import SYNC_COB_ID
 from tests.socketcan import rig
 
-pytestmark = pytest.mark.guest("icount", 600)
+pytestmark = pytest.mark.guest("icount")
 
 JITTER_NS = 100_000
 """The broadcast manager's timer is served within this; bench and master share the guest's one processor."""
