@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 
 MODULES = (
-    "run", "replay", "identify", "sweep", "serve", "commission", "doctor", "nodes", "files", "diagnose", "verify",
-    "report_command", "live", "convert", "setup",
+    "run", "replay", "identify", "sweep", "serve", "commission", "acknowledge", "doctor", "nodes", "files", "diagnose",
+    "verify", "report_command", "live", "convert", "setup",
 )
 
 

@@ -34,7 +34,9 @@ def home(
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
-    """Find the encoder zero at the preload, and leave the rope slack.
+    """Find the encoder zero at the preload.
+
+    The rope is left slack.
 
     Example: bowden home --interface socketcan --channel can0
     """

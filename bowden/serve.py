@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,6 +14,10 @@ from bowden.app import app
 
 Interface = Annotated[str, typer.Option(help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
+
+
+Faults = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.")]
 
 
 @app.command()
@@ -27,6 +32,7 @@ def bench(
     plant_model: options.PlantModel = None,
     bitrate: options.Bitrate = None,
     option: options.Extra = None,
+    faults: Faults = None,
     seconds: Seconds = None,
     json: options.Json = False,
 ) -> int:
@@ -43,10 +49,11 @@ def bench(
     from master.gait import collector_frozen
     from master.host import prepared
     from virtual_bus.bus import BowdenBus
-    from virtual_bus.serve import serve
+    from virtual_bus.serve import servable, serve
 
     chosen = bus.choose(interface, channel, option, bus.Simulated())
     simulated = bus.choose(None, None, None, bus.Simulated(serial, day, seed, plant, plant_model))
+    injected = () if faults is None else servable(faults)
     network = Network()
     session.compile_laws(simulated=True, quiet=json)
     ended = False
@@ -58,6 +65,7 @@ def bench(
     with bus.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**simulated.arguments, "bitrate": bitrate or network.bitrate, "rate_hz": rate or network.rate_hz}
         made.pop("interface")
+        made["faults"] = injected
         hidden = BowdenBus(**made)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, end)

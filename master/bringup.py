@@ -36,7 +36,7 @@ def bring_up(link: Link, wire: Wire, log: Log) -> dict[int, int]:
 
     Drives come out with their power stage off.  Raises `RefusedError` with the node's name and the reason.
     """
-    _refuse_rival(link)
+    refuse_rival(link)
     entries = [wire.nodes[node] for node in sorted(wire.nodes)]
     link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
     serials = {}
@@ -62,7 +62,7 @@ def leave(link: Link) -> None:
     link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
 
 
-def _refuse_rival(link: Link) -> None:
+def refuse_rival(link: Link) -> None:
     """Listen for longer than two of a master's heartbeats before saying a word."""
     link.rivals.clear()
     link.beats.pop(MASTER, None)

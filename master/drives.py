@@ -19,7 +19,7 @@ PATIENCE_NS = 2_000_000_000
 RESEND_NS = 20_000_000
 _ERROR_CODE, _MODE, _MODE_SHOWN, _HOME_OFFSET, _HOMING_METHOD = 0x603F, 0x6060, 0x6061, 0x607C, 0x6098
 _OPERATE = 0x000F
-_RELEASE = 0x2020
+RELEASE = 0x2020
 """A drive of this bench that had an emergency stop (statusword bit 8) takes the operator's release here."""
 
 
@@ -88,8 +88,8 @@ def _not_there(exchange: Exchange, inputs: Inputs, goals: tuple[State, State]) -
         name = exchange.wire.nodes[node].name
         texts.append(f"{name} is in {state.title if state else 'no known state'} "
                      f"(0x603F = {_error_code(exchange, node)}), not in {goal.title}")
-        if word & Status.STO_ACTIVE and key(_RELEASE) in exchange.wire.nodes[node].dictionary.entries:
-            remedies.append(f"free {name}'s emergency stop (STO) and release it: write 0x736C6572 (rels) to 0x2020")
+        if word & Status.STO_ACTIVE and key(RELEASE) in exchange.wire.nodes[node].dictionary.entries:
+            remedies.append(f"free {name}'s emergency stop (STO) and say: bowden acknowledge")
     remedy = ", ".join(remedies) or "clear its cause"
     return f"{' and '.join(texts)}; {remedy}, and start again."
 

@@ -23,11 +23,11 @@ SYNC, NMT, EMCY_FIRST, EMCY_LAST = 0x080, 0x000, 0x081, 0x0FF
 NO_TENSION = -32768  # what a sensor without a valid value sends as 0x7130
 NMT_WORDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset communication"}
 
-# (node, object) of a TPDO: signal
+# (node, part that an object of its TPDO plays): signal
 INPUTS = {
-    (SERVO, 0x6041): "servo_statusword", (SERVO, 0x6064): "servo_position_m", (SERVO, 0x6077): "servo_force_n",
-    (KNEE, 0x6041): "knee_statusword", (KNEE, 0x6064): "knee_angle_rad",
-    (START, 0x7130): "tension_start_n", (END, 0x7130): "tension_end_n",
+    (SERVO, "statusword"): "servo_statusword", (SERVO, "position"): "servo_position_m",
+    (SERVO, "torque"): "servo_force_n", (KNEE, "statusword"): "knee_statusword", (KNEE, "position"): "knee_angle_rad",
+    (START, "value"): "tension_start_n", (END, "value"): "tension_end_n",
 }
 TARGETS = ("servo_target_m", "knee_target_rad")
 
@@ -38,6 +38,12 @@ class Cycles(NamedTuple):
     time_ns: NDArray[np.int64]
     columns: dict[str, Floats]
     counts: dict[str, int]
+
+
+def inputs_of(wire: Wire, node: int) -> dict[int, str]:
+    """Signals by the keys of the objects that a node's TPDO carries, whichever device is in its place."""
+    entry = wire.nodes[node]
+    return {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items() if of == node}
 
 
 def bench_channel(rows: NDArray[np.void], wire: Wire) -> int:
@@ -84,8 +90,9 @@ def _inputs(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], node:
     arrival = np.full(len(sync), np.nan)
     arrival[cycle] = rows["time_ns"][place] - rows["time_ns"][sync][cycle]
     found.columns[f"{name}_pdo_arrival_ns"] = arrival
+    signals = inputs_of(wire, node)
     for field, offset in _offsets(plan):
-        signal = INPUTS.get((node, field.key >> 8))
+        signal = signals.get(field.key)
         if signal is not None:
             raw = _raw(rows["data"][place], field, offset)
             values = raw * field.scale

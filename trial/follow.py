@@ -13,7 +13,7 @@ from typing import NamedTuple
 from eds.bench import NAMES, SERVO, Wire, tpdo_cob_id
 from eds.plan import PdoPlan
 from eds.scales import drum_radius_m
-from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS
+from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, inputs_of
 from trial.signals import UNITS
 
 TENSION = 0x7130  # the object whose least integer says that there is no value
@@ -85,10 +85,10 @@ def _sources(wire: Wire, columns: Mapping[str, int]) -> dict[int, _Source]:
     radius = drum_radius_m(wire.nodes[SERVO].dictionary)
     found = {}
     for node in wire.nodes:
-        plan = wire.tpdo[tpdo_cob_id(node)]
+        plan, signals = wire.tpdo[tpdo_cob_id(node)], inputs_of(wire, node)
         places: list[_Place | None] = []
         for field in (field for field in plan.fields if not field.dummy):
-            name = INPUTS.get((node, field.key >> 8))
+            name = signals.get(field.key)
             scale = field.scale / radius if name == "servo_force_n" else field.scale
             places.append(None if name is None else _Place(columns[name], scale, field.key >> 8 == TENSION))
         found[plan.cob_id] = _Source(plan, tuple(places), columns[f"{NAMES[node]}_pdo_arrival_ns"])

@@ -14,6 +14,7 @@ from virtual_bus.faults import OF_A_FRAME, OF_TIME, Fault, Judge
 from virtual_bus.host import Host
 from virtual_bus.kernel import TIMER, Kernel
 from virtual_bus.node_station import Device, NodeStation
+from virtual_bus.station import Medium
 from virtual_bus.wire import Wire
 
 US = 1_000
@@ -31,7 +32,10 @@ class Machine(Protocol):
 
 
 class Bench:
-    """A simulated bench, from power-on at 0 ns; `machine` is made once kernel, wire and stations are there."""
+    """A simulated bench, from power-on at 0 ns; `machine` is made once kernel, wire and stations are there.
+
+    `medium` is what joins the stations: the bench's own wire, unless it is served on another bus.
+    """
 
     def __init__(
         self,
@@ -51,6 +55,7 @@ class Bench:
         judge = Judge(faults, seed) if any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults) else None
         self.kernel = Kernel()
         self.wire = Wire(self.kernel, bitrate, judge)
+        self.medium: Medium = self.wire
         self.master_turnaround_ns = master_turnaround_ns
         self.host = Host(channel, MASTER, limit=tx_queue, restart_ns=restart_ns)
         self.nodes = {
@@ -58,7 +63,7 @@ class Bench:
         }
         for station in (self.host, *self.nodes.values()):
             self.wire.attach(station)
-        outages.arrange(self.kernel, self.wire, (self.host, *self.nodes.values()), faults)
+        outages.arrange(self.kernel, lambda: self.medium, (self.host, *self.nodes.values()), faults, self.wire.bit_ns)
         self._machine = machine(self) if machine is not None else None
         self.kernel.at(0, TIMER, self._power_on)
 

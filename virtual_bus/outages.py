@@ -11,18 +11,22 @@ from functools import partial
 from eds.frame import Frame
 from virtual_bus.faults import ANY, COPY, OF_A_DRIVE, OF_A_SENSOR, Fault
 from virtual_bus.kernel import NEVER, TIMER, Kernel
-from virtual_bus.station import Confinement, Station
+from virtual_bus.station import Confinement, Medium, Station
 from virtual_bus.wire import Wire
 
 
-def arrange(kernel: Kernel, wire: Wire, stations: Iterable[Station], faults: Iterable[Fault]) -> None:
-    """Put the beginnings and ends of all such faults on the heap."""
+def arrange(
+    kernel: Kernel, medium: Callable[[], Medium], stations: Iterable[Station], faults: Iterable[Fault], bit_ns: int
+) -> None:
+    """Put the beginnings and ends of all such faults on the heap; `medium` is what joins the stations then."""
     by_node = {station.node: station for station in stations if station.node is not None}
     for fault in faults:
         if fault.kind == "babble":
-            begin, end = _babbler(kernel, wire, fault)
+            begin, end = _babbler(kernel, medium, fault)
+        elif fault.kind == "cut" and fault.node in by_node:
+            begin, end = _cut(kernel, medium, by_node[fault.node], bit_ns)
         elif fault.kind in _EFFECTS and fault.node in by_node:
-            begin, end = _EFFECTS[fault.kind](kernel, wire, by_node[fault.node], fault)
+            begin, end = _EFFECTS[fault.kind](kernel, medium, by_node[fault.node], fault)
         else:
             continue
         _plan(kernel, fault, begin, end)
@@ -44,28 +48,28 @@ def _plan(kernel: Kernel, fault: Fault, begin: Callable[[], None], end: Callable
 Effect = tuple[Callable[[], None], Callable[[], None]]
 
 
-def _move(station: Station, wire: Wire, now_ns: int) -> None:
+def _move(station: Station, to: Medium, now_ns: int) -> None:
     waiting = station.wire.detach(station) if station.wire is not None else []
-    wire.attach(station)
+    to.attach(station)
     for _, _, _, frame, origin in waiting:
-        wire.submit(station, frame, now_ns, origin)
+        to.submit(station, frame, now_ns, origin)
 
 
-def _cut(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
-    alone = Wire(kernel, 1_000_000_000 // wire.bit_ns)
-    return lambda: _move(station, alone, kernel.now_ns), lambda: _move(station, wire, kernel.now_ns)
+def _cut(kernel: Kernel, medium: Callable[[], Medium], station: Station, bit_ns: int) -> Effect:
+    alone = Wire(kernel, 1_000_000_000 // bit_ns)
+    return lambda: _move(station, alone, kernel.now_ns), lambda: _move(station, medium(), kernel.now_ns)
 
 
-def _deaf(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
+def _deaf(kernel: Kernel, medium: Callable[[], Medium], station: Station, fault: Fault) -> Effect:
     def hear(deaf_to: frozenset[int] | None) -> None:
         station.deaf_to = deaf_to
-        wire.reroute()
+        medium().reroute()
 
     nothing = frozenset({fault.cob_id}) if fault.cob_id != ANY else None
     return lambda: hear(nothing), lambda: hear(frozenset())
 
 
-def _power_off(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Effect:
+def _power_off(kernel: Kernel, medium: Callable[[], Medium], station: Station, fault: Fault) -> Effect:
     def off() -> None:
         if station.wire is not None:
             station.lost += len(station.wire.detach(station))
@@ -73,13 +77,13 @@ def _power_off(kernel: Kernel, wire: Wire, station: Station, fault: Fault) -> Ef
 
     def on() -> None:
         station.reset_counters()
-        wire.attach(station)
+        medium().attach(station)
         station.powered(True, kernel.now_ns)
 
     return off, on
 
 
-_EFFECTS = {"cut": _cut, "deaf": _deaf, "power_off": _power_off}
+_EFFECTS = {"deaf": _deaf, "power_off": _power_off}
 
 
 class _Babbler(Station):
@@ -107,14 +111,14 @@ class _Babbler(Station):
             self.speak()
 
 
-def _babbler(kernel: Kernel, wire: Wire, fault: Fault) -> Effect:
+def _babbler(kernel: Kernel, medium: Callable[[], Medium], fault: Fault) -> Effect:
     station = _Babbler(kernel, fault)
 
     def begin() -> None:
-        wire.attach(station)
+        medium().attach(station)
         station.speak()
 
     def end() -> None:
-        wire.detach(station)
+        medium().detach(station)
 
     return begin, end

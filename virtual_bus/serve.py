@@ -10,12 +10,15 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import can
 
 from eds.frame import Frame
+from parameters import InputError
 from virtual_bus.bench import Bench
+from virtual_bus.faults import OF_A_NODE, Fault, declared
 from virtual_bus.host import frame_of, message_of
 from virtual_bus.kernel import Kernel
 from virtual_bus.station import EXTENDED, Deliver, Station, Waiting
@@ -117,7 +120,7 @@ def serve(
     interface is gone; while it is down, frames are lost and counted, as in a real node.
     """
     kernel = bench.kernel
-    outside = Outside(kernel, bus, echoes)
+    bench.medium = outside = Outside(kernel, bus, echoes)
     for station in list(bench.wire.stations):
         bench.wire.detach(station)
         if station is not bench.host:
@@ -132,6 +135,20 @@ def serve(
         if frame is not None:
             outside.take(frame)
     return outside.served
+
+
+def servable(path: Path) -> tuple[Fault, ...]:
+    """Read the faults of a bench that is served: those of whole nodes and of what is wired to them.
+
+    Raises `InputError` for a fault of the wire: a real bus has its own.
+    """
+    faults = declared(path)
+    for place, fault in enumerate(faults, start=1):
+        if fault.kind not in OF_A_NODE:
+            raise InputError(f"{path} [[fault]] {place}: {fault.kind} is a fault of the virtual bus's wire; a served "
+                             f"bench has {', '.join(sorted(OF_A_NODE))}: leave it out, or give a Linux interface one "
+                             "(tc qdisc … netem, cangw).")
+    return faults
 
 
 def _receive(bus: can.BusABC, bench: Bench, now_ns: int) -> Frame | None:

@@ -11,11 +11,17 @@ from pathlib import Path
 import pytest
 
 from bowden import config
-from eds.bench import KNEE, wire
+from eds.bench import KNEE, Wire, wire
 from eds.dictionary import key
+from trial.decode import cycles
+from trial.follow import Follower
+from trial.frames import rows_of
 
 VENDOR = Path(__file__).parents[1] / "eds" / "vendor_drive.eds"
 TABLE = f'[knee]\nfile = "vendor_drive.eds"\nposition = "3010"\nposition_scale = {2 * math.pi / 524_288!r}\n'
+
+COUNT = 2 * math.pi / 524_288
+"""One count of that drive, rad."""
 
 
 @pytest.fixture
@@ -51,3 +57,23 @@ def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[...,
     status, out, err = bowden("check", "config", bench)
     assert (status, out) == (2, "")
     assert "unknown key fittings" in err
+
+
+def heard(described: Wire) -> list[tuple[int, int, bytes]]:
+    """A SYNC, the knee's answer at −0.5 rad, and the next SYNC: time, ns, COB-ID, data."""
+    plan = described.tpdo[0x180 + KNEE]
+    return [(0, 0x080, b""), (100, plan.cob_id, plan.pack_si(0.0, -0.5)), (1_000_000, 0x080, b"")]
+
+
+def test_a_bought_drive_is_seen_by_who_follows_the_bus(bench: Path) -> None:
+    described = wire(config.read(bench)["network"])
+    follower = Follower(described)
+    *_, ended = [follower.frame(*frame) for frame in heard(described)]
+    assert ended is not None
+    assert dict(zip(follower.names, ended[1], strict=True))["knee_angle_rad"] == pytest.approx(-0.5, abs=COUNT)
+
+
+def test_a_bought_drive_is_seen_in_a_log(bench: Path) -> None:
+    described = wire(config.read(bench)["network"])
+    rows = rows_of([(at, can_id, 0, len(data), 0, False, data) for at, can_id, data in heard(described)])
+    assert cycles(rows, described).columns["knee_angle_rad"][0] == pytest.approx(-0.5, abs=COUNT)

@@ -197,7 +197,7 @@ def test_an_emergency_stop_in_the_gait_stops_the_trial(composer: Composer) -> No
 def test_a_drive_that_awaits_its_release_is_refused_with_what_to_do(composer: Composer) -> None:
     """The emergency stop was pressed and is free again before the master came; nobody has released the drive."""
     ran = composer.run(faults=[{"kind": "emergency_stop", "node": 1, "stop_s": 0.05}])
-    stopped(ran, "release it: write 0x736C6572 (rels) to 0x2020")
+    stopped(ran, "say: bowden acknowledge")
     servo_is_off(ran)
 
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 
+from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.serve import serve
+from virtual_bus.faults import Fault
+from virtual_bus.serve import servable, serve
 
 SYNC = can.Message(arbitration_id=0x080, is_extended_id=False)
 
@@ -107,3 +110,30 @@ def test_what_an_interface_that_is_down_does_not_take_is_counted(echo: Any) -> N
 def test_an_interface_that_is_gone_ends_it(echo: Any) -> None:
     with Failing(errno.ENODEV) as bus, pytest.raises(can.CanOperationError):
         serve(bus, Bench([echo(1)]), lambda: bus.now_ns)
+
+
+def test_a_node_without_supply_is_silent_until_it_has_it_again(echo: Any) -> None:
+    fault = Fault("power_off", start_s=0.002, stop_s=0.006, node=1)
+    bench = Bench([echo(1, heartbeat_ns=1_000_000)], faults=[fault])
+    scene = Scene(bench, echo(127), 10.5, lambda master: None)
+    silent = [m for m in scene.seen if 0.0025 < m.timestamp < 0.006]
+    assert silent == []
+    assert sum(m.timestamp > 0.006 for m in scene.seen) > 2
+
+
+def test_a_node_whose_line_is_cut_comes_back(echo: Any) -> None:
+    fault = Fault("cut", start_s=0.002, stop_s=0.006, node=2)
+    one, two = echo(1), echo(2, heartbeat_ns=1_000_000)
+    scene = Scene(Bench([one, two], faults=[fault]), echo(127), 12.5, lambda master: None)
+    at_ms = {round(m.timestamp * 1e3) for m in scene.seen if m.arbitration_id == 0x702}
+    assert not at_ms & {4, 5}
+    assert at_ms & {8, 9, 10}
+
+
+def test_faults_of_the_wire_are_not_served(tmp_path: Path) -> None:
+    file = tmp_path / "faults.toml"
+    file.write_text('[[fault]]\nkind = "power_off"\nnode = 2\n')
+    assert [fault.node for fault in servable(file)] == [2]
+    file.write_text('[[fault]]\nkind = "drop"\n')
+    with pytest.raises(InputError, match=r"faults\.toml \[\[fault\]\] 1: drop is a fault of the virtual bus's wire"):
+        servable(file)

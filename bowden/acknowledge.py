@@ -1,0 +1,48 @@
+"""`bowden acknowledge`: the operator's release of drives after an emergency stop."""
+
+from __future__ import annotations
+
+from bowden import options, terminal
+from bowden.app import app
+
+REMEDY = "free the emergency stop (STO) first, then say this again"
+
+
+@app.command()
+def acknowledge(
+    interface: options.Interface = None,
+    channel: options.Channel = None,
+    bitrate: options.Bitrate = None,
+    option: options.Extra = None,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Release drives after an emergency stop.
+
+    A drive that had its emergency stop (STO) stays off until an operator says so; nothing is enabled by it.
+
+    Example: bowden acknowledge --interface socketcan --channel can0
+    """
+    from bowden import bus
+    from bowden import config as configuration
+    from eds.bench import wire
+    from master.acknowledge import acknowledge as release
+    from master.bringup import RefusedError
+    from master.link import Link, LinkError
+    from parameters import InputError
+
+    network = configuration.override(configuration.read(config)["network"], {"bitrate": ("--bitrate", bitrate)})
+    chosen = bus.choose(interface, channel, option, bus.Simulated())
+    with bus.opened_one(chosen, network.bitrate) as opened:
+        try:
+            found = release(Link(opened, bus.clock_of(opened), heartbeat_ms=None), wire(network))
+        except (RefusedError, LinkError) as error:
+            raise InputError(str(error)) from None
+    active = [one for one in found if one.became == "still active"]
+    if json:
+        terminal.emit({one.drive: one.became for one in found})
+    else:
+        for one in found:
+            print(f"{one.drive}: {one.became}" + (f"; {REMEDY}." if one in active else "."))
+    return 1 if active else 0
+
