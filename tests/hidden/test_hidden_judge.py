@@ -77,7 +77,8 @@ def test_a_bar_without_cases_says_nothing() -> None:
 
 def test_the_matrix_counts_every_case_once() -> None:
     told = [said("one", "slack", "slack"), said("one", "slack", "end_gain"),
-            said("wire", "lost_pdo", "", "unexplained"), said("none", ""), said("outside", "thump", "", "unexplained"), said("one", "slack", "", ratio=1.0)]
+            said("wire", "lost_pdo", "", "unexplained"), said("none", ""),
+            said("outside", "thump", "", "unexplained"), said("one", "slack", "", ratio=1.0)]
     rows = [line.split("|") for line in page.confusion(told) if line.startswith("| ") and "`" in line]
     numbers = {row[2].strip(" `"): [int(cell) for cell in row[3:-1] if cell.strip()] for row in rows}
     assert {name: sum(row) for name, row in numbers.items()} == {"slack": 2, "lost_pdo": 1, "thump": 1, "nothing": 1}

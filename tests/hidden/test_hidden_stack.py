@@ -6,38 +6,86 @@ The rule of this file: what is compared with the truth is what the recorded tria
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from bowden.app import run
-from diagnosis.finder import diagnose
+from diagnosis.finder import Diagnosis, diagnose
 from trial import read
 
 SEED = 4
+PERIOD_S, CYCLES = 1.1, 5
+LOST = "lost_share = 0.05"
 
 
-def recorded(folder: Path, capsys: pytest.CaptureFixture[str], name: str, *options: object) -> Path:
-    """Record ten gait cycles by the command line; the plant's name is not written into the trial."""
-    path = folder / f"{name}.mcap"
-    arguments = ("trial", "--period", 1.3, "--serial", 0, "--seed", SEED, "--json", "-o", path, *options)
-    assert run([str(argument) for argument in arguments]) == 0, capsys.readouterr().err
-    assert json.loads(capsys.readouterr().out)["outcome"] == "completed"
+class Hidden(NamedTuple):
+    """What is put behind the nodes: a plant of `tests.hidden.plugin`, a fault of the wire, and the name to be found."""
+
+    plant: str
+    wire: str = ""
+
+    @property
+    def names(self) -> set[str]:
+        return {"lost_pdo"} if self.wire else set() if self.plant in ("healthy", "resonance") else set(
+            self.plant.split("+"))
+
+
+HIDDEN = (
+    Hidden("end_offset"), Hidden("start_gain"), Hidden("presliding"), Hidden("knee_backlash"), Hidden("end_filter"),
+    Hidden("cable_friction"), Hidden("end_offset+knee_backlash"), Hidden("resonance"), Hidden("healthy"),
+    Hidden("healthy", LOST))
+
+
+def record(path: Path, plant: str, wire: str = "", seed: int = SEED, cycles: int = CYCLES) -> Path:
+    """Record gait cycles by the command line; the plant's name is not written into the trial."""
+    arguments = ["trial", "--period", PERIOD_S, "--serial", 0, "--seed", seed, "--cycles", cycles, "--plant",
+                 f"tests.hidden.plugin:{plant}", "--json", "-o", path]
+    if wire:
+        model = path.with_suffix(".toml")
+        model.write_text(f"[bus]\n{wire}\n", encoding="utf-8")
+        arguments += ["--plant-model", model]
+    assert run([str(argument) for argument in arguments]) == 0
     return path
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("effect", ["cable_friction", "end_offset"])
-def test_an_effect_hidden_behind_the_nodes_is_named_from_the_trial(
-    effect: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    trial = recorded(tmp_path, capsys, "measured", "--plant", f"tests.hidden.plugin:{effect}")
-    healthy = recorded(tmp_path, capsys, "healthy", "--plant", "tests.hidden.plugin:healthy")
-    assert effect.encode() not in trial.read_bytes()
-    found = diagnose([trial], healthy=[healthy])
-    assert found.verdict in ("found", "ambiguous")
-    assert effect in found.rivals
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[Hidden, Diagnosis]:
+    """Every case's diagnosis, beside one healthy trial of a like bench."""
+    folder = tmp_path_factory.mktemp("hidden")
+    healthy = record(folder / "good.mcap", "healthy", seed=SEED + 2)
+    found = {}
+    for i, hidden in enumerate(HIDDEN):
+        path = record(folder / f"{i}.mcap", hidden.plant, hidden.wire)
+        assert not any(name.encode() in path.read_bytes() for name in hidden.names)
+        found[hidden] = diagnose([path], healthy=[healthy])
+    return found
+
+
+def said(told: dict[Hidden, Diagnosis], holds: Callable[[Hidden, Diagnosis], bool]) -> dict[str, str]:
+    """What was said of the cases of which something holds."""
+    return {f"{h.plant} {h.wire}".strip(): f"{d.verdict} {', '.join(d.rivals)}" for h, d in told.items() if holds(h, d)}
+
+
+def test_no_wrong_name_is_given(told: dict[Hidden, Diagnosis]) -> None:
+    assert not said(told, lambda h, d: bool(d.rivals) and not h.names & set(d.rivals))
+
+
+def test_nothing_is_wrong_with_a_healthy_bench(told: dict[Hidden, Diagnosis]) -> None:
+    assert told[Hidden("healthy")].verdict == "none"
+
+
+def test_what_no_catalogue_has_is_not_named(told: dict[Hidden, Diagnosis]) -> None:
+    assert told[Hidden("resonance")].verdict == "unexplained"
+
+
+def test_effects_behind_the_nodes_are_in_the_class(told: dict[Hidden, Diagnosis]) -> None:
+    missed = said(told, lambda h, d: bool(h.names) and not h.names <= set(d.rivals))
+    # of eight, some are near the limit of five short cycles beside one healthy trial
+    assert len(missed) <= 2, missed
 
 
 @pytest.mark.parametrize(("wire", "share", "aged"), [
@@ -48,9 +96,8 @@ def test_an_effect_hidden_behind_the_nodes_is_named_from_the_trial(
 def test_a_fault_of_the_wire_shows_in_the_trial(
     wire: str, share: float, aged: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = tmp_path / "wire.toml"
-    model.write_text(f"[bus]\n{wire}\n", encoding="utf-8")
-    path = recorded(tmp_path, capsys, "faulty", "--plant-model", model, "--cycles", 3)
+    path = record(tmp_path / "faulty.mcap", "healthy", wire, cycles=3)
+    assert json.loads(capsys.readouterr().out)["outcome"] == "completed"
     columns = read.open(path).columns
     # some 7000 control cycles of four PDOs and a chance of 0.03: three standard deviations of a share are 0.006
     assert np.mean(columns["missed_inputs"]) == pytest.approx(4 * share, abs=0.015)
