@@ -63,7 +63,7 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
         Series("measured", lines[0], MEASURED, width=2.2),
         Series("simulated before", lines[1], BEFORE, width=1.0, dash=True),
         Series("simulated after", lines[2], AFTER, width=1.0)],
-        "time_s (s)", f"{one.block.relation.output} ({one.block.relation.unit})", linked=linked, height=220)
+        "time_s (s)", one.block.relation.unit, linked=linked, height=220)
 
 
 def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:

@@ -57,14 +57,14 @@ def ranking(page: Page, found: Diagnosis) -> None:
     whole = base.score - best.score
     page.text(f"{len(tried)} models were fitted in full, each judged on cycles it was not fitted on. 100 % is what the "
               f"chosen model gains over the simulation as it was; a model of as many effects is a rival from "
-              f"{100.0 * RIVAL_GAIN:.0f} % on and within {100.0 * RIVAL_RMSE:.0f} % of its RMSE.", "note")
+              f"{100.0 * RIVAL_GAIN:.0f} % on and within {100.0 * RIVAL_RMSE:.0f} % of its RMSE on unseen cycles.", "note")
     rows: list[tuple[Cell, ...]] = []
     for model in tried[:MODELS_SHOWN]:
         share = 100.0 * (base.score - model.score) / whole if whole > 0.0 else None
         behind = 100.0 * (math.sqrt(max(model.score, 0.0) / best.score) - 1.0) if best.score > 0.0 else None
         rows.append((" + ".join(model.names) or "as simulated", _why(model, found.found, found.rivals), share, behind,
                      model.score))
-    page.table(("model", "judged", "share of the gain (%)", "unseen RMSE above the chosen (%)", "χ² on unseen cycles"),
+    page.table(("model", "judged", "share of the gain (%)", "RMSE above (%)", "χ², unseen cycles"),
                rows, tall=len(rows) > 15)
 
 
@@ -101,10 +101,11 @@ def _limit(name: str, one: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 def _seen(smallest: float | None, parameter: Any) -> str:
     """Say whether the likely sizes lie above the limit."""
-    if smallest is None:
+    if smallest is None or parameter is None:
         return "no"
-    if parameter is None or parameter.neutral is None:
-        return "from there on"
-    sizes = sorted(abs(end - parameter.neutral) for end in parameter.likely)
-    low = 0.0 if parameter.likely[0] < parameter.neutral < parameter.likely[1] else sizes[0]
-    return "yes" if smallest <= low else "the larger ones" if smallest < sizes[1] else "no"
+    low, high = parameter.likely
+    if parameter.neutral is None or low < parameter.neutral < high:
+        least, most = 0.0, high - low
+    else:
+        least, most = sorted(abs(end - parameter.neutral) for end in parameter.likely)
+    return "yes" if smallest <= least else "the larger ones" if smallest < most else "no"

@@ -89,7 +89,7 @@ def test_the_page_says_what_could_have_been_seen(found: Diagnosis, measured: Tab
     html = build(found, [measured], []).html()
     rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
-        ("cable_friction", "0.02", "from there on"), ("slack", "–", "no")]
+        ("cable_friction", "0.02", "the larger ones"), ("slack", "–", "no")]
 
 
 def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measured: Table) -> None:
