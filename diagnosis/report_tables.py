@@ -57,7 +57,7 @@ def ranking(page: Page, found: Diagnosis) -> None:
     whole = base.score - best.score
     page.text(f"{len(tried)} models were fitted in full, each judged on cycles it was not fitted on. 100 % is what the "
               f"chosen model gains over the simulation as it was; a model of as many effects is a rival from "
-              f"{100.0 * RIVAL_GAIN:.0f} % on and within {100.0 * RIVAL_RMSE:.0f} % of its RMSE on unseen cycles.", "note")
+              f"{100.0 * RIVAL_GAIN:.0f} % on and within {100.0 * RIVAL_RMSE:.0f} % of its unseen RMSE.", "note")
     rows: list[tuple[Cell, ...]] = []
     for model in tried[:MODELS_SHOWN]:
         share = 100.0 * (base.score - model.score) / whole if whole > 0.0 else None
