@@ -7,7 +7,7 @@ enabled, and a drive that is found enabled loses its torque first.
 from __future__ import annotations
 
 from eds.bench import KNEE, MASTER, SERVO, NodeEntry, Wire
-from eds.cia301 import NmtCommand, NmtState
+from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key
 from master.link import Link
@@ -63,13 +63,14 @@ def leave(link: Link) -> None:
 
 
 def refuse_rival(link: Link) -> None:
-    """Listen for longer than two of a master's heartbeats before saying a word."""
+    """Listen for longer than two of a master's heartbeats before saying a word; raises `RivalError`."""
     link.rivals.clear()
     link.beats.pop(MASTER, None)
-    for _message in link.listen(LISTEN_NS):
-        pass
+    heard = {message.arbitration_id for message in link.listen(LISTEN_NS)}
     if link.rivals or MASTER in link.beats:
         raise RivalError(f"another master (node {MASTER}) is on the bus; stop it first.")
+    if SYNC_COB_ID in heard:
+        raise RivalError("somebody sends SYNC already: another master, or what an aborted run left; stop it first.")
 
 
 def _await_node(link: Link, entry: NodeEntry) -> None:

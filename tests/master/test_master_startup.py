@@ -1,0 +1,103 @@
+"""Start-up on a bench that somebody left: nothing is enabled by surprise, and what was left is no hindrance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import can
+import pytest
+
+from eds.bench import KNEE, SERVO, Network, Wire, wire
+from eds.cia402 import State, state_of
+from eds.dictionary import key
+from master import bringup, drives
+from master.acknowledge import acknowledge
+from master.conduct import conduct
+from master.config import Limits
+from master.cycle import Exchange, Inputs
+from master.guard import Guard
+from master.link import Link
+from master.log import Log
+from virtual_bus.bus import BowdenBus
+
+if TYPE_CHECKING:
+    from conftest import Composer
+
+MS = 1_000_000
+DRIVES = {SERVO: "servo", KNEE: "knee"}
+
+
+def aborted(
+    composer: Composer, until: Callable[[Inputs], bool] = lambda inputs: True, **options: Any
+) -> tuple[Link, BowdenBus]:
+    """A link on a bench whose master has enabled both drives and, once `until` says so, is no more."""
+    link, tap = composer.link(**options)
+    described = wire(Network())
+    log = Log(tap, None, described.targets.cob_id)
+    bringup.bring_up(link, described, log)
+    link.sync_start(described.period_ns)
+    guard = Guard(link, described, log, Limits(), 250 * MS)
+    exchange = Exchange(link, described, log, guard, 600_000)
+    exchange.begin()
+    drives.enable(exchange)
+    guard.active = False
+    while not until(exchange.hold()):
+        pass
+    link.sync_stop()
+    return Link(link.bus, link.clock), tap
+
+
+def states(link: Link) -> set[State | None]:
+    return {state_of(int.from_bytes(link.sdo_read(node, 0x6041), "little")) for node in DRIVES}
+
+
+def test_a_drive_that_an_aborted_run_left_enabled_loses_its_torque_first(composer: Composer) -> None:
+    link, tap = aborted(composer)
+    assert states(link) == {State.OPERATION_ENABLED}
+    bringup.bring_up(link, wire(Network()), Log(tap, None, 0x201))
+    assert State.OPERATION_ENABLED not in states(link)
+
+
+def test_a_drive_that_an_aborted_run_left_in_fault_comes_up(composer: Composer) -> None:
+    """Its emergency stop is free again and acknowledged; the fault itself is reset at start-up."""
+    stop = {"kind": "emergency_stop", "node": KNEE, "start_s": 3.0, "stop_s": 3.05}
+    link, tap = aborted(composer, lambda inputs: state_of(inputs.knee_status) is State.FAULT, faults=[stop])
+    link.wait(300 * MS)
+    assert acknowledge(link, wire(Network()))[1].became == "released"
+    assert State.FAULT in states(link)
+    seen: list[State | None] = []
+    outcome = conduct(link, tap, None, Network(), Limits(),
+                      lambda exchange: seen.append(state_of(drives.enable(exchange).knee_status)))
+    assert outcome.reason is None
+    assert seen == [State.OPERATION_ENABLED]
+
+
+def test_sync_that_somebody_sends_is_no_bench_to_start_on(composer: Composer) -> None:
+    link, tap = composer.link()
+    tap.send_periodic(can.Message(arbitration_id=0x080, is_extended_id=False), 0.01)
+    outcome = conduct(link, None, None, Network(), Limits(), lambda exchange: None)
+    assert outcome.reason is not None
+    assert "somebody sends SYNC already" in outcome.reason
+
+
+@pytest.fixture(params=[1, 2, 3], ids=["vendor-ID", "product code", "revision number"])
+def other_edition(request: pytest.FixtureRequest) -> tuple[str, Wire]:
+    """A wire whose knee's EDS has another number in 0x1018."""
+    right = wire(Network())
+    knee, at = right.nodes[KNEE], key(0x1018, request.param)
+    entry = knee.dictionary.entries[at]
+    entries = {**knee.dictionary.entries, at: replace(entry, default=int(entry.default or 0) + 1)}
+    other = knee._replace(dictionary=replace(knee.dictionary, entries=entries))
+    return request.node.callspec.id, Wire(Network(), {**right.nodes, KNEE: other})
+
+
+def test_another_edition_of_the_device_is_refused_by_its_number(
+    composer: Composer, other_edition: tuple[str, Wire]
+) -> None:
+    name, described = other_edition
+    link, tap = composer.link()
+    with pytest.raises(bringup.RefusedError, match=rf"knee \(node 2\): {name} is 0x[0-9A-F]+, its EDS .* says 0x"):
+        bringup.bring_up(link, described, Log(tap, None, 0x201))
+    assert State.OPERATION_ENABLED not in states(link)

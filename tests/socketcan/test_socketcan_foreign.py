@@ -1,0 +1,53 @@
+"""A device that is not ours: npm's `canopen` on npm's `socketcan` serves the knee drive from our EDS."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eds.bench import KNEE
+from eds.dictionary import packaged
+from tests.socketcan import rig
+
+pytestmark = pytest.mark.guest("native", "icount")
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULES = Path(os.environ.get("BOWDEN_NODE_MODULES", ROOT / "build" / "foreign" / "node_modules"))
+DEVICE = ROOT / "tests" / "foreign" / "canopen_device.js"
+RATE = 100
+MILLIDEGREE = np.radians(1e-3)
+"""The knee drive's position counts in it."""
+
+
+@pytest.fixture
+def knee(own: str) -> Iterator[str]:
+    """The channel on which a foreign knee drive listens."""
+    absent = [name for name in ("canopen", "socketcan") if not (MODULES / name).is_dir()]
+    if absent or shutil.which("node") is None:
+        pytest.skip(f"npm's {' and '.join(absent) or 'node'} is absent; .ci/run installs it into build/foreign")
+    command = ["node", str(DEVICE), own, str(packaged("knee_drive")), str(KNEE)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True,
+                          env={**os.environ, "NODE_PATH": str(MODULES)}) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield own
+        process.terminate()
+
+
+def test_a_foreign_knee_drive_is_brought_up_and_exchanges_pdos(tmp_path: Path, knee: str) -> None:
+    faults = tmp_path / "faults.toml"
+    faults.write_text(f'[[fault]]\nkind = "power_off"\nnode = {KNEE}\n')
+    with rig.bench(tmp_path, knee, "--rate", RATE, "--faults", faults, nodes=(1, 3, 4)):
+        told = rig.trial(tmp_path, knee, "--rate", RATE, "--cycles", 1, "--settle", 0, "--period", 1, "--peak", 20,
+                         "--dry-run").wait()
+    assert told.result["outcome"] == "completed", told
+    columns = rig.recorded(tmp_path).columns
+    target, angle = columns["knee_target_rad"], columns["knee_angle_rad"]
+    assert np.ptp(target) > 0.5
+    assert np.abs(angle[1:] - target[:-1]).max() < MILLIDEGREE
