@@ -182,3 +182,12 @@ def test_what_is_found_runs_in_the_simulator_and_in_the_controller(walked: Colum
     assert result["outcome"] == "completed"
     # END reads 3 N more than the bench has: the sensor's figures tell of it, the true ones do not
     assert result["max_idle_tension_n"] - result["true_max_idle_tension_n"] == pytest.approx(3.0, abs=0.7)
+
+
+def test_a_dask_cluster_tells_each_trial_too(walked: Columns, bowden: Run, here: Path) -> None:
+    dask = pytest.importorskip("distributed")
+    short = written(here / "short.csv", cut(walked, 2))
+    with dask.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        told = bowden("diagnose", short, "--each", "--scheduler", cluster.scheduler_address, "--json")
+    assert told.status == 2, told.stderr
+    assert "2 cycles" in json.loads(told.stdout)["trials"][str(short)]["warnings"][0]

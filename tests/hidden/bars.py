@@ -23,11 +23,16 @@ IDENTIFIABLE = (
 """Effects whose parameter one gait trial determines: listed in docs/diagnosis.md before the run."""
 
 
+FAINT = 1.5
+"""Residual in healthy floors up to which a case is near what the data can show."""
+
+
 @dataclass(frozen=True)
 class Bar:
     """One bar: the figure, what it is out of, the bound and whether it is met (None: none set, or nothing to say).
 
-    `against`: what was hidden and what was said, of the cases that tell against it, the most frequent first.
+    `against`: what was hidden and what was said, of the cases that tell against it, the most frequent first; `faint` of
+    them have a residual below `FAINT` healthy floors, `altered` are of an altered structure.
     """
 
     name: str
@@ -36,6 +41,8 @@ class Bar:
     bound: str
     met: bool | None
     against: tuple[tuple[str, int], ...] = ()
+    faint: int = 0
+    altered: int = 0
 
 
 def share(name: str, told: Sequence[Answer], holds: Callable[[Answer], bool], bound: float | None,
@@ -43,11 +50,13 @@ def share(name: str, told: Sequence[Answer], holds: Callable[[Answer], bool], bo
     """Return the bar of a share of answers, %; `bound` None: a figure without one."""
     hits = [holds(a) for a in told]
     figure = 100.0 * sum(hits) / len(hits) if hits else math.nan
-    against = Counter(_case(a) for a, hit in zip(told, hits, strict=True) if hit != at_least)
+    contrary = [a for a, hit in zip(told, hits, strict=True) if hit != at_least]
+    against = Counter(_case(a) for a in contrary)
     if bound is None:
         return Bar(name, figure, len(hits), "", None)
     met = None if not hits else figure >= bound if at_least else figure <= bound
-    return Bar(name, figure, len(hits), f"{'≥' if at_least else '≤'} {bound:g} %", met, tuple(against.most_common()))
+    return Bar(name, figure, len(hits), f"{'≥' if at_least else '≤'} {bound:g} %", met, tuple(against.most_common()),
+               sum(a.ratio < FAINT for a in contrary), sum(a.job.altered for a in contrary))
 
 
 def value(name: str, values: Iterable[float], reduce: Callable[[Sequence[float]], float], bound: float, unit: str

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from tests.hidden import cases
 from tests.hidden.answers import LEAST_RATIO, Answer
-from tests.hidden.bars import Bar, bars
+from tests.hidden.bars import FAINT, Bar, bars
 
 SHOWN = 8
 """Kinds of failure that are told of one bar."""
@@ -39,8 +39,9 @@ def failures(found: Sequence[Bar]) -> list[str]:
         if bar.met is False and bar.against:
             most = "; ".join(f"{case} ×{count}" for case, count in bar.against[:SHOWN])
             more = sum(count for _, count in bar.against[SHOWN:])
-            lines.append(f"- *{bar.name}*, {sum(c for _, c in bar.against)} cases against it: {most}"
-                         + (f"; {more} more" if more else "") + ".")
+            whole = sum(count for _, count in bar.against)
+            lines.append(f"- *{bar.name}*: {whole} against it, {bar.faint} of them with a residual below {FAINT} healthy "
+                         f"floors, {bar.altered} of altered structure: {most}" + (f"; {more} more" if more else "") + ".")
     return ["Against the bars that are not met (hidden → said, how often):", "", *lines] if lines else [
         "No case tells against a bar that is not met."]
 

@@ -133,8 +133,8 @@ class Plant:
         return {"true_end_n": float(self.s[5]), "true_start_n": float(self.s[6])}
 
 
-RING = 0.5
-"""What of END's acceleration the cantilever takes: 1 N of ringing for a loading to 40 N in a tenth of a gait cycle."""
+RING = 0.15
+"""The share of END's acceleration that the cantilever takes, for 1 N of `resonance`."""
 SPAN_S = 20.0
 """Time over which what drifts does so."""
 OUTSIDE = "resonance"

@@ -21,6 +21,6 @@ def test_no_wrong_name_is_given(told: list[Answer]) -> None:
 def test_the_truth_is_in_the_class(told: list[Answer]) -> None:
     counted = [a for a in told if a.counts]
     missed = quick.of(counted, lambda a: a.hidden[0] not in a.rivals)
-    # eight cycles and two healthy trials: what lies near the limit may be missed, what is named may not be wrong
-    assert len(counted) >= 8
-    assert len(missed) <= 2, missed
+    # each of them is seen in one relation alone; one may fall with the last digit of another processor
+    assert len(counted) >= 12
+    assert len(missed) <= 1, missed
