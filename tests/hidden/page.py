@@ -40,8 +40,9 @@ def failures(found: Sequence[Bar]) -> list[str]:
             most = "; ".join(f"{case} ×{count}" for case, count in bar.against[:SHOWN])
             more = sum(count for _, count in bar.against[SHOWN:])
             whole = sum(count for _, count in bar.against)
-            lines.append(f"- *{bar.name}*: {whole} against it, {bar.faint} of them with a residual below {FAINT} healthy "
-                         f"floors, {bar.altered} of altered structure: {most}" + (f"; {more} more" if more else "") + ".")
+            tail = f"; {more} more" if more else ""
+            lines.append(f"- *{bar.name}*: {whole} against it, {bar.faint} of them with a residual below {FAINT} "
+                         f"healthy floors, {bar.altered} of altered structure: {most}{tail}.")
     return ["Against the bars that are not met (hidden → said, how often):", "", *lines] if lines else [
         "No case tells against a bar that is not met."]
 
