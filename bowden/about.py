@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Mapping
+from dataclasses import asdict
 from hashlib import sha256
 from importlib import metadata as installed
 from pathlib import Path
@@ -39,6 +40,7 @@ def metadata(experiment: Experiment, script: str = "") -> dict[str, str]:
         "rate_hz": str(experiment.network.rate_hz),
         "bitrate": str(experiment.network.bitrate),
         "dry_run": str(experiment.dry_run).lower(),
+        **{name: text for name, text in asdict(experiment.record).items() if text},
         "commit": commit(),
     }
 

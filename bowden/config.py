@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ SECTIONS: dict[str, tuple[str, str]] = {
     "impedance": ("master.config", "Impedance"),
     "limits": ("master.config", "Limits"),
     "homing": ("master.config", "Homing"),
+    "record": ("master.config", "Record"),
 }
 DEVICES: dict[str, tuple[str, str]] = {
     "servo": ("eds.fitting", "ServoFitting"),
@@ -84,11 +86,19 @@ def _lines(section: Any) -> str:
     lines = []
     for field, _, _ in declarations(type(section)):
         value = getattr(section, field)
-        shown = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else value
+        shown = str(value).lower() if isinstance(value, bool) else _quoted(value) if isinstance(value, str) else value
         lines.append(f"{field} = {shown}\n")
     return "".join(lines)
 
 
-def as_template() -> str:
-    """A commented bench.toml with every default, unit, range and source."""
-    return "\n".join(template(declaration(name), name) for name in SECTIONS)
+def _quoted(text: str) -> str:
+    """A TOML string: JSON's escapes are among TOML's."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def as_template(told: Mapping[str, str] | None = None) -> str:
+    """A commented bench.toml with every default, unit, range and source; `told` fills `[record]`."""
+    text = "\n".join(template(declaration(name), name) for name in SECTIONS)
+    for field, said in (told or {}).items():
+        text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
+    return text

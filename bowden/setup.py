@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -24,16 +25,26 @@ def init(
 ) -> int:
     """Write a commented bench.toml.
 
-    With every default, unit, range and source.
+    With every default, unit, range and source.  On a terminal it asks for specimen, rope, operator and notes, which
+    every trial with that file then carries.
 
     Example: bowden init -o bench.toml
     """
     from bowden import config, outputs
 
     outputs.refuse([output], overwrite=overwrite)
-    output.write_text(config.as_template(), encoding="utf-8")
+    told = _asked(config.declaration("record")) if sys.stdin.isatty() else {}
+    output.write_text(config.as_template(told), encoding="utf-8")
     print(f"Configuration: {output}")
     return 0
+
+
+def _asked(record: type[Any]) -> dict[str, str]:
+    """What the operator says of each field; Enter leaves it empty."""
+    from parameters import declarations
+
+    return {name: typer.prompt(f"{name} ({told.text})", default="", show_default=False).strip()
+            for name, _, told in declarations(record)}
 
 
 @check.command("config")

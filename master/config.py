@@ -67,6 +67,16 @@ class Homing:
                                source="assumed")
 
 
+@dataclass(frozen=True)
+class Record:
+    """What a trial is to say of itself, for whoever reads it later; `bowden init` asks for it once."""
+
+    specimen: str = parameter("", "", "who or what wears the knee", source="said by the operator")
+    rope: str = parameter("", "", "rope and sheath: kind, batch, days in use", source="said by the operator")
+    operator: str = parameter("", "", "who runs the bench", source="said by the operator")
+    notes: str = parameter("", "", "whatever else matters", source="said by the operator")
+
+
 def checked_controller(name: str, *, where: str) -> str:
     """Return `name` if it is a controller, else raise `InputError`."""
     if name not in CONTROLLERS:

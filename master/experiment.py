@@ -47,6 +47,7 @@ class Experiment:
     dry_run: bool = False
     motion: Reference | None = None
     known: Effects = field(default_factory=dict)
+    record: config.Record = field(default_factory=config.Record)
 
 
 @dataclass(frozen=True)
