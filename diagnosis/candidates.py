@@ -22,12 +22,21 @@ MAX_STARTS: Final = 8
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect: the slots it frees, and the points its fits start from (at each the effect is at work)."""
+    """One effect: the slots it frees, and the points its fits start from (at each the effect is at work).
+
+    `likely`: by slot, where its value is expected on such a bench; empty where nothing is known of the rig.
+    """
 
     name: str
     site: str
     frees: tuple[Free, ...]
     starts: tuple[Mapping[str, float], ...]
+    likely: Mapping[str, tuple[float, float]]
+
+    def unlikely(self, values: Mapping[str, float]) -> int:
+        """Return how many of its slots are outside of where they are expected."""
+        return sum(not low <= values[f.name] <= high for f in self.frees if f.name in self.likely
+                   for low, high in (self.likely[f.name],))
 
     @property
     def slots(self) -> frozenset[str]:
@@ -50,7 +59,8 @@ def candidates(
         frees = [_free(p, reference, any_rig) for p in effect.parameters
                  if p.name in visible and p.name not in swallowed]
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
-            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference)))
+            likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}
+            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely))
     return found
 
 

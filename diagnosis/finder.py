@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis import data, integrity, setting
+from diagnosis import data, integrity, setting, wire
 from diagnosis.data import Table
 from diagnosis.judge import Judge
 from diagnosis.search import Found
 from diagnosis.verdict import Figures
+from diagnosis.wire import Wire
 from parameters import InputError, read_toml
+from physics.models import RELATIONS
 
 
 @dataclass(frozen=True)
@@ -69,12 +71,14 @@ def diagnose(
     refusals = [f.text for f in findings if f.refuses]
     if refusals:
         return Diagnosis("refused", warnings=refusals + warnings, lowpass_hz=lowpass)
-    groups = [[_filtered(integrity.usable(t), lowpass) for t in group] for group in held]
-    result = _judged(groups, _calibration(calibration), warnings)
+    plain = [[integrity.usable(t) for t in group] for group in held]
+    groups = [[_filtered(t, lowpass) for t in group] for group in plain]
+    result = _judged(groups, wire.examine(plain[0], plain[2]), _calibration(calibration), warnings)
     return replace(result, lowpass_hz=lowpass)
 
 
-def _judged(groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None, warnings: list[str]) -> Diagnosis:
+def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mapping[str, Any] | None,
+            warnings: list[str]) -> Diagnosis:
     trials, holdout, healthy = groups
     settled = setting.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
     source = ", ".join(t.source for t in trials)
@@ -86,10 +90,22 @@ def _judged(groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | 
         return Diagnosis("refused", warnings=[
             f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
             *warnings])
+    if carried.told and not settled.any_rig:
+        return _of_wire(carried, warnings + _said(settled, bool(healthy)))
     judge = Judge(settled, holdout)
-    return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), judge.figures(),
+    figures = judge.figures() | ({} if settled.any_rig else carried.figures)
+    return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
                      warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
                      found=judge.found)
+
+
+def _of_wire(carried: Wire, warnings: list[str]) -> Diagnosis:
+    """Return what is at fault before the bench is: its laws are not asked of values that are late, lost or coarse."""
+    names = [t.effect.name for t in carried.told]
+    figures = {name: Figures(relation.unit, False) for name, relation in RELATIONS.items()} | carried.figures
+    return Diagnosis("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
+                     carried.told[0].effect.experiment if len(names) > 1 else None, figures,
+                     [*warnings, "wire and converter come first: the bench's own relations were not searched."])
 
 
 def _said(settled: setting.Setting, healthy: bool) -> list[str]:

@@ -105,9 +105,9 @@ class Slopes:
 
     def _carry(self, known: Fit) -> None:
         place = {f.name: j for j, f in enumerate(known.free)}
-        here = np.flatnonzero([f.name in place for f in self.free])
-        there = np.array([place[self.free[j].name] for j in here], dtype=np.intp)
-        self.taken[here] = [known.values[self.free[j].name] for j in here]
+        both = [(j, place[f.name]) for j, f in enumerate(self.free) if f.name in place]
+        here, there = np.array(both, dtype=np.intp).reshape(-1, 2).T
+        self.taken[here] = [known.values[self.free[j].name] for j, _ in both]
         for rows, carried, mask in zip(self.rows, known.slopes, self.problem.masks, strict=True):
             rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
 
@@ -119,10 +119,10 @@ class Slopes:
     def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> None:
         """Take the slopes of the slots `which` by differences."""
         for i, block in enumerate(self.problem.blocks):
-            for j in which:
+            for j in which.tolist():
                 if self.free[j].name in block.uses:
                     self.rows[i][j] = self.problem.slope(i, values, residuals[i], self.free[j])
-        self.taken[which] = [values[self.free[j].name] for j in which]
+        self.taken[which] = [values[self.free[j].name] for j in which.tolist()]
 
     def follow(self, step: Array, before: Sequence[Array], after: Sequence[Array]) -> None:
         """Make the slopes agree with what `step` did."""

@@ -45,7 +45,8 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequ
     weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
     together = solve(Problem(blocks, weights), reference.values, _teachable(reference, offered), STEPS)
     taught = together.values
-    moved = Reference(reference.kind, taught, tuple(_recentred(f, taught[f.name]) for f in reference.nuisance))
+    bands = tuple(_recentred(f, taught[f.name], len(trials)) for f in reference.nuisance)
+    moved = Reference(reference.kind, taught, bands)
     rests: dict[str, list[Array]] = {n: [] for n in floors}
     first = 0
     for trial in trials:
@@ -75,9 +76,11 @@ def _widened(f: Free) -> Free:
                                sigma=2.0 * f.sigma)
 
 
-def _recentred(f: Free, at: float) -> Free:
-    slot, half = SLOTS[f.name], BAND * f.sigma
-    return dataclasses.replace(f, mean=at, low=max(slot.low, at - half), high=min(slot.high, at + half))
+def _recentred(f: Free, at: float, trials: int) -> Free:
+    """Return the band about the mean of so many benches, which is itself off by σ/√n."""
+    sigma = f.sigma * math.sqrt(1.0 + 1.0 / trials)
+    slot, half = SLOTS[f.name], BAND * sigma
+    return dataclasses.replace(f, mean=at, sigma=sigma, low=max(slot.low, at - half), high=min(slot.high, at + half))
 
 
 def correlated(rests: Sequence[Array]) -> float:

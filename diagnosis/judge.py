@@ -45,11 +45,19 @@ class Judge:
 
     def _pays(self, lesser: Model, model: Model) -> bool:
         healthy = sum(self._expected(n) for n in self.setting.checked)
+        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+            return False
         if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
             return False
         cuts, base = verdict.cut(lesser, model), self.search.baseline
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
+
+    def _unlike(self, effect: Candidate, model: Model) -> bool:
+        """Whether some slot of an effect is outside of the band of like benches: inside, nothing is to be found."""
+        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        banded = [bands[f.name] for f in effect.frees if f.name in bands]
+        return not banded or any(not f.low < model.fit.values[f.name] < f.high for f in banded)
 
     def _leaves(self, model: Model) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says)."""
@@ -70,8 +78,9 @@ class Judge:
             return False
         best, checked = self.found.best, self.setting.checked
         left, whole = (sum(self._excess(m, n) for n in checked) for m in (best, self.found.baseline))
+        most = verdict.STRANGE_NAMED if best.effects else verdict.STRANGE
         return left > verdict.STRANGE_SHARE * whole and any(
-            self.setting.rmse(n, best.by_relation[n]) > verdict.STRANGE * self.setting.floors[n] for n in checked)
+            self.setting.rmse(n, best.by_relation[n]) > most * self.setting.floors[n] for n in checked)
 
     def rivals(self) -> list[str]:
         """Return the class, the chosen effects first; nothing is named where structure remains."""

@@ -18,7 +18,7 @@ from scipy.signal import butter, sosfiltfilt
 from diagnosis.data import Table
 from physics import models
 from physics.models import RELATIONS, Relation
-from physics.models_signals import Signals
+from physics.models_signals import Fine, Signals
 from physics.models_slots import LEG
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ RATE_RANGE_HZ: Final = (50.0, 125.0)
 TAUT_N: Final = 5.0
 """END tension above which rope, knee and stretch are one: below, the rope may be slack."""
 REMEMBERED: Final = 4
+FINE_HZ: Final = 100.0
+"""Cut-off of the rope's motion that the drive's friction sees."""
 SETTLE_S: Final = 0.1
 """What is left out at a trial's start: there the memory of the friction is not known."""
 
@@ -73,12 +75,23 @@ def signals_of(given: Table, rate_hz: float) -> Signals:
     step = float(np.median(np.diff(time)))
     stride = max(1, round(1.0 / (step * rate_hz)))
     gap = np.concatenate(([True], np.diff(time) > 5.0 * step))
-    columns = dict(given.columns)
-    _derive(columns)
-    columns = {name: _thinned(values, stride, name) for name, values in columns.items()}
+    fine = dict(given.columns)
+    _derive(fine)
+    columns = {name: _thinned(values, stride, name) for name, values in fine.items()}
     fresh = np.add.reduceat(gap, np.arange(0, len(time), stride)) > 0
     span = columns["time_s"][-1] - columns["time_s"][0]
-    return Signals(columns, fresh, (columns["time_s"] - columns["time_s"][0]) / span)
+    rope = None
+    if stride > 1 and "rope_m" in fine:
+        slow = _low_passed(fine["rope_m"], FINE_HZ * step)
+        rope = Fine(slow, np.gradient(slow, time), gap, lambda values: _thinned(values, stride, "rope_m"))
+    return Signals(columns, fresh, (columns["time_s"] - columns["time_s"][0]) / span, rope)
+
+
+def _low_passed(values: Array, cutoff: float) -> Array:
+    """Take the encoder's noise off a position; `cutoff` in cycles per sample."""
+    if np.isnan(values).any() or cutoff >= 0.45:
+        return values
+    return np.asarray(sosfiltfilt(butter(2, 2.0 * cutoff, output="sos"), values))
 
 
 def _thinned(values: Array, stride: int, name: str) -> Array:

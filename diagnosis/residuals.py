@@ -17,6 +17,7 @@ from diagnosis import data, integrity, relations
 from diagnosis.data import Table
 from diagnosis.finder import Diagnosis
 from diagnosis.relations import Block
+from physics.models import RELATIONS
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def compared(found: Diagnosis, trials: Sequence[Table]) -> dict[str, list[Compar
 
     A trial that lacks a relation's columns is left out of it.
     """
-    checked = [name for name, figures in found.relations.items() if figures.checked]
+    checked = [name for name, figures in found.relations.items() if figures.checked and name in RELATIONS]
     if found.found is None or not checked:
         return {}
     made: dict[str, list[Compared]] = {name: [] for name in checked}

@@ -5,6 +5,7 @@ The rule of this file: it ranks, and nothing is reported from it; what is report
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 FOLDS: Final = 5
 RIDGE: Final = 1e-6
+ROUNDS: Final = 6
+"""Most rounds in which slots that would leave their bounds are held."""
 
 
 def folds_of(cycles: NDArray[np.intp]) -> list[frozenset[int]]:
@@ -33,7 +36,8 @@ class Screen:
     def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]],
                  extra: Sequence[Array] | None = None) -> None:
         self.known = len(fit.free)
-        self.moving = np.flatnonzero([f.low < fit.values[f.name] < f.high for f in fit.free])
+        self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
+        self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
         self.prior = np.array([f.stiffness for f in fit.free])
         self.pull = np.array([f.pull(fit.values[f.name]) / f.sigma for f in fit.free])
         self.names = sorted(problem.weights)
@@ -58,12 +62,12 @@ class Screen:
     def unseen(self, extra: int | None = None) -> dict[str, float]:
         """Return χ² by relation on unseen folds, the free slots (and one extra column) fitted on the others.
 
-        A slot that rests on its bound stays there.
+        A slot that rests on its bound leaves it only inwards.
         """
-        at = self.moving if extra is None else np.append(self.moving, self.known + extra)
-        known = at < self.known
-        prior, pull = np.zeros(len(at)), np.zeros(len(at))
-        prior[known], pull[known] = self.prior[at[known]], self.pull[at[known]]
+        at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
+        more = len(at) - self.known
+        prior, pull = np.append(self.prior, np.zeros(more)), np.append(self.pull, np.zeros(more))
+        down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
         every = self.every_gram[np.ix_(at, at)]
         ridge = np.diag(prior + RIDGE * np.diag(every) + 1e-12)
         total = np.zeros(len(self.names))
@@ -72,9 +76,23 @@ class Screen:
             gram, slope = every + ridge, self.every_slope[at] + pull
             if len(self.gram) > 1:
                 gram, slope = gram - mine.sum(axis=0), slope - self.slope[k].sum(axis=0)[at]
-            step = -np.linalg.solve(gram, slope)
+            step = _inside(gram, slope, down, up)
             total += self.cost[k] + 2.0 * self.slope[k][:, at] @ step + step @ mine @ step
         return dict(zip(self.names, total.tolist(), strict=True))
+
+
+def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
+    """Return the step to the minimum; slots that it would carry out of their bounds stay."""
+    moving = np.ones(slope.size, dtype=np.bool_)
+    step = np.zeros(slope.size)
+    for _ in range(ROUNDS):
+        step = np.zeros(slope.size)
+        step[moving] = -np.linalg.solve(gram[np.ix_(moving, moving)], slope[moving])
+        out = (step < down) | (step > up)
+        if not out.any():
+            break
+        moving &= ~out
+    return step
 
 
 def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]

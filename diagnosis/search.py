@@ -18,6 +18,10 @@ Values = Mapping[str, float]
 
 BEAM: Final = 4
 FIRST_REFITS: Final = 8
+PARAMETER: Final = 0.01
+"""Share of the score that a parameter must take away to come before a simpler model."""
+UNLIKELY: Final = 0.02
+"""The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
 
 
@@ -32,6 +36,12 @@ class Model:
     @property
     def score(self) -> float:
         return sum(self.by_relation.values())
+
+    @property
+    def rank(self) -> float:
+        """Return the score, dearer for every parameter that it took and for each where it is not expected."""
+        cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
+        return self.score * (1.0 + cost)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,7 +108,10 @@ class Search:
         step = (model.names, candidate.name, start)
         if step not in self.grown:
             self.grown.add(step)
-            self.model((*model.effects, candidate), {**model.fit.values, **candidate.starts[start]}, model)
+            rest = {f.name: f.mean for f in self.nuisance} if self.near else {}
+            held = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
+            self.model((*model.effects, candidate), {
+                **model.fit.values, **rest, **held, **candidate.starts[start]}, model)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: Model) -> Model:
@@ -118,6 +131,10 @@ class Search:
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
         return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
 
+    def _first(self, most: int) -> Model:
+        """Return the best of all models of at most so many effects that were fitted on the way."""
+        return min((m for m in self.tried.values() if len(m.effects) <= most), key=lambda m: m.rank)
+
     def run(self, most: int) -> Found:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
 
@@ -128,11 +145,12 @@ class Search:
             if not self.leaves(best):
                 break
             grown = {m.names: m for model in level for m in self.grow(model, LATER_REFITS if depth else FIRST_REFITS)}
-            level = sorted(grown.values(), key=lambda m: m.score)[:BEAM]
-            ahead = min((self.prune(m) for m in level[:2]), key=lambda m: m.score, default=best)
-            if ahead.score >= best.score or (depth > 0 and len(ahead.effects) <= len(best.effects)):
+            level = sorted(grown.values(), key=lambda m: m.rank)[:BEAM]
+            ahead = min((self.prune(m) for m in level[:2]), key=lambda m: m.rank, default=best)
+            if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):
                 break
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.score)))
+        best = self.prune(self._first(len(best.effects))) if best.effects else best
+        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.rank)))

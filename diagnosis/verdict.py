@@ -25,7 +25,7 @@ LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
 LEAST_FALL: Final = 40.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
-STRUCTURE: Final = 0.15
+STRUCTURE: Final = 0.10
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
 MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
@@ -34,7 +34,9 @@ LAW: Final = 0.06
 RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
 STRANGE: Final = 1.3
-"""RMSE on unseen cycles, in healthy floors, that no longer counts as healthy."""
+"""RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
+STRANGE_NAMED: Final = 1.2
+"""The same where an effect was chosen, which should have taken away what is not healthy."""
 STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
 OPEN: Final = 0.1
@@ -129,7 +131,7 @@ def rivals(found: Found) -> tuple[str, ...]:
                 continue
             share = (left.score - model.score) / max(left.score - best.score, 1e-9)
             if share >= RIVAL_GAIN and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= RIVAL_RMSE:
-                others[strange.pop()] = model.score
+                others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from physics.laws import Array
+from physics.models_wire import Staleness
 
 Values = Mapping[str, float]
 Law = Callable[[Values], float]
@@ -79,7 +80,8 @@ class Effect:
     `relations`: the relations between signals that it disturbs. `signature`: how it shows; `words`: the sentence
     for a report; `rivals`: effects it is confused with; `experiment`: the one that splits them, by its name in
     `physics.experiments`. `measured`: by relation, the prediction with the effect at work, for an effect that the
-    laws of `physics.models` do not read themselves.
+    laws of `physics.models` do not read themselves. `stale`: of an effect of the wire, what it does to the values'
+    ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
     """
 
     name: str
@@ -95,6 +97,8 @@ class Effect:
     experiment: str
     inverse: Inverse = unchanged
     measured: Mapping[str, Measured] = field(default_factory=dict)
+    stale: Callable[[Values, float], Staleness] | None = None
+    grid: Law | None = None
 
 
 def takes(name: str) -> Law:

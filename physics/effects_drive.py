@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from physics.effect import Course, Effect, EffectParameter, Values, takes, unchanged
+from physics.models_wire import Staleness
 from physics.motor import ServoParameters
 
 SERVO: Final = ServoParameters()
@@ -75,6 +77,7 @@ EFFECTS: Final = (
         relations=("bus",), signature="ages above one cycle, values that repeat and then jump",
         words="PDOs arrive after the cycle they belong to.",
         rivals=("end_delay", "lost_pdo"), experiment="bus_log",
+        stale=lambda values, cycle_s: Staleness(values["late_share"], round(values["late"] / cycle_s)),
     ),
     Effect(
         name="lost_pdo", site="bus", law="the value of one cycle never arrives", source="bus log",
@@ -83,5 +86,6 @@ EFFECTS: Final = (
         relations=("bus",), signature="gaps in the frames, repeats in the signals",
         words="PDOs are lost on the wire.",
         rivals=("late_pdo", "quantisation"), experiment="bus_log",
+        stale=lambda values, cycle_s: Staleness(values["lost_share"], math.inf),
     ),
 )

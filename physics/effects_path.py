@@ -9,11 +9,12 @@ import numpy as np
 
 from physics.effect import Course, Effect, EffectParameter, Values, takes
 from physics.fabric import FabricParameters
-from physics.leg import KNEE_AT_FIT
+from physics.leg import KNEE_AT_FIT, LegParameters
 from physics.models_states import crept
 from physics.motor import ServoParameters
 
 FABRIC: Final = FabricParameters()
+RATIO: Final = LegParameters().moment_arm_m
 RADIUS: Final = ServoParameters().drum_radius_m
 
 
@@ -42,7 +43,8 @@ def _backlash(course: Course, values: Values) -> Course:
 
 def _moment_arm(course: Course, values: Values) -> Course:
     more = values["moment_arm"] * (course.knee_rad**2 - KNEE_AT_FIT**2)
-    return course._replace(rope_extra_m=course.rope_extra_m + more)
+    turned = (values.get("knee_ratio", RATIO) - RATIO) * (course.knee_rad - KNEE_AT_FIT)
+    return course._replace(rope_extra_m=course.rope_extra_m + more + turned)
 
 
 def _eccentricity(course: Course, values: Values) -> Course:
@@ -101,8 +103,12 @@ EFFECTS: Final = (
     Effect(
         name="moment_arm", site="leg", law="x2 = k2·θ + k3·θ²", source="(11), next order",
         parameters=(
-            EffectParameter("moment_arm", "m/rad²", -0.01, 0.01, (-1.97e-3, 1.97e-3), 0.0, "k3; θ from upright"),),
-        forward={"plant.moment_arm": takes("moment_arm")}, inverse=_moment_arm,
+            EffectParameter("moment_arm", "m/rad²", -0.01, 0.01, (-1.97e-3, 1.97e-3), 0.0, "k3; θ from upright"),
+            EffectParameter("knee_ratio", "m/rad", 0.9 * RATIO, 1.1 * RATIO, (0.95 * RATIO, 1.05 * RATIO), None,
+                            "k2; a swing finds the slope where it swings, not upright"),
+        ),
+        forward={"plant.moment_arm": takes("moment_arm"),
+                 "plant.moment_arm_m": lambda values: values.get("knee_ratio", RATIO)}, inverse=_moment_arm,
         relations=("elasticity", "kinematics"),
         signature="rope and knee angle part by an even function of the angle",
         words="The leg's lever arm changes with the knee angle.",

@@ -115,6 +115,6 @@ EFFECTS: Final = (
         inverse=_no_use, relations=("start_sensor", "end_sensor"),
         signature="readings sit on a grid",
         words="The tension is read in steps that are too coarse.",
-        rivals=("lost_pdo",), experiment="bus_log",
+        rivals=("lost_pdo",), experiment="bus_log", grid=takes("quantum"),
     ),
 )

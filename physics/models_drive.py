@@ -26,16 +26,26 @@ SUBSTEPS: Final = 8
 
 def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
-    slip = signals.remember(
-        "drive", p, ("drive_presliding",),
-        lambda: states.presliding(signals["rope_m"], signals.fresh, p["drive_presliding"]))
-    if p["drive_calm"] > 0.0:
-        slip = slip * np.tanh(np.abs(signals["rope_m_s"]) / p["drive_calm"])
-    force = p["drive_coulomb"] * slip * (1.0 + p["drive_asymmetry"] * slip) + p["drive_offset"]
+    slip, square = signals.remember("drive", p, ("drive_presliding", "drive_calm"), lambda: _turned(signals, p))
+    force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
     force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):
         force = force + signals.later(start_tension(signals, p), p["timestamp_skew"])
     return np.asarray(force)
+
+
+def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
+    """Return the state −1…1 of the drive's friction and its square: it turns over within milliseconds."""
+    if signals.fine is None:
+        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, p)
+        return slip, slip**2
+    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, p)
+    return signals.fine.thinned(slip), signals.fine.thinned(slip**2)
+
+
+def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
+    slip = states.presliding(position, fresh, p["drive_presliding"])
+    return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,27 @@ T = TypeVar("T")
 MEMORIES: Final = 12
 
 
+class Fine(NamedTuple):
+    """The rope's motion at the trial's own rate, and how what is made of it comes to the working rate."""
+
+    rope_m: Array
+    rope_m_s: Array
+    fresh: NDArray[np.bool_]
+    thinned: Callable[[Array], Array]
+
+
 @dataclass
 class Signals:
     """What was measured: arrays by signal name with the derivatives that laws read.
 
-    `fresh`: where a memory starts again; `progress`: 0…1 over the trial.
+    `fresh`: where a memory starts again; `progress`: 0…1 over the trial; `fine`: the rope's motion as it was sampled,
+    for laws that turn over between two of these samples.
     """
 
     columns: Mapping[str, Array]
     fresh: NDArray[np.bool_]
     progress: Array
+    fine: Fine | None = None
     _memory: dict[object, Any] = field(default_factory=dict)
 
     def has(self, *names: str) -> bool:
