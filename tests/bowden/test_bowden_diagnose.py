@@ -18,6 +18,7 @@ Columns = dict[str, np.ndarray]
 FRICTION = ("time_s", "cycle", "gait_percent", "servo_position_m", "servo_velocity_m_s", "tension_start_n",
             "tension_end_n")
 """Columns of one relation: what is tested here is not how well many are searched."""
+SENSORS = ("start_sensor", "end_sensor")
 KEYS = ("verdict", "causes", "class", "experiment", "relations", "warnings", "detection_limit", "seconds")
 
 
@@ -124,7 +125,7 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns
     assert set(result["relations"]["friction"]) == {
         "unit", "checked", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent",
         "low", "high"}
-    assert [name for name, row in result["relations"].items() if row["checked"]] == ["friction"]
+    assert {name for name, row in result["relations"].items() if row["checked"]} == {"friction", *SENSORS}
     assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent"}
     assert "lowpass_hz = 20.0" in (here / "extended.toml").read_text(encoding="utf-8")
     assert "low-passed at 20 Hz" in (here / "page.html").read_text(encoding="utf-8")
@@ -144,11 +145,12 @@ def test_each_trial_is_told_for_itself_by_several_processes(walked: Columns, bow
 
 
 @pytest.mark.parametrize(("lacking", "checked"), [
-    (("servo_position_m", "servo_velocity_m_s", "servo_target_m", "servo_force_n"), {"knee"}),
-    (("tension_end_n", "servo_force_n", "servo_target_m", "knee_target_rad"), {"elasticity", "kinematics"}),
+    (("servo_position_m", "servo_velocity_m_s", "servo_target_m", "servo_force_n"), {"knee", *SENSORS}),
+    (("tension_end_n", "servo_force_n", "servo_target_m", "knee_target_rad"),
+     {"elasticity", "kinematics", "start_sensor"}),
     (("tension_start_n", "tension_end_n", "knee_angle_rad", "knee_target_rad", "servo_target_m", "desired_force_n"),
      {"drive_force"}),
-    (("knee_angle_rad", "knee_target_rad", "servo_force_n", "servo_target_m"), {"friction"}),
+    (("knee_angle_rad", "knee_target_rad", "servo_force_n", "servo_target_m"), {"friction", *SENSORS}),
 ], ids=["no encoder", "no END", "bare axis", "no knee"])
 def test_any_subset_of_the_signals_is_looked_at(
     lacking: tuple[str, ...], checked: set[str], whole: Columns, bowden: Run, here: Path
