@@ -79,7 +79,7 @@ def diagnose(
 
 def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mapping[str, Any] | None,
             warnings: list[str]) -> Diagnosis:
-    trials, holdout, healthy = groups
+    trials, _, healthy = groups
     settled = setting.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
     source = ", ".join(t.source for t in trials)
     if not settled.checked:
@@ -92,11 +92,28 @@ def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mappi
             *warnings])
     if carried.told and not settled.any_rig:
         return _of_wire(carried, warnings + _said(settled, bool(healthy)))
-    judge = Judge(settled, holdout)
+    judge = _judge(settled, groups, calibration)
     figures = judge.figures() | ({} if settled.any_rig else carried.figures)
     return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
                      warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
                      found=judge.found)
+
+
+def _judge(settled: setting.Setting, groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None) -> Judge:
+    """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
+
+    No healthy trial says how far the laws are from holding in another motion than its own.
+    """
+    trials, holdout, healthy = groups
+    walked = [t for t in trials if "gait_percent" in t]
+    if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
+        return Judge(settled, holdout)
+    known = calibration if calibration is not None else trials[0].calibration
+    first = Judge(setting.settle(walked, healthy, known), holdout)
+    if len(first.rivals()) <= len(first.found.best.effects):
+        return first
+    split = Judge(settled, holdout, first)
+    return split if split.found.best.effects else first
 
 
 def _of_wire(carried: Wire, warnings: list[str]) -> Diagnosis:

@@ -15,7 +15,7 @@ from diagnosis import relations, verdict
 from diagnosis.candidates import Candidate
 from diagnosis.data import Table
 from diagnosis.relations import Block
-from diagnosis.search import Model, Search
+from diagnosis.search import Found, Model, Search
 from diagnosis.setting import Setting
 from physics.effects import CATALOGUE
 from physics.models import RELATIONS
@@ -27,13 +27,18 @@ MOST_ELSEWHERE: Final = 4
 
 
 class Judge:
-    """One search and its verdict."""
+    """One search and its verdict.
 
-    def __init__(self, setting: Setting, holdout: Sequence[Table]) -> None:
-        self.setting, self.holdout = setting, holdout
-        self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, setting.offered,
+    `within`: the judgement whose class this one only splits, on data of which no healthy floor is known.
+    """
+
+    def __init__(self, setting: Setting, holdout: Sequence[Table], within: Judge | None = None) -> None:
+        self.setting, self.holdout, self.within = setting, holdout, within
+        offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
+        self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
                              setting.folds, self._pays, self._leaves, near=not setting.any_rig)
-        self.found = self.search.run(MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH)
+        most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
+        self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
 
     def _expected(self, relation: str) -> float:
         """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
@@ -44,6 +49,8 @@ class Judge:
         return max(model.by_relation[relation] - self._expected(relation), 0.0)
 
     def _pays(self, lesser: Model, model: Model) -> bool:
+        if self.within is not None:
+            return True
         healthy = sum(self._expected(n) for n in self.setting.checked)
         if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
             return False
@@ -61,7 +68,7 @@ class Judge:
 
     def _leaves(self, model: Model) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says)."""
-        return self.setting.floors is None or any(
+        return self.setting.floors is None or self.within is not None or any(
             self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
 
     def word(self) -> str:
@@ -74,17 +81,22 @@ class Judge:
 
     def _strange(self) -> bool:
         """Whether structure remains that the chosen model does not explain; only healthy trials can say."""
-        if self.setting.floors is None:
+        if self.setting.floors is None or self.within is not None:
             return False
         best, checked = self.found.best, self.setting.checked
         left, whole = (sum(self._excess(m, n) for n in checked) for m in (best, self.found.baseline))
-        most = verdict.STRANGE_NAMED if best.effects else verdict.STRANGE
-        return left > verdict.STRANGE_SHARE * whole and any(
-            self.setting.rmse(n, best.by_relation[n]) > most * self.setting.floors[n] for n in checked)
+        rise = max(self.setting.rmse(n, best.by_relation[n]) / self.setting.floors[n] for n in checked) - 1.0
+        if not best.effects:
+            return rise > verdict.STRANGE - 1.0
+        return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
 
     def rivals(self) -> list[str]:
         """Return the class, the chosen effects first; nothing is named where structure remains."""
-        return [] if self._strange() else list(verdict.rivals(self.found))
+        if self._strange():
+            return []
+        if self.within is not None:
+            return list(verdict.rivals(self.found, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+        return list(verdict.rivals(self.found))
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class: the chosen effect's; None where nothing is to be split."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -99,8 +100,13 @@ def _thinned(values: Array, stride: int, name: str) -> Array:
         return values
     if name in ("time_s", "cycle", "gait_percent") or name.endswith("_ns") or np.isnan(values).any():
         return values[::stride]
-    thinned: Array = sosfiltfilt(butter(4, 0.8 / stride, output="sos"), values)[::stride]
+    thinned: Array = sosfiltfilt(_anti_alias(stride), values)[::stride]
     return thinned
+
+
+@cache
+def _anti_alias(stride: int) -> Array:
+    return np.asarray(butter(4, 0.8 / stride, output="sos"))
 
 
 def _derive(columns: dict[str, Array]) -> None:

@@ -58,6 +58,8 @@ def build(
 
 
 def _against(found: Diagnosis) -> str:
+    if found.found is None and found.causes:
+        return "what a sound wire and converter give"
     return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
             "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
 

@@ -36,7 +36,7 @@ def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, li
     page.section(title)
     parts_of = {name: parts for name, parts in sides.items() if parts}
     if not parts_of:
-        page.text("No relation could be checked.", "note")
+        page.text("No relation was searched.", "note")
         return
     many = max(len(parts) for parts in parts_of.values()) > 1
     page.text("Each relation predicts one signal from others: before, as the simulation was; after, with what was "
@@ -69,6 +69,9 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
 def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
     """Draw the residuals of every relation against every signal that is known."""
     page.section("Residuals")
+    if not any(sides.values()):
+        page.text("No relation was searched.", "note")
+        return
     page.text("Measured less simulated. Lines are the mean in each bin, bands its root mean square either side of "
               "zero; what is left after follows no axis where the model has everything.", "note")
     for name, parts in sides.items():

@@ -23,7 +23,7 @@ def relations(page: Page, found: Diagnosis) -> None:
     """Tell every relation, those that could not be checked with a dash."""
     page.heading("Relations, root mean square on cycles that no fit has seen")
     page.table(("relation", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high",
-                "held-out trials before", "after"), [_figures(name, f) for name, f in found.relations.items()])
+                "held-out before", "after"), [_figures(name, f) for name, f in found.relations.items()])
     page.text("The healthy floor is what healthy trials leave (a dash: none was given). Held-out trials are fitted by "
               "nothing.", "note")
 
@@ -85,7 +85,7 @@ def limits(page: Page, found: Diagnosis) -> None:
     """Tell the smallest size of each effect that these data could have shown."""
     page.section("Detection limit")
     if not found.detection_limit:
-        page.text("Not available: nothing is known of this rig's healthy state.", "note")
+        page.text("Not available: the healthy state of this rig is not known, or its relations were not searched.", "note")
         return
     page.text("The smallest departure from the healthy value that these trials would have shown; below it an effect "
               "may be there and not be named.", "note")

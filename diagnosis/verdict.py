@@ -33,10 +33,13 @@ LAW: Final = 0.06
 """1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
 RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
-STRANGE: Final = 1.3
+SPLIT_RMSE: Final = 0.20
+SPLIT_GAIN: Final = 0.80
+"""The same two in an experiment, of which no healthy trial says how far the laws are from holding."""
+STRANGE: Final = 1.45
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
-STRANGE_NAMED: Final = 1.2
-"""The same where an effect was chosen, which should have taken away what is not healthy."""
+STRANGE_NAMED: Final = 0.045
+"""The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
 STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
 OPEN: Final = 0.1
@@ -114,11 +117,11 @@ def cut(lesser: Model, model: Model) -> dict[str, float]:
             for name in lesser.by_relation if lesser.by_relation[name] > 0.0}
 
 
-def rivals(found: Found) -> tuple[str, ...]:
+def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
     """Return the effects that could stand in the chosen model, the chosen ones first.
 
-    A rival takes the place of one chosen effect, with at least `RIVAL_GAIN` of what that one gains and within
-    `RIVAL_RMSE` of the chosen model's RMSE.
+    A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
+    `most_rmse` of the chosen model's RMSE.
     """
     best, others = found.best, dict[str, float]()
     for out in best.effects:
@@ -130,7 +133,7 @@ def rivals(found: Found) -> tuple[str, ...]:
             if len(model.names) != len(best.names) or set(best.names) - set(model.names) != {out.name}:
                 continue
             share = (left.score - model.score) / max(left.score - best.score, 1e-9)
-            if share >= RIVAL_GAIN and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= RIVAL_RMSE:
+            if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
                 others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 

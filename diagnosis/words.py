@@ -66,7 +66,8 @@ def _class(found: Diagnosis) -> str:
 
 
 def _clause(sentence: str) -> str:
-    return sentence[0].lower() + sentence[1:].rstrip(".")
+    acronym = sentence[:2].isupper()
+    return (sentence[0] if acronym else sentence[0].lower()) + sentence[1:].rstrip(".")
 
 
 def _next(found: Diagnosis) -> str:
@@ -79,5 +80,7 @@ def _next(found: Diagnosis) -> str:
 
 
 def _unchecked(found: Diagnosis) -> str:
+    if found.found is None and found.causes:
+        return "The bench's own relations were not searched: mend the wire, record again, and diagnose that."
     blind = [name for name, figures in found.relations.items() if not figures.checked]
     return f"Not checked, for want of columns: {', '.join(blind)}." if blind else ""
