@@ -85,7 +85,7 @@ def limits(page: Page, found: Diagnosis) -> None:
     """Tell the smallest size of each effect that these data could have shown."""
     page.section("Detection limit")
     if not found.detection_limit:
-        page.text("Not available: the healthy state of this rig is not known, or its relations were not searched.", "note")
+        page.text("Not available: this rig's healthy state is not known, or nothing was searched.", "note")
         return
     page.text("The smallest departure from the healthy value that these trials would have shown; below it an effect "
               "may be there and not be named.", "note")

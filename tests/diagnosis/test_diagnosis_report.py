@@ -100,6 +100,18 @@ def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measure
     assert re.search(r"Half of its square lies at \d+ … \d+ % of gait and START at", html)
 
 
+def test_a_fault_of_the_wire_is_told_as_one(measured: Table) -> None:
+    cause = {"effect": "lost_pdo", "site": "bus", "gain_percent": 100.0, "parameters": {
+        "lost_share": {"value": 0.05, "low": 0.04, "high": 0.06, "unit": ""}}}
+    told = Diagnosis("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {
+        name: Figures(relation.unit, False) for name, relation in RELATIONS.items()})
+    html = build(told, [measured], []).html()
+    assert "late_pdo (PDOs arrive" in html
+    assert "mend the wire, record again" in html
+    assert "no calibration fits" not in html
+    assert "for want of columns" not in html
+
+
 def test_half_of_the_squares_is_found_where_it_lies() -> None:
     along = np.linspace(0.0, 100.0, 1001)
     low, high = concentrated(along, np.where((along > 20.0) & (along < 24.0), 1.0, 0.01))
