@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks import marked
+from bowden import about
 from tests.hidden import cases
 from tests.hidden.cases import Job
 
@@ -64,8 +65,8 @@ def kinds() -> list[str]:
 
 def main(arguments: list[str]) -> None:
     """Print both tables."""
-    text = "\n".join(["Printed by `python -m benchmarks.diagnosis_cost`: one thread, a trial beside two healthy ones "
-                      "of the same length.", "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
+    text = "\n".join([f"Printed by `python -m benchmarks.diagnosis_cost` at commit {about.commit()}: one thread, a trial "
+                      "beside two healthy ones of the same length.", "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
     print(text)
     if "--page" in arguments:
         marked.put(PAGE, "cost", text)

@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks import marked
+from bowden import about
 from bowden.app import run
 
 SERIAL, PERIOD_S = 3, 1.3
@@ -27,8 +28,8 @@ EFFECTS = {
     "stribeck": {"stribeck_ratio": 1.8, "stribeck_speed": 0.015},
 }
 PAGE = Path("docs/diagnosis.md")
-HEAD = f"""Printed by `python -m benchmarks.diagnosis_gain`. Bench {SERIAL} is identified (`bowden identify all`),
-recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and the calibration, and what
+HEAD = f"""Printed by `python -m benchmarks.diagnosis_gain` at commit COMMIT. Bench {SERIAL} is identified
+(`bowden identify all`), recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and the calibration, and what
 it finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s, 40 N, the first left out;
 relative RMSE of true END.
 
@@ -75,18 +76,18 @@ def row(folder: Path, name: str, values: dict[str, float]) -> str:
 def main(arguments: list[str]) -> None:
     """Print the table, and with `--page` write it into the page; names pick some of the effects."""
     names = [argument for argument in arguments if argument != "--page"]
-    rows = []
+    head, rows = HEAD.replace("COMMIT", about.commit()), []
     with TemporaryDirectory() as given:
         folder = Path(given)
         command("identify", "all", "--serial", SERIAL, "-o", folder / "calibration.toml")
         command("trial", "--serial", SERIAL, "--seed", 1, "--period", PERIOD_S, "--calibration",
                 folder / "calibration.toml", "-o", folder / "healthy.mcap")
-        print(HEAD, end="")
+        print(head, end="")
         for name in names or EFFECTS:
             rows.append(row(folder, name, EFFECTS[name]))
             print(rows[-1], flush=True)
     if "--page" in arguments:
-        marked.put(PAGE, "gain", HEAD + "\n".join(rows))
+        marked.put(PAGE, "gain", head + "\n".join(rows))
 
 
 if __name__ == "__main__":
