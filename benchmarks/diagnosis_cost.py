@@ -65,8 +65,9 @@ def kinds() -> list[str]:
 
 def main(arguments: list[str]) -> None:
     """Print both tables."""
-    text = "\n".join([f"Printed by `python -m benchmarks.diagnosis_cost` at commit {about.commit()}: one thread, a trial "
-                      "beside two healthy ones of the same length.", "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
+    said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {about.commit()}: one thread, a trial beside "
+            "two healthy ones of the same length.")
+    text = "\n".join([said, "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
     print(text)
     if "--page" in arguments:
         marked.put(PAGE, "cost", text)

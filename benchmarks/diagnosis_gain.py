@@ -29,9 +29,9 @@ EFFECTS = {
 }
 PAGE = Path("docs/diagnosis.md")
 HEAD = f"""Printed by `python -m benchmarks.diagnosis_gain` at commit COMMIT. Bench {SERIAL} is identified
-(`bowden identify all`), recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and the calibration, and what
-it finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s, 40 N, the first left out;
-relative RMSE of true END.
+(`bowden identify all`), recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and
+the calibration, and what it finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s,
+40 N, the first left out; relative RMSE of true END.
 
 | at work | verdict | found | not told (%) | told what was found (%) | told the truth (%) | gain (%) |
 |---|---|---|---|---|---|---|

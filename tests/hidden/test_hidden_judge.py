@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -148,6 +149,17 @@ def test_experiments_of_the_hidden_bench_have_the_catalogue_s_laps(name: str) ->
     columns = moves.run(name, cases.NOMINAL, 1)
     assert np.unique(columns["cycle"]).size - 1 == laps(name, 10)
     assert np.all(np.diff(columns["time_s"]) > 0.0)
+
+
+def test_the_page_s_list_of_identifiable_effects_is_the_judge_s() -> None:
+    told = run.DOCS.read_text(encoding="utf-8").split("one gait trial determines")[1].split("The list stands")[0]
+    assert tuple(re.findall(r"\w+", told)) == bars.IDENTIFIABLE
+
+
+def test_every_test_that_the_page_names_is_there() -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)`", run.DOCS.read_text(encoding="utf-8"))
+    assert len(named) > 10
+    assert all(Path(name).is_file() for name in named)
 
 
 def test_only_what_stands_between_the_marks_is_written(tmp_path: Path) -> None:
