@@ -116,13 +116,18 @@ class Slopes:
         at = np.array([values[f.name] for f in self.free])
         return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
 
-    def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> None:
-        """Take the slopes of the slots `which` by differences."""
+    def unknown(self) -> NDArray[np.intp]:
+        """Return the slots whose slope was never taken."""
+        return np.flatnonzero(np.isnan(self.taken))
+
+    def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> bool:
+        """Take the slopes of the slots `which` by differences; return whether there were any."""
         for i, block in enumerate(self.problem.blocks):
             for j in which.tolist():
                 if self.free[j].name in block.uses:
                     self.rows[i][j] = self.problem.slope(i, values, residuals[i], self.free[j])
         self.taken[which] = [values[self.free[j].name] for j in which.tolist()]
+        return which.size > 0
 
     def follow(self, step: Array, before: Sequence[Array], after: Sequence[Array]) -> None:
         """Make the slopes agree with what `step` did."""
@@ -152,17 +157,14 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
 
     `known`: a fit of the same blocks whose slopes are near those at `start`.
     """
-    values = dict(start)
-    for f in free:
-        values[f.name] = min(max(values[f.name], f.low), f.high)
+    values = {**start, **{f.name: min(max(start[f.name], f.low), f.high) for f in free}}
     residuals = problem.residuals(values)
     cost, slopes = _cost(residuals, free, values), Slopes(problem, free, residuals, known)
-    slopes.take(values, residuals, np.flatnonzero(np.isnan(slopes.taken)))
+    slopes.take(values, residuals, slopes.unknown())
     curvature, damping, steps = slopes.curvature(), 1e-3, 0
     while free and steps < max_steps and damping < 1e6:
         steps += 1
-        trial, predicted = _stepped(values, free, slopes.gradient(residuals, values), curvature, damping,
-                                    cost)
+        trial, predicted = _stepped(values, free, slopes.gradient(residuals, values), curvature, damping, cost)
         gain, arrived = 0.0, predicted < ENOUGH * cost
         if not arrived:
             tried = problem.residuals(trial)
@@ -172,11 +174,10 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
             values, residuals, cost = trial, tried, cost - gain
             damping = max(damping / 5.0, 1e-9)
         if gain < TRUSTED * predicted or arrived:
-            stale = slopes.stale(values)
-            if arrived and not stale.size:
+            renewed = slopes.take(values, residuals, slopes.stale(values))
+            if arrived and not renewed:
                 break
-            slopes.take(values, residuals, stale)
-            damping *= 1.0 if stale.size or gain > 0.0 else 8.0
+            damping *= 1.0 if renewed or gain > 0.0 else 8.0
         curvature = slopes.curvature()
     return Fit(values, cost, tuple(free), residuals, slopes.rows, curvature, steps)
 
