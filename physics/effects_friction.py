@@ -116,7 +116,7 @@ EFFECTS: Final = (
         name="stribeck", site="cable and fabric", law="μ(v) = μc + (μs − μc)·e^(−(v/vs)²)",
         source="Stribeck curve; the paper's breakaway, Fig. 15",
         parameters=(
-            EffectParameter("stribeck_ratio", "", 0.3, 4.0, (1.2, 2.5), 1.0, "μs/μc"),
+            EffectParameter("stribeck_ratio", "", 1.0, 4.0, (1.2, 2.5), 1.0, "μs/μc; at rest it never rubs less"),
             EffectParameter("stribeck_speed", "m/s", 1e-3, 0.1, (2e-3, 30e-3), None, "vs"),
         ),
         forward={"plant.stribeck_ratio": takes("stribeck_ratio"), "plant.stribeck_speed_m_s": takes("stribeck_speed")},
