@@ -1,0 +1,233 @@
+"""Masters that do the same exchange with the same bench, and what the bus shows of each.
+
+The rule of this file: a master is a function that runs so many cycles and tells its processor time in them; what the
+bus can tell is read off the bus.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import can
+import canopen
+
+from benchmarks.socketcan_bus import shown, watched
+from eds import bus_load
+from eds.bench import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, Wire, wire
+from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand
+from eds.datatype import encode
+from eds.dictionary import key, packaged
+from eds.setup import Pdo
+from master.conduct import conduct
+from master.config import Gait, Limits
+from master.cycle import Exchange
+from master.experiment import Experiment, Planned
+from master.gait import collector_frozen
+from master.guard import Guard
+from master.host import prepared
+from master.link import WANTED, Link
+from master.log import Log
+from master.socketcan import KernelBus
+from physics.reference import paper_reference
+from tests.socketcan import rig
+from trial.record import Recorder
+
+PEAK_N, PERIOD_S = 20.0, 1.0
+QUEUE = 256 << 20
+"""Bytes of the watching socket's queue; the kernel charges about 770 for a frame."""
+
+
+class Master(Protocol):
+    """Runs so many cycles on a channel; returns the processor time of one, s."""
+
+    def __call__(self, channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool) -> float: ...
+
+
+def cpu_s() -> float:
+    """Processor time of this process, both of the kernel's kinds, all threads."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True) -> float:
+    """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served."""
+    network = Network(rate_hz=rate_hz)
+    gait = Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=math.ceil(cycles / rate_hz / PERIOD_S), settle=0)
+    planned = Planned(Experiment(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
+    walked = (gait.cycles + 1) * planned.table.samples + planned.rest - planned.first
+    used = []
+
+    def perform(exchange: Exchange) -> None:
+        before = cpu_s()
+        planned.perform(exchange)
+        used.append((cpu_s() - before) / walked)
+
+    recorder = Recorder(folder / "ours.mcap", metadata={}, attachments={})  # its writer outside SCHED_FIFO
+    with KernelBus(channel) as bus, KernelBus(channel) as tap, prepared():
+        bus.set_filters(WANTED)
+        link = Link(bus, time.time_ns)
+        if served:
+            outcome = conduct(link, tap, recorder, network, Limits(), perform)
+            if outcome.reason is not None:
+                raise RuntimeError(outcome.reason)
+        else:
+            _cycle(link, Log(tap, recorder, TARGETS_COB_ID), wire(network), perform)
+        recorder.close({})
+    return used[0]
+
+
+def _cycle(link: Link, log: Log, described: Wire, perform: Callable[[Exchange], None]) -> None:
+    """The cycle alone, as `conduct` runs it between bring-up and end."""
+    guard = Guard(link, described, log, Limits(), 0)
+    guard.active = False
+    budget = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
+    exchange = Exchange(link, described, log, guard, budget)
+    with collector_frozen():
+        link.sync_start(described.period_ns)
+        exchange.begin()
+        perform(exchange)
+        exchange.end()
+        link.sync_stop()
+
+
+def stock(
+    channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True, threaded: bool = False
+) -> float:
+    """canopen's Network and RemoteNodes, python-can's notifier thread and log writer; no controller."""
+    described = wire(Network(rate_hz=rate_hz))
+    network = canopen.Network()
+    network.connect(interface="socketcan", channel=channel)
+    network.notifier.add_listener(can.Logger(folder / "stock.log"))
+    nodes = {node: network.add_node(node, str(packaged(name))) for node, name in FILES.items()}
+    for number, node in nodes.items():
+        _mapped(node.tpdo[1], described.pdos(number)[0])
+    _mapped(nodes[SERVO].rpdo[1], described.pdos(SERVO)[1])
+    if served:
+        _brought_up(network, nodes, described)
+    with _threaded(network, 1 / rate_hz) if threaded else _broadcast(network, 1 / rate_hz):
+        used = _exchange([node.tpdo[1] for node in nodes.values()], nodes[SERVO].rpdo[1], cycles)
+    network.disconnect()
+    return used
+
+
+def _mapped(pdo: Any, planned: Pdo) -> None:
+    """Give canopen's PDO the bench's mapping."""
+    pdo.clear()
+    for word in planned.mapping:
+        pdo.add_variable(word >> 16, word >> 8 & 0xFF, word & 0xFF)
+    pdo.cob_id, pdo.enabled = planned.cob_id, True
+    pdo.subscribe()
+
+
+def _brought_up(network: Any, nodes: Mapping[int, Any], described: Wire) -> None:
+    network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
+    for number, node in nodes.items():
+        for index, subindex, value in described.setup(number):
+            kind = described.nodes[number].dictionary.entries[key(index, subindex)].data_type
+            node.sdo.download(index, subindex, encode(kind, value))
+    network.send_periodic(HEARTBEAT_BASE + MASTER, b"\x05", 0.1)
+    network.nmt.send_command(NmtCommand.START)
+
+
+def _exchange(inputs: list[Any], targets: Any, cycles: int) -> float:
+    """Wait for the last of the four, read all of them, send targets; processor time of a cycle, s."""
+    before = cpu_s()
+    for _ in range(cycles):
+        inputs[-1].wait_for_reception(1.0)
+        servo, knee, *_ = [[variable.raw for variable in one.map] for one in inputs]
+        targets.map[0].raw, targets.map[1].raw = servo[1], knee[1]
+        targets.transmit()
+    return (cpu_s() - before) / cycles
+
+
+@contextmanager
+def _broadcast(network: Any, period_s: float) -> Iterator[None]:
+    """SYNC as canopen sends it periodically: on SocketCAN by the kernel's broadcast manager."""
+    network.sync.start(period_s)
+    yield
+    network.sync.stop()
+
+
+@contextmanager
+def _threaded(network: Any, period_s: float) -> Iterator[None]:
+    """SYNC by a thread that sleeps."""
+    ended = threading.Event()
+
+    def beat() -> None:
+        due = time.perf_counter()
+        while not ended.is_set():
+            network.sync.transmit()
+            due += period_s
+            time.sleep(max(0.0, due - time.perf_counter()))
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
+
+
+MASTERS: tuple[tuple[str, Master], ...] = (
+    ("bowden", ours), ("canopen, SYNC by `sync.start`", stock),
+    ("canopen, SYNC by `time.sleep`", partial(stock, threaded=True)))
+
+
+def answering(channel: str) -> int:
+    """In place of a bench: four TPDOs for every SYNC, until there are none for a while."""
+    plans = wire(Network()).tpdo
+    frames = [can.Message(arbitration_id=cob_id, data=plan.pack_si(*(0.0,) * len(plan.fields)), is_extended_id=False)
+              for cob_id, plan in plans.items()]
+    patience = None
+    with KernelBus(channel) as bus, prepared():
+        bus.set_filters([{"can_id": SYNC_COB_ID, "can_mask": 0x7FF, "extended": False}])
+        while bus.recv(patience) is not None:
+            patience = 0.5
+            for frame in frames:
+                bus.send(frame)
+    return 0
+
+
+@contextmanager
+def peer(folder: Path, channel: str, rate_hz: int, *, served: bool) -> Iterator[None]:
+    """Whoever answers the master: `bowden bench`, or four TPDOs."""
+    if served:
+        with rig.bench(folder, channel, "--rate", rate_hz):
+            yield
+        return
+    process = rig.Process(folder, "answering", lambda: answering(channel))
+    yield
+    process.wait()
+
+
+def measured(master_on: str, nodes_on: str, rate_hz: int, served: bool, cycles: int) -> Iterator[dict[str, Any]]:
+    """Every master on one wiring at one rate."""
+    rig.rehearse()
+    for name, master in MASTERS:
+        with tempfile.TemporaryDirectory() as at:
+            folder = Path(at)
+            with (peer(folder, nodes_on, rate_hz, served=served),
+                  KernelBus(master_on, receive_buffer=QUEUE) as tap):
+                run = partial(master, master_on, rate_hz, cycles, folder, served=served)
+                told, rows = watched(tap, rig.Process(folder, "master", partial(tell, run)))
+            lost = tap.lost
+        if told.status or lost:
+            raise RuntimeError(f"{name}: {told.stderr or f'{lost} frames found the queue full'}")
+        yield {"master": name, "master_on": master_on, "nodes_on": nodes_on, "rate_hz": rate_hz,
+               "nodes": "`bowden bench`" if served else "answers", "cpu_us": 1e6 * told.result["cpu_s"],
+               **shown(rows, rate_hz)}
+
+
+def tell(run: Callable[[], float]) -> int:
+    """Run a master and print its processor time as JSON."""
+    print(json.dumps({"cpu_s": run()}))
+    return 0
