@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import redrawn
-from bowden import bus, config, identification, loops_picture, session, sweep_rows, sweep_run
+from bowden import config, identification, loops_picture, session, sweep_rows, sweep_run
+from bowden.asked import Bus, Simulated
 from bowden.sweep_rows import Row, Value
 from bowden.sweep_table import Table
 from bowden.sweep_trial import digest
@@ -43,7 +44,7 @@ def identified() -> tuple[Path, Path]:
     calibration, recorded = OUT / "calibration.toml", OUT / "identification.mcap"
     if not calibration.exists():
         sections = config.read(None)
-        chosen = bus.choose(None, "figures", None, bus.Simulated(SERIAL, 0))
+        chosen = Bus(channel="figures").chosen(Simulated(SERIAL, 0))
         found = identification.perform(
             "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True, quiet=True)
         if found.calibration is None:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, grouped
 
 REMEDY = "free the emergency stop (STO) first, then say this again"
 
 
 @app.command()
+@grouped
 def acknowledge(
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -24,16 +23,14 @@ def acknowledge(
     Example: bowden acknowledge --interface socketcan --channel can0
     """
     from bowden import bus
-    from bowden import config as configuration
     from eds.bench import wire
     from master.acknowledge import acknowledge as release
     from master.bringup import RefusedError
     from master.link import Link, LinkError
     from parameters import InputError
 
-    network = configuration.override(configuration.read(config)["network"], {"bitrate": ("--bitrate", bitrate)})
-    chosen = bus.choose(interface, channel, option, bus.Simulated())
-    with bus.opened_one(chosen, network.bitrate) as opened:
+    network = reached.sections(config)["network"]
+    with bus.opened_one(reached.chosen(), network.bitrate) as opened:
         try:
             found = release(Link(opened, bus.clock_of(opened), heartbeat_ms=None), wire(network))
         except (RefusedError, LinkError) as error:

@@ -67,7 +67,7 @@ class Bus(NamedTuple):
         """The bus to open; raises `InputError` for what contradicts itself."""
         from bowden.bus import choose
 
-        return choose(self.interface, self.channel, self.option, simulated or Simulated())
+        return choose(self, simulated or Simulated())
 
 
 def grouped(command: Callable[..., int]) -> Callable[..., int]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bowden.asked import Simulated as Simulated
+from bowden.asked import Bus, Simulated
 from parameters import InputError
 
 VIRTUAL = "bowden"
@@ -46,8 +46,9 @@ class Opened(NamedTuple):
     host: Callable[[], AbstractContextManager[list[str]]]
 
 
-def choose(interface: str | None, channel: str | None, option: list[str] | None, simulated: Simulated) -> Chosen:
+def choose(asked: Bus, simulated: Simulated) -> Chosen:
     """Check what was asked for; options of simulated benches are refused with a real interface."""
+    interface, channel, _, option = asked
     extra = dict(_split(text) for text in option or ())
     if interface in (None, VIRTUAL):
         serial = 1 if simulated.serial is None else simulated.serial

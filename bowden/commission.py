@@ -10,9 +10,9 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, grouped
 
 if TYPE_CHECKING:
-    from bowden.bus import Chosen
     from master.commission import Procedure
     from master.conduct import Outcome
 
@@ -24,13 +24,12 @@ SPEED = 10.0
 
 
 @app.command()
+@grouped
 def home(
     calibration: options.Calibration = None,
     rate: options.Rate = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -43,20 +42,19 @@ def home(
     from master import commission
     from master.calibration import nominal, read
 
-    bench = _Bench(interface, channel, bitrate, option, rate, config)
+    bench = _Bench(reached, rate, config)
     measured = nominal() if calibration is None else read(calibration)
     return bench.perform("home", commission.home(
         measured, bench.sections["homing"], bench.sections["gait"].idle_slack_m), json=json)
 
 
 @app.command()
+@grouped
 def tare(
     sensor: Sensor,
     rate: options.Rate = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -69,19 +67,18 @@ def tare(
     from master import commission
 
     procedure = commission.tare(sensor)
-    return _Bench(interface, channel, bitrate, option, rate, config).perform(f"tare {sensor}", procedure, json=json)
+    return _Bench(reached, rate, config).perform(f"tare {sensor}", procedure, json=json)
 
 
 @app.command()
+@grouped
 def jog(
     axis: Axis,
     by: By,
     speed: Speed = None,
     rate: options.Rate = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -93,16 +90,15 @@ def jog(
 
     unit = math.radians(1.0) if axis == "knee" else 1e-3
     procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit)
-    return _Bench(interface, channel, bitrate, option, rate, config).perform(f"jog {axis}", procedure, json=json)
+    return _Bench(reached, rate, config).perform(f"jog {axis}", procedure, json=json)
 
 
 @app.command()
+@grouped
 def release(
     rate: options.Rate = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -114,24 +110,16 @@ def release(
     """
     from master import commission
 
-    bench = _Bench(interface, channel, bitrate, option, rate, config)
+    bench = _Bench(reached, rate, config)
     return bench.perform("release", commission.release(bench.sections["homing"], bench.sections["limits"]), json=json)
 
 
 class _Bench:
     """The bench that the options name: its bus and its configuration."""
 
-    def __init__(
-        self, interface: str | None, channel: str | None, bitrate: int | None, option: list[str] | None,
-        rate: int | None, config: Path | None,
-    ) -> None:
-        from bowden import bus
-        from bowden import config as configuration
-
-        self.sections = configuration.read(config)
-        self.sections["network"] = configuration.override(
-            self.sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
-        self.chosen: Chosen = bus.choose(interface, channel, option, bus.Simulated())
+    def __init__(self, reached: Bus, rate: int | None, config: Path | None) -> None:
+        self.sections = reached.sections(config, rate)
+        self.chosen = reached.chosen()
 
     def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
         """Run one procedure and say what it found."""

@@ -9,6 +9,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, grouped
 
 if TYPE_CHECKING:
     from eds.bench import Network
@@ -18,11 +19,9 @@ Seconds = Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="How
 
 
 @app.command()
+@grouped
 def doctor(
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    reached: Bus,
     seconds: Seconds = 5.0,
     config: options.Config = None,
     json: options.Json = False,
@@ -33,11 +32,9 @@ def doctor(
 
     Example: bowden doctor --interface socketcan --channel can0
     """
-    from bowden import config as configuration
-
-    network = configuration.override(configuration.read(config)["network"], {"bitrate": ("--bitrate", bitrate)})
+    network = reached.sections(config)["network"]
     with terminal.waiting("looking", shown=not json):
-        found = list(_look(network, interface, channel, option, seconds))
+        found = list(_look(network, reached, seconds))
     bad = [finding for finding in found if not finding.good]
     if json:
         terminal.emit({"findings": [_object(finding) for finding in found], "faults": len(bad)})
@@ -50,20 +47,18 @@ def doctor(
     return 1 if bad else 0
 
 
-def _look(
-    network: Network, interface: str | None, channel: str | None, option: list[str] | None, seconds: float
-) -> Iterator[Finding]:
+def _look(network: Network, reached: Bus, seconds: float) -> Iterator[Finding]:
     from bowden import bus
     from eds.bench import wire
     from master import doctor as computer
     from master.doctor_bus import bus as heard
     from master.link import Link, LinkError
 
-    chosen = bus.choose(interface, channel, option, bus.Simulated())
+    chosen = reached.chosen()
     yield from computer.computer()
     yield computer.jitter(seconds)
-    if interface == bus.KERNEL:
-        found = list(computer.interface(channel or "can0", network.bitrate))
+    if reached.interface == bus.KERNEL:
+        found = list(computer.interface(reached.channel or "can0", network.bitrate))
         yield from found
         if not all(finding.good for finding in found if finding.what == "interface"):
             return

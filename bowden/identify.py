@@ -37,7 +37,7 @@ def identify(
     *,
     rate: options.Rate = None,
     simulated: Simulated,
-    bus: Bus,
+    reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -53,12 +53,12 @@ def identify(
     _drawable(what, picture)
     today = datetime.date.today().isoformat()
     if recorded:
-        _no_bench({"rate": rate, "config": config, **bus._asdict(), **simulated._asdict()})
+        _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
         outputs.refuse([output, picture], overwrite=overwrite)
         found = identification.again(what, recorded, calibration, date=today, quiet=json)
         return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
-    sections = bus.sections(config, rate)
-    chosen = bus.chosen(simulated)
+    sections = reached.sections(config, rate)
+    chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
     outputs.refuse([output, recording, picture], overwrite=overwrite)
     found = identification.perform(

@@ -15,6 +15,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, grouped
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -29,12 +30,11 @@ Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End a
 
 
 @app.command()
+@grouped
 def live(
     trial: Recorded = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    reached: Bus,
     config: options.Config = None,
     host: Host = "127.0.0.1",
     port: Port = 8765,
@@ -49,7 +49,7 @@ def live(
 
     Example: bowden live trial.mcap --for 5
     """
-    if (trial is None) == (interface is None):
+    if (trial is None) == (reached.interface is None):
         raise InputError("bowden live shows a trial or a bus; give either a file or --interface.")
     deadline = None if seconds is None else time.monotonic() + seconds
 
@@ -58,7 +58,7 @@ def live(
 
     if trial is not None:
         return _play(trial, host, port, speed, ended, json=json)
-    return _follow((interface, channel, option), bitrate, config, host, port, ended, json=json)
+    return _follow(reached, config, host, port, ended, json=json)
 
 
 def _say(viewer: Viewer, *, json: bool) -> None:
@@ -90,23 +90,20 @@ def _play(path: Path, host: str, port: int, speed: float, ended: Callable[[], bo
 
 
 def _follow(
-    named: tuple[str | None, str | None, list[str] | None], bitrate: int | None, config: Path | None,
-    host: str, port: int, ended: Callable[[], bool], *, json: bool,
+    reached: Bus, config: Path | None, host: str, port: int, ended: Callable[[], bool], *, json: bool,
 ) -> int:
     import can
 
     from bowden import bus
-    from bowden import config as configuration
     from bowden.relay import Relay
     from bowden.viewer import Viewer
     from eds.bench import wire
     from trial.follow import Follower
 
-    network = configuration.read(config)["network"]
-    chosen = bus.choose(*named, bus.Simulated())
+    network = reached.sections(config)["network"]
     follower = Follower(wire(network))
-    with bus.opened_one(chosen, bitrate or network.bitrate) as heard:
-        viewer = Viewer(f"{named[0]} {named[1] or ''}".strip(), host, port, follower.units)
+    with bus.opened_one(reached.chosen(), network.bitrate) as heard:
+        viewer = Viewer(f"{reached.interface} {reached.channel or ''}".strip(), host, port, follower.units)
         _say(viewer, json=json)
         relay = Relay(follower, viewer)
         try:

@@ -12,6 +12,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, grouped
 
 if TYPE_CHECKING:
     from eds.bench import NodeEntry
@@ -27,13 +28,11 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="DCF of the node.", s
 
 
 @node.command()
+@grouped
 def backup(
     name: Name,
     output: options.Output,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -46,7 +45,7 @@ def backup(
     from master import dcf
 
     outputs.refuse([output], overwrite=overwrite)
-    with _bench(name, interface, channel, bitrate, option, config) as (link, entry):
+    with _bench(name, reached, config) as (link, entry):
         values = {**dcf.backup(link, entry), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     output.write_text(dcf.as_dcf(entry.dictionary, entry.node_id, values), encoding="utf-8")
     if json:
@@ -57,13 +56,11 @@ def backup(
 
 
 @node.command()
+@grouped
 def compare(
     name: Name,
     file: File,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -74,19 +71,17 @@ def compare(
     from master import dcf
 
     given = _read(file)
-    with _bench(name, interface, channel, bitrate, option, config) as (link, entry):
+    with _bench(name, reached, config) as (link, entry):
         found = dcf.compare(link, entry, given)
     return _tell(name, file, found, "differ", json=json)
 
 
 @node.command()
+@grouped
 def restore(
     name: Name,
     file: File,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    reached: Bus,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -97,7 +92,7 @@ def restore(
     from master import dcf
 
     given = _read(file)
-    with _bench(name, interface, channel, bitrate, option, config) as (link, entry):
+    with _bench(name, reached, config) as (link, entry):
         found = dcf.restore(link, entry, given)
     _tell(name, file, found, "restored", json=json)
     return 0
@@ -110,25 +105,20 @@ def _read(file: Path) -> Dictionary:
 
 
 @contextmanager
-def _bench(
-    name: str, interface: str | None, channel: str | None, bitrate: int | None, option: list[str] | None,
-    config: Path | None,
-) -> Iterator[tuple[Link, NodeEntry]]:
+def _bench(name: str, reached: Bus, config: Path | None) -> Iterator[tuple[Link, NodeEntry]]:
     """A link to the bus and the node's entry; the node is in PRE-OPERATIONAL, as parameters want it."""
     from bowden import bus
-    from bowden import config as configuration
     from eds.bench import wire
     from eds.cia301 import NmtCommand
     from master.link import Link, LinkError
     from master.sdo import SdoError
     from parameters import InputError
 
-    network = configuration.override(configuration.read(config)["network"], {"bitrate": ("--bitrate", bitrate)})
+    network = reached.sections(config)["network"]
     nodes = {entry.name: entry for entry in wire(network).nodes.values()}
     if name not in nodes:
         raise InputError(f"{name!r} is no node of the bench; expected one of {', '.join(nodes)}.")
-    chosen = bus.choose(interface, channel, option, bus.Simulated())
-    with bus.opened_one(chosen, network.bitrate) as opened:
+    with bus.opened_one(reached.chosen(), network.bitrate) as opened:
         link = Link(opened, bus.clock_of(opened), heartbeat_ms=None)
         try:
             link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, nodes[name].node_id)

@@ -31,16 +31,15 @@ def plan(name: str, asked: Mapping[str, Any], calibration: Path | None, healthy:
 
 def simulate(name: str, asked: Mapping[str, Any], recorded: Path) -> None:
     """Run the experiment on the nominal bench, its sensors as noisy as asked for."""
-    from bowden import bus, config, session
+    from bowden import config, session
+    from bowden.asked import Bus, Simulated, Walk
 
     sections = config.read(None)
-    gait = config.override(sections["gait"], {
-        "peak_n": ("--peak", asked["--peak"]), "period_s": ("--period", asked["--period"]),
-        "cycles": ("--cycles", asked["--cycles"])})
+    gait = Walk(asked["--peak"], asked["--period"], asked["--cycles"]).gait(sections["gait"])
     gait = config.override(gait, {"settle": ("--settle", 0)})
     reference, sections["gait"], _ = session.reference(
         gait, None, None, period_given=True, peak_given=asked["--peak"] is not None)
-    chosen = bus.choose(None, None, None, bus.Simulated(serial=0))
+    chosen = Bus().chosen(Simulated(serial=0))
     noise = asked["--noise"]
     if noise is not None:
         sensor = {"noise_n": noise}

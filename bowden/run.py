@@ -27,7 +27,7 @@ def trial(
     *,
     rate: options.Rate = None,
     simulated: Simulated,
-    bus: Bus,
+    reached: Bus,
     config: options.Config = None,
     picture: options.Picture = None,
     overwrite: options.Overwrite = False,
@@ -39,11 +39,11 @@ def trial(
     """
     from bowden import about, session
 
-    sections = bus.sections(config, rate)
+    sections = reached.sections(config, rate)
     reference, sections["gait"], notes = session.reference(
         walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
         peak_given=walk.peak is not None)
-    chosen = bus.chosen(simulated)
+    chosen = reached.chosen(simulated)
     prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
                                controller_model=controller_model, files=about.curves(knee=knee, desired=desired))
     for note in notes:

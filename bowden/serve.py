@@ -11,6 +11,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, Simulated, grouped
 
 Interface = Annotated[str, typer.Option(help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
@@ -21,15 +22,13 @@ Faults = Annotated[Path | None, typer.Option(
 
 
 @app.command()
+@grouped
 def bench(
     interface: Interface,
     channel: options.Channel = None,
     rate: options.Rate = None,
-    serial: options.Serial = None,
-    day: options.Day = None,
-    seed: options.Seed = None,
-    plant: options.Plant = None,
-    plant_model: options.PlantModel = None,
+    *,
+    simulated: Simulated,
     bitrate: options.Bitrate = None,
     option: options.Extra = None,
     faults: Faults = None,
@@ -51,8 +50,8 @@ def bench(
     from virtual_bus.bus import BowdenBus
     from virtual_bus.serve import servable, serve
 
-    chosen = bus.choose(interface, channel, option, bus.Simulated())
-    simulated = bus.choose(None, None, None, bus.Simulated(serial, day, seed, plant, plant_model))
+    chosen = Bus(interface, channel, bitrate, option).chosen()
+    arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
     network = Network()
     session.compile_laws(simulated=True, quiet=json)
@@ -63,7 +62,7 @@ def bench(
         ended = True
 
     with bus.opened_one(chosen, bitrate or network.bitrate) as real:
-        made = {**simulated.arguments, "bitrate": bitrate or network.bitrate, "rate_hz": rate or network.rate_hz}
+        made = {**arguments, "bitrate": bitrate or network.bitrate, "rate_hz": rate or network.rate_hz}
         made.pop("interface")
         made["faults"] = injected
         hidden = BowdenBus(**made)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bowden import about, bus, identification, session
+from bowden.asked import Bus, Simulated
 from bowden.departure import motion
 from bowden.sweep_rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
 from parameters import InputError
@@ -108,6 +109,6 @@ def attached(row: Row) -> dict[str, bytes]:
 def chosen(row: Row) -> bus.Chosen:
     """Return the virtual bus of a row, on a channel of its own."""
     bench = table(row, "bench")
-    found = bus.choose(None, digest(row), None, bus.Simulated(bench.serial, bench.day, bench.seed, bench.plant, None))
+    found = Bus(channel=digest(row)).chosen(Simulated(bench.serial, bench.day, bench.seed, bench.plant))
     more = {"steady": bench.steady.replace("+", ","), "plant_model": plant_model(row) or None}
     return dataclasses.replace(found, arguments={**found.arguments, **more})

@@ -9,6 +9,7 @@ import typer
 
 from bowden import options, terminal
 from bowden.app import app
+from bowden.asked import Bus, Simulated, Walk, grouped
 
 Model = Annotated[Path, typer.Argument(
     metavar="EXTENDED", help="extended.toml of bowden diagnose -o.", show_default=False)]
@@ -22,25 +23,16 @@ FIGURES = (
 
 
 @app.command()
+@grouped
 def verify(
     model: Model,
     output: Output,
-    peak: options.Peak = None,
-    period: options.Period = None,
-    cycles: options.Cycles = None,
-    settle: options.Settle = None,
+    walk: Walk,
     rate: options.Rate = None,
-    controller: options.Controller = None,
     calibration: options.Calibration = None,
-    serial: options.Serial = None,
-    day: options.Day = None,
-    seed: options.Seed = None,
-    plant: options.Plant = None,
-    plant_model: options.PlantModel = None,
-    interface: options.Interface = None,
-    channel: options.Channel = None,
-    bitrate: options.Bitrate = None,
-    option: options.Extra = None,
+    *,
+    simulated: Simulated,
+    reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -53,18 +45,13 @@ def verify(
 
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """
-    from bowden import bus, outputs, session
-    from bowden import config as configuration
+    from bowden import outputs, session
 
-    sections = configuration.read(config)
-    sections["network"] = configuration.override(
-        sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", bitrate)})
-    gait = configuration.override(sections["gait"], {
-        "peak_n": ("--peak", peak), "period_s": ("--period", period), "cycles": ("--cycles", cycles),
-        "settle": ("--settle", settle), "controller": ("--controller", controller or "extended")})
+    sections = reached.sections(config, rate)
     reference, sections["gait"], _ = session.reference(
-        gait, None, None, period_given=period is not None, peak_given=peak is not None)
-    chosen = bus.choose(interface, channel, option, bus.Simulated(serial, day, seed, plant, plant_model))
+        walk.gait(sections["gait"], controller="extended"), None, None, period_given=walk.period is not None,
+        peak_given=walk.peak is not None)
+    chosen = reached.chosen(simulated)
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
     outputs.refuse(files.values(), overwrite=overwrite)
     prepared = {
