@@ -26,6 +26,7 @@ class Walk(NamedTuple):
     cycles: options.Cycles = None
     settle: options.Settle = None
     controller: options.Controller = None
+    soft_start: options.SoftStart = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """The configuration's `section`, overridden; `controller` where the command line names none."""
@@ -33,7 +34,8 @@ class Walk(NamedTuple):
 
         return override(section, {
             "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
-            "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller)})
+            "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller),
+            "soft_start": ("--soft-start", self.soft_start)})
 
 
 class Simulated(NamedTuple):

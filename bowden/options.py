@@ -30,6 +30,8 @@ Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40)
 Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).")]
 Cycles = Annotated[int | None, _given("Gait cycles to run (default 10).")]
 Settle = Annotated[int | None, _given("First cycles left out of every figure (default 1).")]
+SoftStart = Annotated[int | None, _given("Gait cycles before the first, over which the peak rises (default 0).",
+                                         "--soft-start")]
 Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).")]
 Controller = Annotated[str | None, _given("paper, none, friction, impedance or extended (default paper).")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]

@@ -23,6 +23,8 @@ class Gait:
                                 source="assumed: not given by the paper")
     cycles: int = parameter(10, "", "gait cycles to run", low=1, high=10_000, source="ten swings in the paper")
     settle: int = parameter(1, "", "first cycles left out of every figure", low=0, high=9_999, source="assumed")
+    soft_start: int = parameter(0, "", "gait cycles before the first, over which the peak rises", low=0, high=100,
+                                source="assumed: none; three at a bench that has not run before")
     controller: str = parameter("paper", "", "one of none, friction, impedance, paper, extended", source="the paper")
     idle_slack_m: float = parameter(3e-3, "m", "rope paid out while no force is desired", low=0.0, high=20e-3,
                                     source="assumed: keeps END below 1 N through the swing, rope on its drum")

@@ -107,13 +107,15 @@ class Planned:
         self.experiment, self.calibration = experiment, calibration
         slack_m = chosen.idle_slack_m * (LEADING if chosen.controller == "extended" else 1.0)
         self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m)
+        self.rising = [tabulate(calibration, knee, desired * (i + 1) / (chosen.soft_start + 1), 1.0 / rate_hz, slack_m)
+                       for i in range(chosen.soft_start)]
         self.idle = gait.idle_table(self.table, calibration)
         samples = self.table.samples
         self.first = gait.run_in_sample(self.table)
         self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
         adapts = chosen.controller == "extended"
-        self.undone = {
-            id(table): correction(calibration, table, rest, adapts=adapts) for table in (self.table, self.idle)}
+        self.undone = {id(table): correction(calibration, table, rest, adapts=adapts)
+                       for table in (self.table, self.idle, *self.rising)}
         self.homed: Homed | None = None
         self.impedance, self.warning = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
@@ -141,15 +143,21 @@ class Planned:
         self.walk(exchange)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
-        """Run in, walk and run out: every step that the controller makes in a trial; `before` cycles were walked."""
-        table = self.table
-        samples, first = table.samples, self.first
+        """Run in, start softly, walk and run out: every step that the controller makes in a trial.
+
+        `before` cycles were walked.  Cycles of the soft start are numbered −1, as the run-in is.
+        """
+        samples = self.table.samples
         last = self.experiment.gait.cycles * samples
+        begin = self.first - (1 + len(self.rising)) * samples
 
         def number(sample: int) -> float:
             return float(before + sample // samples) if sample >= 0 else -1.0
 
-        gait.run(exchange, self.control(table), first - samples, last, number, self._led())
+        for i, table in enumerate(self.rising, 1 - len(self.rising)):
+            gait.run(exchange, self.control(table), begin, i * samples, number, self._led())
+            begin = i * samples
+        gait.run(exchange, self.control(self.table), begin, last, number, self._led())
         gait.run(exchange, self.control(self.idle), last, last + self.rest, lambda sample: -1.0)
 
     def _led(self) -> Callable[[int], float] | None:

@@ -67,7 +67,7 @@ class Composer:
     def run(
         self, peak_n: float = 40.0, period_s: float = 1.1, cycles: int = 2, wrap: Wrap = lambda recorder: recorder,
         limits: config.Limits | None = None, experiment: dict[str, Any] | None = None, controller: str = "paper",
-        **options: Any,
+        soft_start: int = 0, **options: Any,
     ) -> Ran:
         """Run one short experiment; `options` are the simulated bench's."""
         number = next(CHANNELS)
@@ -76,7 +76,8 @@ class Composer:
         recorder = Recorder(path, metadata={}, attachments={}, threaded=False)
         chosen = Experiment(
             paper_reference(peak_n, period_s),
-            gait=config.Gait(peak_n=peak_n, period_s=period_s, cycles=cycles, controller=controller),
+            gait=config.Gait(
+                peak_n=peak_n, period_s=period_s, cycles=cycles, controller=controller, soft_start=soft_start),
             limits=limits or config.Limits(),
             **(experiment or {}),
         )

@@ -6,6 +6,7 @@ import gc
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from eds.cia402 import State, state_of
 from master import config
@@ -27,6 +28,19 @@ def test_a_trial_completes_and_the_force_follows(composer: Composer) -> None:
     assert found["true_relative_rmse_percent"] < 2.53
     assert found["true_max_idle_tension_n"] is not None
     assert found["true_max_idle_tension_n"] < 1.0
+
+
+@pytest.mark.parametrize("controller", ["paper", "extended"])
+def test_a_soft_start_raises_the_peak_over_unnumbered_cycles(composer: Composer, controller: str) -> None:
+    """Thirds of 40 N, then 40 N, and no target steps further from one control cycle to the next than without."""
+    plain, soft = (composer.run(controller=controller, soft_start=cycles) for cycles in (0, 2))
+    walked = ~np.isnan(soft.trial.columns["gait_percent"])
+    desired, phase = (soft.trial.columns[name][walked] for name in ("desired_force_n", "gait_percent"))
+    peaks = [float(part.max()) for part in np.split(desired, np.flatnonzero(np.diff(phase) < 0.0) + 1)]
+    assert peaks == pytest.approx([0.0, 40.0 / 3.0, 80.0 / 3.0, 40.0, 40.0, 0.0], abs=0.01)
+    assert set(soft.trial.columns["cycle"]) == {-1.0, 0.0, 1.0}
+    steps = [float(np.max(np.abs(np.diff(ran.trial.columns["servo_target_m"])))) for ran in (plain, soft)]
+    assert steps[1] <= 1.05 * steps[0], "noise moves the largest of some thousand steps by a few per cent"
 
 
 def test_every_cycle_is_one_sync_four_inputs_and_one_frame_of_targets(composer: Composer) -> None:
