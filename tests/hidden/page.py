@@ -5,8 +5,11 @@ The rule of this file: pure text from answers.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
 from collections.abc import Sequence
+from statistics import median
 
 from tests.hidden import cases
 from tests.hidden.answers import LEAST_RATIO, Answer
@@ -14,12 +17,17 @@ from tests.hidden.bars import FAINT, Bar, bars
 
 SHOWN = 8
 """Kinds of failure that are told of one bar."""
+SIZES = (LEAST_RATIO, 1.5, 2.0, 3.0, math.inf)
+"""Residuals in healthy floors by which single effects are told apart."""
+ALL_THE_GAIN = 0.95
+"""From this share on nothing is left to gain: the floor itself is known to some per cent."""
 
 
 def text(told: Sequence[Answer], said: str) -> str:
     """Return all tables; `said`: by which command, commit and seeds."""
     found = bars(told)
-    return "\n".join([said, "", *table(found), "", *failures(found), "", *confusion(told), "", *effects(told)])
+    return "\n".join([said, "", *table(found), "", *failures(found), "", *sizes(told), "", *pairs(told), "",
+                      *confusion(told), "", *effects(told)])
 
 
 def table(found: Sequence[Bar]) -> list[str]:
@@ -45,6 +53,32 @@ def failures(found: Sequence[Bar]) -> list[str]:
                          f"healthy floors, {bar.altered} of altered structure: {most}{tail}.")
     return ["Against the bars that are not met (hidden → said, how often):", "", *lines] if lines else [
         "No case tells against a bar that is not met."]
+
+
+def sizes(told: Sequence[Answer]) -> list[str]:
+    """Return how often the truth was in the class, by how far the residual lies above the healthy floor."""
+    counted = [a for a in told if a.job.kind == "one" and a.counts]
+    lines = ["How far a single effect's residual lies above the healthy floor, and what that does to the class:", "",
+             "| residual, healthy floors | cases | in class (%) | none | unexplained |", "|---|---|---|---|---|"]
+    for low, high in itertools.pairwise(SIZES):
+        mine = [a for a in counted if low <= a.ratio < high]
+        right = 100.0 * sum(a.hidden[0] in a.rivals for a in mine) / len(mine) if mine else math.nan
+        upper = f"… {high:g}" if math.isfinite(high) else "and more"
+        lines.append(f"| {low:g} {upper} | {len(mine)} | {right:.3g} | {sum(a.verdict == 'none' for a in mine)} "
+                     f"| {sum(a.verdict == 'unexplained' for a in mine)} |")
+    return lines
+
+
+def pairs(told: Sequence[Answer]) -> list[str]:
+    """Return, of pairs of which one is missing in the class, how much of the achievable gain the other one had."""
+    part = [a.share for a in told if a.job.kind == "two" and a.counts and a.share is not None
+            and len(set(a.hidden) & set(a.rivals)) == 1]
+    if not part:
+        return ["Of no pair is one effect alone in the class."]
+    whole = sum(share >= ALL_THE_GAIN for share in part)
+    return [f"Of {len(part)} pairs one effect alone is in the class. It had the median {100.0 * median(part):.0f} % of "
+            f"what both could gain on unseen cycles, and at least {100.0 * ALL_THE_GAIN:.0f} % in {whole} of them: "
+            "there what the other one does is not above the floor of a healthy bench."]
 
 
 def confusion(told: Sequence[Answer]) -> list[str]:
