@@ -129,13 +129,18 @@ def record(path: Path) -> Path:
     return path
 
 
+def _interruptible() -> None:
+    """Take Ctrl-C, which a shell lets what it started in the background ignore."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @contextmanager
 def served(*arguments: object) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """`bowden live` in a process of its own; the port it says it has."""
     process = subprocess.Popen(
         [sys.executable, "-c", "from bowden import main; main()", "live", "--port", "0", "--json",
          *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
