@@ -68,13 +68,13 @@ def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, q
     from master.calibration import read
     from trial import read as trial
 
-    opened = [trial.open(path) for path in trials]
-    benches = {told.metadata.get("bench", "") for told in opened} - {""}
+    given = [trial.open(path) for path in trials]
+    benches = {each.metadata.get("bench", "") for each in given} - {""}
     if len(benches) > 1:
         raise InputError(f"--from: the trials are of different benches, {' and '.join(sorted(benches))}; "
                          "identify one bench at a time.")
-    segments = [segment for told in opened for segment in identify.recorded(told)]
-    start = recorded.calibration(opened[0]) if guess is None else read(guess)
+    segments = [segment for each in given for segment in identify.recorded(each)]
+    start = recorded.calibration(given[0]) if guess is None else read(guess)
     transfer.prepare()
     with terminal.waiting("fitting", shown=not quiet):
         return Identified(None, identify.calibrate(
