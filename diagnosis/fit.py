@@ -111,9 +111,12 @@ class Slopes:
         for rows, carried, mask in zip(self.rows, known.slopes, self.problem.masks, strict=True):
             rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
 
-    def stale(self, values: Values) -> NDArray[np.intp]:
-        """Return the slots whose slope was never taken, or too far from `values`."""
+    def stale(self, values: Values, thorough: bool = False) -> NDArray[np.intp]:
+        """Return the slots whose slope was never taken, or too far from `values` (`thorough`: elsewhere at all)."""
         at = np.array([values[f.name] for f in self.free])
+        if thorough:
+            moved = at != self.taken
+            return np.arange(at.size) if moved.any() else np.flatnonzero(moved)
         return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
 
     def unknown(self) -> NDArray[np.intp]:
@@ -151,11 +154,12 @@ class Slopes:
         return total
 
 
-def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS, known: Fit | None = None
-          ) -> Fit:
+def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS, known: Fit | None = None,
+          thorough: bool = False) -> Fit:
     """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected.
 
-    `known`: a fit of the same blocks whose slopes are near those at `start`.
+    `known`: a fit of the same blocks whose slopes are near those at `start`.  `thorough`: it has arrived only where
+    slopes say so that were all taken there.
     """
     values = {**start, **{f.name: min(max(start[f.name], f.low), f.high) for f in free}}
     residuals = problem.residuals(values)
@@ -174,7 +178,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
             values, residuals, cost = trial, tried, cost - gain
             damping = max(damping / 5.0, 1e-9)
         if gain < TRUSTED * predicted or arrived:
-            renewed = slopes.take(values, residuals, slopes.stale(values))
+            renewed = slopes.take(values, residuals, slopes.stale(values, thorough and arrived))
             if arrived and not renewed:
                 break
             damping *= 1.0 if renewed or gain > 0.0 else 8.0

@@ -18,15 +18,18 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
 from diagnosis.fit import Free, Problem, solve
+from diagnosis.floors import LEAST_FLOOR, LEAST_TIED
 from diagnosis.reference import BAND, Reference
 from diagnosis.relations import Block, rmse
 from physics.models_slots import SLOTS
 
 Array = NDArray[np.float64]
+Values = Mapping[str, float]
 
+LEARNT: Final = 2.0
+"""1σ of what healthy data may teach about a healthy value, of that by which like benches differ."""
 TEACHING: Final = 0.1
 """1σ of what healthy data may teach about an effect's parameter, of the half width of its likely range."""
-STEPS: Final = 12
 
 
 @dataclass(frozen=True)
@@ -38,25 +41,48 @@ class Lesson:
     tied: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class Deviating(Block):
+    """A block of one of several like benches: what is common, and how far this bench is from it (`SLOT@BENCH`)."""
+
+    common: Block
+    bench: int
+    own: tuple[str, ...]
+
+    def residual(self, values: Values) -> Array:
+        return self.common.residual({**values, **{
+            n: min(max(values[n] + values[f"{n}@{self.bench}"], SLOTS[n].low), SLOTS[n].high) for n in self.own}})
+
+
+def _deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
+    own = tuple(f.name for f in nuisance if f.name in block.uses)
+    return Deviating(block.relation, block.signals, block.keep, block.cycle,
+                     block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
+
+
 def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequence[Candidate],
           floors: Mapping[str, float], tied: Mapping[str, float]) -> Lesson:
-    """Fit all healthy trials together, then each alone; `floors`, `tied`: what is assumed before they are seen."""
-    blocks = [b for trial in trials for b in trial]
+    """Fit what all healthy benches have in common together with each one's own deviation, then each bench alone.
+
+    `floors`, `tied`: what is assumed before they are seen.
+    """
+    blocks = [_deviating(b, i, reference.nuisance) for i, trial in enumerate(trials) for b in trial]
     weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
-    together = solve(Problem(blocks, weights), reference.values, _teachable(reference, offered), STEPS)
-    taught = together.values
+    deviations = [Free(f"{f.name}@{i}", -BAND * f.sigma, BAND * f.sigma, 0.0, f.sigma, f.scale)
+                  for i in range(len(trials)) for f in reference.nuisance] if len(trials) > 1 else []
+    start = {**reference.values, **{f"{f.name}@{i}": 0.0 for i in range(len(trials)) for f in reference.nuisance}}
+    together = solve(Problem(blocks, weights), start, (*_teachable(reference, offered), *deviations), thorough=True)
+    taught = {n: together.values[n] for n in reference.values}
     bands = tuple(_recentred(f, taught[f.name], len(trials)) for f in reference.nuisance)
     moved = Reference(reference.kind, taught, bands)
     rests: dict[str, list[Array]] = {n: [] for n in floors}
-    first = 0
-    for trial in trials:
-        near = dataclasses.replace(together, slopes=together.slopes[first:first + len(trial)])
-        first += len(trial)
-        alone = solve(Problem(trial, weights), moved.values, moved.nuisance, known=near).values
+    for i, trial in enumerate(trials):
+        near = {**taught, **{f.name: taught[f.name] + together.values[f"{f.name}@{i}"] for f in reference.nuisance}}
+        alone = solve(Problem(trial, weights), near, bands, thorough=True).values
         for block in trial:
             rests[block.relation.name].append(block.residual(alone))
-    return Lesson(moved, {n: rmse(r) for n, r in rests.items()},
-                  {n: max(correlated(r), 1.0) for n, r in rests.items()})
+    return Lesson(moved, {n: max(rmse(r), LEAST_FLOOR[n]) for n, r in rests.items()},
+                  {n: max(correlated(r), LEAST_TIED) for n, r in rests.items()})
 
 
 def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free, ...]:
@@ -65,15 +91,19 @@ def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free
     for candidate in offered:
         for f in candidate.frees:
             if f.name not in known:
-                sigma = TEACHING * 2.0 * f.scale
+                sigma = 2.0 * TEACHING * f.scale
                 known[f.name] = dataclasses.replace(f, sigma=sigma, mean=reference.values[f.name])
+    for name, slot in SLOTS.items():
+        if slot.law > 0.0:
+            at = reference.values[name]
+            known[name] = Free(name, slot.low, slot.high, at, slot.law, slot.law)
     return tuple(known.values())
 
 
 def _widened(f: Free) -> Free:
-    slot, half = SLOTS[f.name], 2.0 * BAND * f.sigma
+    slot, half = SLOTS[f.name], LEARNT * BAND * f.sigma
     return dataclasses.replace(f, low=max(slot.low, f.mean - half), high=min(slot.high, f.mean + half),
-                               sigma=2.0 * f.sigma)
+                               sigma=LEARNT * f.sigma)
 
 
 def _recentred(f: Free, at: float, trials: int) -> Free:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any, Final
 
 from diagnosis import relations, verdict
@@ -36,7 +35,7 @@ class Judge:
         self.setting, self.holdout, self.within = setting, holdout, within
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
-                             setting.folds, self._pays, self._leaves, near=not setting.any_rig)
+                             setting.folds, self._pays, self._leaves, self._odd, near=not setting.any_rig)
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
 
@@ -80,13 +79,16 @@ class Judge:
         return "found" if len(self.rivals()) == len(self.found.best.effects) else "ambiguous"
 
     def _strange(self) -> bool:
-        """Whether structure remains that the chosen model does not explain; only healthy trials can say."""
+        return self._odd(self.found.best)
+
+    def _odd(self, model: Model) -> bool:
+        """Whether structure remains that a model does not explain; only healthy trials can say."""
         if self.setting.floors is None or self.within is not None:
             return False
-        best, checked = self.found.best, self.setting.checked
-        left, whole = (sum(self._excess(m, n) for n in checked) for m in (best, self.found.baseline))
-        rise = max(self.setting.rmse(n, best.by_relation[n]) / self.setting.floors[n] for n in checked) - 1.0
-        if not best.effects:
+        checked = self.setting.checked
+        left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, self.search.baseline))
+        rise = max(self.setting.rmse(n, model.by_relation[n]) / self.setting.floors[n] for n in checked) - 1.0
+        if rise <= verdict.STRANGE - 1.0 or not model.effects:
             return rise > verdict.STRANGE - 1.0
         return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
 
@@ -103,26 +105,20 @@ class Judge:
         names = self.rivals()
         return str(CATALOGUE[names[0]].experiment) if len(names) > len(self.found.best.effects) else None
 
-    @cached_property
-    def _refitted(self) -> tuple[verdict.CycleSquares, verdict.CycleSquares, list[dict[str, float]]]:
-        setting, found = self.setting, self.found
-        before, _ = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.baseline.fit)
-        after, fitted = verdict.unseen(setting.blocks, setting.weights, setting.folds, found.best.fit)
-        return before, after, fitted
-
     def causes(self) -> list[dict[str, Any]]:
         """Return the chosen effects with their parameters and what each one gains."""
         return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
 
     def _cause(self, cause: Candidate) -> dict[str, Any]:
         units = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
-        fitted, best = self._refitted[2], self.found.best
+        best = self.found.best
         parameters = {}
         for f in cause.frees:
             shift = self.setting.declared[f.name] - self.setting.reference.values[f.name]
             at = best.fit.values[f.name]
             change = at - self.setting.reference.values[f.name]
-            half = verdict.spread(fitted, f.name, verdict.curvature_sigma(best, f.name), self._likeness(f.name), change)
+            half = verdict.spread(best.unseen.fitted, f.name, verdict.curvature_sigma(best, f.name),
+                                  self._likeness(f.name), change)
             told = {"value": at, "low": at - half, "high": at + half}
             shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
             parameters[f.name] = {**shifted, "unit": units[f.name]}
@@ -146,7 +142,7 @@ class Judge:
         unit = RELATIONS[name].unit
         if name not in self.setting.checked:
             return verdict.Figures(unit, False)
-        before, after, _ = self._refitted
+        before, after = self.found.baseline.unseen, self.found.best.unseen
         gain, low, high = verdict.gain(before, after, name)
         mine = [b for b in ahead if b.relation.name == name and b.keep.size]
         held, mended = (relations.rmse(b.residual(m.fit.values) for b in mine) if mine else None

@@ -34,7 +34,8 @@ REMEMBERED: Final = 4
 FINE_HZ: Final = 100.0
 """Cut-off of the rope's motion that the drive's friction sees."""
 SETTLE_S: Final = 0.1
-"""What is left out at a trial's start: there the memory of the friction is not known."""
+"""What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
+of one side only."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Block:
     keep: NDArray[np.intp]
     cycle: NDArray[np.intp]
     uses: frozenset[str]
-    _last: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
+    _last: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False, kw_only=True)
 
     def residual(self, values: Values) -> Array:
         """Return measured less predicted, in the relation's unit, on the samples that count."""
@@ -173,7 +174,8 @@ def blocks_of(tables: Sequence[Table], names: Iterable[str], taut_n: float | Non
 
 
 def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray[np.intp]:
-    keep = signals["time_s"] - signals["time_s"][0] >= SETTLE_S
+    time = signals["time_s"]
+    keep = (time >= time[0] + SETTLE_S) & (time <= time[-1] - SETTLE_S)
     for name in (*relation.columns, relation.output):
         keep &= np.isfinite(signals[name])
     if relation.unit == "rad" and taut_n is not None:

@@ -17,17 +17,9 @@ from diagnosis.fit import Fit, Problem
 
 Array = NDArray[np.float64]
 
-FOLDS: Final = 5
 RIDGE: Final = 1e-6
 ROUNDS: Final = 6
 """Most rounds in which slots that would leave their bounds are held."""
-
-
-def folds_of(cycles: NDArray[np.intp]) -> list[frozenset[int]]:
-    """Deal whole cycles into at most `FOLDS` sets, neighbours apart."""
-    labels = np.unique(cycles)
-    count = min(FOLDS, len(labels))
-    return [frozenset(int(c) for c in labels[k::count]) for k in range(count)]
 
 
 class Screen:
@@ -59,15 +51,17 @@ class Screen:
             self.slope[k, relation, at] += part @ r
             self.cost[k, relation] += float(r @ r)
 
-    def unseen(self, extra: int | None = None) -> dict[str, float]:
+    def unseen(self, extra: int | None = None, released: Sequence[int] = ()) -> dict[str, float]:
         """Return χ² by relation on unseen folds, the free slots (and one extra column) fitted on the others.
 
-        A slot that rests on its bound leaves it only inwards.
+        A slot that rests on its bound leaves it only inwards, unless it is `released` from bounds and prior.
         """
         at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
         more = len(at) - self.known
         prior, pull = np.append(self.prior, np.zeros(more)), np.append(self.pull, np.zeros(more))
         down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
+        held = list(released)
+        prior[held], pull[held], down[held], up[held] = 0.0, 0.0, -np.inf, np.inf
         every = self.every_gram[np.ix_(at, at)]
         ridge = np.diag(prior + RIDGE * np.diag(every) + 1e-12)
         total = np.zeros(len(self.names))
@@ -97,7 +91,10 @@ def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
 
 def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]
              ) -> list[tuple[float, int, int]]:
-    """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first."""
+    """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first.
+
+    Start −1 is where the fit is, of a candidate whose slots all move there already, inside their bands.
+    """
     starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
     extra = []
     for i, block in enumerate(problem.blocks):
@@ -109,4 +106,9 @@ def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offere
     screen = Screen(problem, fit, folds, extra)
     base = sum(screen.unseen().values())
     falls = [(base - sum(screen.unseen(j).values()), c, s) for j, (c, s) in enumerate(starts)]
+    place = {f.name: j for j, f in enumerate(fit.free)}
+    for c, candidate in enumerate(offered):
+        if candidate.slots <= place.keys():
+            released = [place[name] for name in candidate.slots]
+            falls.append((base - sum(screen.unseen(released=released).values()), c, -1))
     return sorted(falls, reverse=True)

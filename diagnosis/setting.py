@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis import relations, screen
+from diagnosis import relations
 from diagnosis.candidates import Candidate, candidates
 from diagnosis.data import Table
 from diagnosis.fit import Problem, solve
@@ -21,6 +21,7 @@ from diagnosis.floors import FLOORS, LEAST_FLOOR, LEAST_TIED, TIED
 from diagnosis.healthy import learn
 from diagnosis.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from diagnosis.relations import Block
+from diagnosis.unseen import folds_of
 from physics.models import RELATIONS
 
 CORRELATED_S = 0.09
@@ -68,7 +69,7 @@ def settle(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mappi
     blocks = relations.blocks_of(trials, checked, None if any_rig else relations.TAUT_N)
     checked = tuple(n for n in checked if any(b.relation.name == n and b.keep.size for b in blocks))
     blocks = [b for b in blocks if b.relation.name in checked]
-    folds = screen.folds_of(np.concatenate([b.cycle for b in blocks])) if blocks else []
+    folds = folds_of(np.concatenate([b.cycle for b in blocks])) if blocks else []
     if any_rig:
         return _unknown(missing, checked, blocks, folds)
     return _bench(missing, checked, blocks, folds, healthy, calibration)

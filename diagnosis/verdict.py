@@ -14,18 +14,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.fit import Fit, Problem, solve
-from diagnosis.relations import Block
 from diagnosis.search import Found, Model
+from diagnosis.unseen import CycleSquares
 
 Array = NDArray[np.float64]
-Values = Mapping[str, float]
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
 LEAST_FALL: Final = 40.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
-STRUCTURE: Final = 0.10
+STRUCTURE: Final = 0.045
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
 MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
@@ -33,12 +31,14 @@ LAW: Final = 0.06
 """1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
 RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
+WORTH_A_LOOK: Final = 1.5
+"""Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
 SPLIT_RMSE: Final = 0.20
 SPLIT_GAIN: Final = 0.80
 """The same two in an experiment, of which no healthy trial says how far the laws are from holding."""
-STRANGE: Final = 1.45
+STRANGE: Final = 1.33
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
-STRANGE_NAMED: Final = 0.045
+STRANGE_NAMED: Final = 0.28
 """The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
 STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
@@ -61,44 +61,6 @@ class Figures:
     gain_percent: float | None = None
     low: float | None = None
     high: float | None = None
-
-
-class CycleSquares:
-    """Sums of squared residuals of whole cycles, by relation: what intervals are drawn from."""
-
-    def __init__(self) -> None:
-        self.sums: dict[str, dict[int, tuple[float, int]]] = {}
-
-    def add(self, block: Block, residual: Array, cycles: NDArray[np.intp]) -> None:
-        held = self.sums.setdefault(block.relation.name, {})
-        for c in np.unique(cycles):
-            inside = cycles == c
-            total, count = held.get(int(c), (0.0, 0))
-            part = residual[inside]
-            held[int(c)] = (total + float(part @ part), count + part.size)
-
-    def arrays(self, relation: str) -> tuple[Array, Array]:
-        held = self.sums[relation]
-        return (np.array([held[c][0] for c in sorted(held)]), np.array([held[c][1] for c in sorted(held)], dtype=float))
-
-    def rmse(self, relation: str) -> float:
-        squares, counts = self.arrays(relation)
-        return math.sqrt(squares.sum() / counts.sum())
-
-
-def unseen(blocks: Sequence[Block], weights: Mapping[str, float], folds: Sequence[frozenset[int]], fit: Fit
-           ) -> tuple[CycleSquares, list[dict[str, float]]]:
-    """Refit in full for each fold on the other cycles; return the squares on the fold's own, and each fold's values."""
-    squares, fitted = CycleSquares(), []
-    everything = frozenset().union(*folds)
-    for fold in folds:
-        values = solve(Problem(blocks, weights, (everything - fold) or fold), fit.values, fit.free, known=fit).values
-        fitted.append(values)
-        for block in blocks:
-            inside = np.isin(block.cycle, list(fold))
-            if inside.any():
-                squares.add(block, block.residual(values)[inside], block.cycle[inside])
-    return squares, fitted
 
 
 def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[float, float, float]:
@@ -131,6 +93,8 @@ def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVA
         for model in found.models:
             strange = set(model.names) - set(best.names)
             if len(model.names) != len(best.names) or set(best.names) - set(model.names) != {out.name}:
+                continue
+            if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
                 continue
             share = (left.score - model.score) / max(left.score - best.score, 1e-9)
             if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:

@@ -36,11 +36,12 @@ class Relation(NamedTuple):
 
 _FRICTION: Final = frozenset({
     "mu1", "mu2", "fabric_wrap", "cable_bend", "load_slope", "viscous", "stribeck_ratio", "stribeck_speed",
-    "presliding", "friction_drift", "start_gain", "start_offset", "start_drift", "tension_ratio", "coulomb",
-    "cable_share", "share_before", "toe", "stiffness_scale", "stiffness_shape", "creep_compliance", "creep_time"})
+    "presliding", "presliding_shape", "fabric_presliding", "friction_drift", "start_gain", "start_offset",
+    "start_drift", "tension_ratio", "coulomb", "cable_share", "share_before", "toe", "stiffness_scale",
+    "stiffness_shape", "creep_compliance", "creep_time"})
 _FABRIC: Final = frozenset({
-    "mu2", "fabric_wrap", "load_slope", "stribeck_ratio", "stribeck_speed", "presliding", "friction_drift",
-    "start_gain", "start_offset", "start_drift"})
+    "mu2", "fabric_wrap", "load_slope", "stribeck_ratio", "stribeck_speed", "presliding", "presliding_shape",
+    "fabric_presliding", "friction_drift", "start_gain", "start_offset", "start_drift"})
 _END: Final = frozenset({"end_mass", "end_mass_arm", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter"})
 _PATH: Final = frozenset({
     "stiffness_scale", "stiffness_shape", "toe", "cable_share", "creep_compliance", "creep_time", "slack",

@@ -24,17 +24,33 @@ SPREAD: Final = np.array([0.4, 1.0, 2.5])
 """Pre-sliding distances of the cable's nodes against the mean: a segmented rope turns over gradually."""
 SHARE_AFTER: Final = 0.4
 SHARE_OVER: Final = 0.35
+SHARES: Final = np.array([SHARE_AFTER + SHARE_OVER * 0.5 / FABRIC_NODES,
+                          *[SHARE_OVER / FABRIC_NODES] * (FABRIC_NODES - 1),
+                          1.0 - SHARE_AFTER - SHARE_OVER * (1.0 - 0.5 / FABRIC_NODES)])
+"""Shares of the fabric's stretch behind its first node, between them, and before its last."""
 ITERATIONS: Final = 50
 TOE_N: Final = 6.0
+EXPONENTIAL: Final = 1e-3
+"""Distance of a shape from 1 within which it counts as 1."""
 CLOSE_N: Final = 1e-6
 CLOSE_M: Final = 1e-9
 
 
 @njit(inline="always")
-def slid(s: float, step: float, distance: float) -> float:
-    """Return the pre-sliding state after a sliding `step`, exact for one direction."""
+def slid(s: float, step: float, distance: float, shape: float) -> float:
+    """Return the pre-sliding state after a sliding `step`, exact for one direction.
+
+    ds/du = (1 − s·sgn u)^i/δ with i the `shape`: 1 the catalogue's, 0 a stop that yields at once.  Source: Dahl 1968.
+    """
     end = 1.0 if step > 0.0 else -1.0
-    return end + (s - end) * math.exp(-abs(step) / distance)
+    left = 1.0 - s * end
+    power = 1.0 - shape
+    if abs(power) < EXPONENTIAL:
+        return end * (1.0 - left * math.exp(-abs(step) / distance))
+    if left <= 0.0:
+        return end
+    rest = left**power - power * abs(step) / distance
+    return end * (1.0 - rest ** (1.0 / power)) if rest > 0.0 else end
 
 
 @njit(inline="always")
@@ -70,23 +86,28 @@ def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
 
 @njit(cache=True)
 def over_fabric(
-    end: Array, exponent: Array, speed: Array, creep: Array, fresh: Mask,
-    linear: float, bend: float, toe: float, distance: float, load: float, ratio: float, calm: float, slack_n: float,
+    end: Array, calmed: Array, exponent: Array, speed: Array, creep: Array, fresh: Mask,
+    linear: float, bend: float, toe: float, distance: float, shape: float,
+    load: float, ratio: float, calm: float, slack_n: float,
 ) -> Array:
-    """Return the tension before the knee, N, from that behind it; `exponent` is μ2·φ at each sample."""
+    """Return the tension before the knee, N, from that behind it; `exponent` is μ2·φ at each sample.
+
+    `calmed`: the same tension without its sensor's noise, whose stretch slides the fabric.
+    """
     out = np.empty(end.size)
     s, q = np.zeros(FABRIC_NODES), np.zeros(FABRIC_NODES)
     for k in range(end.size):
-        force = end[k]
+        force, moved, at = end[k], calmed[k], 0.0
         for i in range(FABRIC_NODES):
-            share = SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES
-            at = share * (stretch_of(force, linear, bend, toe) + creep[k])
+            at += SHARES[i] * (stretch_of(moved, linear, bend, toe) + creep[k])
             if fresh[k] or end[k] < slack_n:
                 s[i] = 0.0
             else:
-                s[i] = slid(s[i], at - q[i], distance)
+                s[i] = slid(s[i], at - q[i], distance, shape)
             q[i] = at
-            force *= math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, speed[k], load, ratio, calm))
+            factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, speed[k], load, ratio, calm))
+            force *= factor
+            moved *= factor
         out[k] = force
     return out
 
@@ -94,7 +115,8 @@ def over_fabric(
 @njit(cache=True)
 def along_cable(
     tension: Array, position: Array, exponent: Array, speed: Array, fresh: Mask,
-    distance: float, compliance: float, load: float, ratio: float, calm: float, slack_n: float, gain: float,
+    distance: float, shape: float, compliance: float,
+    load: float, ratio: float, calm: float, slack_n: float, gain: float,
 ) -> tuple[Array, Array]:
     """Return (START tension, N, mean slip state) from the tension behind the cable and the drum's position.
 
@@ -119,7 +141,7 @@ def along_cable(
                 turn, steep = 0.0, 0.0
                 for i in range(CABLE_NODES):
                     step = position[k] - compliance * force - u[i]
-                    trial[i] = slid(s[i], step, distance * SPREAD[i])
+                    trial[i] = slid(s[i], step, distance * SPREAD[i], shape)
                     turn += trial[i]
                     steep += abs((1.0 if step > 0.0 else -1.0) - trial[i]) / (distance * SPREAD[i])
                 target = base * math.exp(whole * turn)
@@ -144,26 +166,22 @@ def along_cable(
 def _reach(
     end: float, creep: float, fabric: float, cable: float, slide_f: float, slide_c: float, s: Array, u: Array,
     new_s: Array, new_u: Array, anchor: float, own: float, bend: float, toe: float, compliance: float,
-    distance_f: float, distance: float, load: float, ratio: float, calm: float,
+    distance_f: float, distance: float, shape: float, load: float, ratio: float, calm: float,
 ) -> tuple[float, float]:
     """Return (drum position, START tension) that an END tension needs, and the memory it would leave."""
-    force = end
-    before = 0.0
+    force, at = end, 0.0
     for i in range(FABRIC_NODES):
-        share = SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES
-        at = share * (stretch_of(force, own, bend, toe) + creep)
+        at += SHARES[i] * (stretch_of(force, own, bend, toe) + creep)
         new_u[i] = at
-        new_s[i] = slid(s[i], at - u[i], distance_f)
+        new_s[i] = slid(s[i], at - u[i], distance_f, shape)
         force *= math.exp(new_s[i] * fabric / FABRIC_NODES * grip(force, slide_f, load, ratio, calm))
-        before = at
-    rest = 1.0 - SHARE_AFTER - SHARE_OVER * (1.0 - 0.5 / FABRIC_NODES)
-    at = anchor + before + rest * (stretch_of(force, own, bend, toe) + creep)
+    at += anchor + SHARES[FABRIC_NODES] * (stretch_of(force, own, bend, toe) + creep)
     whole = cable * grip(force, slide_c, load, ratio, calm) / CABLE_NODES
     turn = 0.0
     for i in range(CABLE_NODES):
         j = FABRIC_NODES + i
         new_u[j] = at
-        new_s[j] = slid(s[j], at - u[j], distance * SPREAD[i])
+        new_s[j] = slid(s[j], at - u[j], distance * SPREAD[i], shape)
         turn += new_s[j]
     force *= math.exp(whole * turn)
     return at + compliance * force, force
@@ -173,7 +191,7 @@ def _reach(
 def from_motion(
     drum: Array, anchor: Array, time: Array, fresh: Mask, fabric: Array, cable: Array, slide_f: Array, slide_c: Array,
     linear: float, bend: float, toe: float, compliance: float, creep_rate: float, creep_time: float, distance_f: float,
-    distance: float, load: float, ratio: float, calm: float,
+    distance: float, shape: float, load: float, ratio: float, calm: float,
 ) -> tuple[Array, Array]:
     """Return (END, START) tension, N, that the positions of drum and leg anchor, m, ask for: (10), (11), (3), (7).
 
@@ -205,7 +223,7 @@ def from_motion(
         for i in range(ITERATIONS):
             end = guess
             at, start = _reach(end, gamma, fabric[k], cable[k], slide_f[k], slide_c[k], s, u, new_s, new_u, anchor[k],
-                               own, bend, toe, compliance, distance_f, distance, load, ratio, calm)
+                               own, bend, toe, compliance, distance_f, distance, shape, load, ratio, calm)
             f = at - drum[k]
             if abs(f) < CLOSE_M or high - low < CLOSE_N:
                 break

@@ -26,7 +26,8 @@ class Slot(NamedTuple):
     """One parameter of the relations.
 
     `free`: on a rig that nothing is known of it is whatever the data say; `bench_only`: its law reads this
-    bench's geometry (angle zero, wrap, drum), so on such a rig it says nothing.
+    bench's geometry (angle zero, wrap, drum), so on such a rig it says nothing.  `law`: 1σ of what is the same on
+    like benches and another on others, so that healthy trials alone move it.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Slot(NamedTuple):
     high: float
     free: bool = False
     bench_only: bool = False
+    law: float = 0.0
 
 
 _FRICTION: Final = (
@@ -52,6 +54,8 @@ _FRICTION: Final = (
     Slot("stribeck_ratio", "", 1.0, 0.05, 1.0, 0.3, 4.0),
     Slot("stribeck_speed", "m/s", 0.010, 0.0, 0.010, 1e-3, 0.1),
     Slot("presliding", "m", CABLE.presliding_m, 0.3 * CABLE.presliding_m, 1e-6, 1e-6, 3e-3),
+    Slot("presliding_shape", "", 1.0, 0.0, 1.0, 0.0, 1.5, law=0.3),
+    Slot("fabric_presliding", "", 1.0, 0.0, 1.0, 0.1, 5.0, law=0.5),
     Slot("friction_drift", "", 0.0, 0.0, 0.0, -0.95, 3.0),
     Slot("tension_ratio", "", 1.0, 0.0, 1.0, -10.0, 10.0, free=True),
     Slot("coulomb", "N", 0.0, 0.0, 0.0, -1e3, 1e3, free=True),

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from physics import models_chain as chain
 from physics import models_states as states
@@ -23,6 +24,10 @@ Values = Mapping[str, float]
 
 STRETCH_LINEAR: Final = STIFFNESS_B_MM_N * MILLI
 STRETCH_BEND: Final = STIFFNESS_A_MM_N2 * MILLI
+UNSURE_N: Final = 1.0
+"""Tension below which a sensor's word does not decide whether a rope that is dragged is taut."""
+CALM_S: Final = 0.02
+"""1σ of the low-pass on the tension whose stretch slides the fabric; the friction at its nodes sees it unfiltered."""
 SHARES: Final = (chain.SHARE_AFTER, chain.SHARE_OVER, 1.0 - chain.SHARE_AFTER - chain.SHARE_OVER)
 """Shares of the fabric behind, on and before the knee."""
 
@@ -56,8 +61,9 @@ def cable_compliance(p: Values) -> float:
 
 FRICTION_SLOTS: Final = (
     "mu1", "mu2", "theta1", "phi0", "fabric_wrap", "cable_bend", "load_slope", "stribeck_ratio", "stribeck_speed",
-    "presliding", "friction_drift", "slack_below", "pull_sign", "tension_ratio", "stiffness_scale", "stiffness_shape",
-    "toe", "cable_share", "share_before", "creep_compliance", "creep_time")
+    "presliding", "presliding_shape", "fabric_presliding", "friction_drift", "slack_below", "pull_sign",
+    "tension_ratio", "stiffness_scale", "stiffness_shape", "toe", "cable_share", "share_before", "creep_compliance",
+    "creep_time")
 
 
 def start_from_end(signals: Signals, p: Values) -> Array:
@@ -65,13 +71,13 @@ def start_from_end(signals: Signals, p: Values) -> Array:
     start, slip = signals.remember("start", p, (*END_SLOTS, *FRICTION_SLOTS), lambda: _along(signals, p))
     if p["coulomb"] != 0.0:
         start = start + p["coulomb"] * slip
-    return start_reading(signals, p, _with_drag(signals, p, start))
+    return start_reading(signals, p, _undecided(signals, p, start, _with_drag(signals, p, start)))
 
 
 FABRIC_SLOTS: Final = (
     *END_SLOTS, "mu2", "phi0", "fabric_wrap", "load_slope", "stribeck_ratio", "stribeck_speed", "presliding",
-    "friction_drift", "slack_below", "stiffness_scale", "stiffness_shape", "toe", "cable_share", "creep_compliance",
-    "creep_time", "timestamp_skew")
+    "presliding_shape", "fabric_presliding", "friction_drift", "slack_below", "stiffness_scale", "stiffness_shape",
+    "toe", "cable_share", "creep_compliance", "creep_time", "timestamp_skew")
 
 
 def before_knee(signals: Signals, p: Values) -> Array:
@@ -86,8 +92,15 @@ def _before_knee(signals: Signals, p: Values) -> Array:
     linear, bend = _stretch(p)
     crept = _creep(signals, p, end) if p["creep_compliance"] > 0.0 else np.zeros(end.size)
     return np.asarray(chain.over_fabric(
-        end, fabric_exponent(signals, p), _moved(signals, p, "strain_m_s"), crept, signals.fresh,
-        max(linear - cable_compliance(p), 1e-9), bend, p["toe"], p["presliding"], *_law(p)))
+        end, _calm(signals, end), fabric_exponent(signals, p), _moved(signals, p, "strain_m_s"), crept, signals.fresh,
+        max(linear - cable_compliance(p), 1e-9), bend, _toe(p), p["presliding"] * p["fabric_presliding"],
+        p["presliding_shape"], *_law(p)))
+
+
+def _calm(signals: Signals, tension: Array) -> Array:
+    """Return a tension without what is quicker than `CALM_S`: a sensor's noise slides no fabric."""
+    samples = CALM_S / float(np.median(np.diff(signals["time_s"])))
+    return np.asarray(gaussian_filter1d(tension, samples)) if samples > 0.5 else tension
 
 
 def _moved(signals: Signals, p: Values, name: str) -> Array:
@@ -103,8 +116,8 @@ def _along(signals: Signals, p: Values) -> tuple[Array, Array]:
     """Return START tension, N, and the rope's mean slip state."""
     start, slip = chain.along_cable(
         before_knee(signals, p), p["pull_sign"] * _moved(signals, p, "rope_m"), cable_exponent(signals, p),
-        _moved(signals, p, "rope_m_s"),
-        signals.fresh, p["presliding"], p["share_before"] * cable_compliance(p), *_law(p), p["tension_ratio"])
+        _moved(signals, p, "rope_m_s"), signals.fresh, p["presliding"], p["presliding_shape"],
+        p["share_before"] * cable_compliance(p), *_law(p), p["tension_ratio"])
     return start, slip
 
 
@@ -117,6 +130,18 @@ def _with_drag(signals: Signals, p: Values, start: Array) -> Array:
     return np.maximum(dragged, np.minimum(start, 0.0)) if p["slack_below"] > 0.0 else np.asarray(dragged)
 
 
+def _undecided(signals: Signals, p: Values, start: Array, dragged: Array) -> Array:
+    """Return START tension, N, `dragged` or not as START itself says, where END cannot say whether the rope is taut.
+
+    The drag at the edge of slack is anything from none to all of it: the relation holds where START is in between.
+    """
+    if p["viscous"] == 0.0 or p["slack_below"] <= 0.0 or not signals.has("tension_start_n"):
+        return dragged
+    taut = np.maximum(start + p["viscous"] * signals["rope_m_s"], np.minimum(start, 0.0))
+    said = np.clip(start_tension(signals, p), np.minimum(start, taut), np.maximum(start, taut))
+    return np.where(start < UNSURE_N, said, dragged)
+
+
 def _creep(signals: Signals, p: Values, force: Array) -> Array:
     return states.crept(force, signals["time_s"], signals.fresh, p["creep_compliance"], p["creep_time"])
 
@@ -126,8 +151,13 @@ def friction(signals: Signals, p: Values) -> Array:
     return start_from_end(signals, p)
 
 
-def _toe(p: Values, force: Array) -> Array | float:
-    return p["toe"] * -np.expm1(-np.maximum(force, 0.0) / chain.TOE_N) if p["toe"] != 0.0 else 0.0
+def _toe(p: Values) -> float:
+    """Return what the first newtons stretch the path more than (10), m."""
+    return p["toe"] / p["stiffness_scale"]
+
+
+def _toed(p: Values, force: Array) -> Array | float:
+    return _toe(p) * -np.expm1(-np.maximum(force, 0.0) / chain.TOE_N) if p["toe"] != 0.0 else 0.0
 
 
 def wound(signals: Signals, p: Values, position: Array) -> Array:
@@ -143,7 +173,9 @@ def _homed(p: Values) -> float:
     """Return how far homing to a preload moves the zero when the stretch is not that of (10)."""
     preload = p["home_preload"]
     linear, bend = _stretch(p)
-    return (linear - STRETCH_LINEAR) * preload + (bend - STRETCH_BEND) * preload**2
+    toe = _toe(p) - p["toe"]
+    return (linear - STRETCH_LINEAR) * preload + (bend - STRETCH_BEND) * preload**2 - toe * math.expm1(
+        -preload / chain.TOE_N)
 
 
 def anchored(p: Values, angle: Array) -> Array:
@@ -171,8 +203,8 @@ def _from_motion(signals: Signals, p: Values) -> Array:
     _end, start = chain.from_motion(
         wound(signals, p, position), anchored(p, angle), signals["time_s"], signals.fresh,
         fabric_exponent(signals, p), cable_exponent(signals, p), signals["strain_m_s"], signals["rope_m_s"],
-        linear, bend, p["toe"], cable_compliance(p), p["creep_compliance"], p["creep_time"], p["presliding"],
-        p["presliding"],
+        linear, bend, _toe(p), cable_compliance(p), p["creep_compliance"], p["creep_time"],
+        p["presliding"] * p["fabric_presliding"], p["presliding"], p["presliding_shape"],
         p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"])
     return start
 
@@ -199,8 +231,8 @@ def _stretched(signals: Signals, p: Values) -> Array:
     own = linear - cable_compliance(p)
     before = before_knee(signals, p) if ends[1] else end
     middle = 0.5 * (end + before)
-    stretch = cable_compliance(p) * start + sum(
-        share * ((own + bend * at) * at + _toe(p, at)) for share, at in zip(SHARES, (end, middle, before), strict=True))
+    parts = zip(SHARES, (end, middle, before), strict=True)
+    stretch = cable_compliance(p) * start + sum(share * ((own + bend * at) * at + _toed(p, at)) for share, at in parts)
     if p["creep_compliance"] > 0.0:
         stretch = stretch + _creep(signals, p, end)
     return signals.later(stretch, p["timestamp_skew"])

@@ -23,7 +23,7 @@ def pulled(exponent: float, compliance: float = 0.0) -> tuple[np.ndarray, np.nda
     fresh = np.zeros(position.size, dtype=np.bool_)
     fresh[0] = True
     start, _ = along_cable(behind, position, np.full(position.size, exponent), np.zeros(position.size), fresh,
-                           1e-4, compliance, 0.0, 1.0, 0.01, 0.3, 1.0)
+                           1e-4, 1.0, compliance, 0.0, 1.0, 0.01, 0.3, 1.0)
     return position, behind, start
 
 

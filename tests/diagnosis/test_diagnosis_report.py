@@ -39,7 +39,7 @@ def found(measured: Table) -> Diagnosis:
     free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.slots)
     plain = solve(setting.problem, setting.reference.values, setting.reference.nuisance)
     fitted = solve(setting.problem, {**plain.values, **candidate.starts[-1]}, (*free, *candidate.frees))
-    base, best = (Model(effects, fit, {"friction": 2.0 * fit.cost})
+    base, best = (Model(effects, fit, setting.problem, setting.folds)
                   for effects, fit in (((), plain), ((candidate,), fitted)))
     figures = {name: Figures(relation.unit, name in setting.checked, 0.25, 2.0, 0.5, 2.2, 0.6, 75.0, 70.0, 79.0)
                if name in setting.checked else Figures(relation.unit, False) for name, relation in RELATIONS.items()}

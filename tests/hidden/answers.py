@@ -34,7 +34,10 @@ class After:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was hidden and what was said; `ratio`: the largest residual in healthy floors, `share`: of its gain."""
+    """What was hidden and what was said; `ratio`: the largest residual in healthy floors, `share`: of its gain.
+
+    `alone`: of a pair, the same ratio of each effect by itself on the same bench and motion.
+    """
 
     job: Job
     hidden: tuple[str, ...]
@@ -47,10 +50,12 @@ class Answer:
     seconds: float
     experiment: str | None = None
     after: After | None = None
+    alone: tuple[float, ...] = ()
 
     @property
     def counts(self) -> bool:
-        return self.ratio >= LEAST_RATIO
+        """Whether the data hold what was hidden; of a pair, each effect by itself."""
+        return min((self.ratio, *self.alone)) >= LEAST_RATIO
 
     @property
     def named(self) -> bool:
@@ -70,12 +75,15 @@ def from_json(given: Mapping[str, Any]) -> Answer:
     after, job = given["after"], given["job"]
     return Answer(**{
         **given, "job": Job(**{**job, "names": tuple(job["names"])}), "hidden": tuple(given["hidden"]),
-        "rivals": tuple(given["rivals"]),
+        "rivals": tuple(given["rivals"]), "alone": tuple(given["alone"]),
         "after": None if after is None else After(**{**after, "rivals": tuple(after["rivals"])})})
 
 
 def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> Answer:
-    """Draw one case and diagnose it, with its healthy trials and its holdout; `again`: with the experiment, too."""
+    """Draw one case and diagnose it, with its healthy trials and its holdout; `again`: with the experiment, too.
+
+    `again` asks, of a pair, of each effect by itself as well.
+    """
     from diagnosis import data
     from diagnosis.finder import diagnose
 
@@ -91,8 +99,10 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
         second = data.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
         told = diagnose([trial, second], healthy=taught)
         after = After(said.experiment, told.verdict, tuple(told.rivals))
+    alone = [_risen(diagnose([data.table("alone", columns)], healthy=taught))[0]
+             for columns in case.alone if again]
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
-                  said.causes, ratio, share, seconds, said.experiment, after)
+                  said.causes, ratio, share, seconds, said.experiment, after, tuple(alone))
 
 
 def _risen(said: Any) -> tuple[float, float | None]:

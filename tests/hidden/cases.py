@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -139,7 +140,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Case:
-    """One hidden case: columns of the trial, of a holdout at another peak and cadence, of healthy trials."""
+    """One hidden case: columns of the trial, of a holdout at another peak and cadence, of healthy trials.
+
+    `alone`: of a pair, what the trial would have been with each effect by itself.
+    """
 
     job: Job
     hidden: tuple[str, ...]
@@ -148,6 +152,21 @@ class Case:
     trial: dict[str, np.ndarray]
     holdout: dict[str, np.ndarray]
     healthy: tuple[dict[str, np.ndarray], ...]
+    alone: tuple[dict[str, np.ndarray], ...] = ()
+
+
+class Hidden(NamedTuple):
+    """What is hidden: by effect the numbers of the bench that it sets, what the wire does, the catalogue's sizes."""
+
+    parts: dict[str, dict[str, float]]
+    wire: dict[str, float]
+    sizes: dict[str, float]
+
+    def bench(self, own: Bench, *names: str) -> Bench:
+        """Return the bench with the effects `names`, with all where none is given."""
+        for name in names or self.parts:
+            own = dataclasses.replace(own, **self.parts[name])
+        return own
 
 
 def structure(seed: int, altered: bool) -> Bench:
@@ -157,29 +176,29 @@ def structure(seed: int, altered: bool) -> Bench:
     return dataclasses.replace(NOMINAL, **chosen)
 
 
-def hide(job: Job, own: Bench, rng: Rng) -> tuple[tuple[str, ...], Bench, dict[str, float], dict[str, float]]:
-    """Return what is hidden, the bench that has it, what its wire does, and the sizes by the catalogue's names."""
+def hide(job: Job, own: Bench, rng: Rng) -> Hidden:
+    """Draw what is hidden on a bench."""
     pool = {"one": EFFECTS, "two": EFFECTS, "none": {}, "outside": OUTSIDE, "wire": WIRE}[job.kind]
     count = min(len(pool), 2 if job.kind == "two" else 1)
     names = job.names or tuple(rng.choice(sorted(pool), size=count, replace=False).tolist() if count else ())
-    given: dict[str, float] = {}
-    wire: dict[str, float] = {}
-    sizes: dict[str, float] = {}
+    hidden = Hidden({name: {} for name in names}, {}, {})
     for name in names:
         if job.kind == "outside":
-            given |= OUTSIDE[name](rng)
+            hidden.parts[name].update(OUTSIDE[name](rng))
             continue
         fields, said = WIRE[name](rng) if job.kind == "wire" else EFFECTS[name](rng, own)
-        sizes |= said
-        (given if job.kind != "wire" or "quantum" in fields else wire).update(fields)
-    return names, dataclasses.replace(own, **given), wire, sizes
+        hidden.sizes.update(said)
+        (hidden.parts[name] if job.kind != "wire" or "quantum" in fields else hidden.wire).update(fields)
+    return hidden
 
 
 def case(job: Job, healthy: int = 2, cycles: int = 10) -> Case:
     """Draw a case: the same job gives the same case."""
     rng = np.random.default_rng((job.seed, 2))
     base = structure(job.seed, job.altered)
-    names, harmed, wire, sizes = hide(job, like(base, int(rng.integers(1 << 30))), rng)
+    own = like(base, int(rng.integers(1 << 30)))
+    hidden = hide(job, own, rng)
+    names, harmed = tuple(hidden.parts), hidden.bench(own)
     seeds = rng.integers(1 << 30, size=3 + healthy).tolist()
     period = float(rng.uniform(1.2, 1.5))
     peak = float(rng.choice([40.0, 50.0]))
@@ -191,7 +210,9 @@ def case(job: Job, healthy: int = 2, cycles: int = 10) -> Case:
         return wired(walked, rng, **faults, ages=job.seed % 2 == 0) if job.kind == "wire" else walked
 
     return Case(
-        job, names, sizes, harmed, recorded(harmed, seeds[0], peak, period, cycles, wire),
-        recorded(harmed, seeds[1], 90.0 - peak, period * 1.25, 4, wire),
+        job, names, hidden.sizes, harmed, recorded(harmed, seeds[0], peak, period, cycles, hidden.wire),
+        recorded(harmed, seeds[1], 90.0 - peak, period * 1.25, 4, hidden.wire),
         tuple(recorded(like(base, s), s + 1, peak if i % 2 == 0 else 90.0 - peak, period * (1.0 + 0.1 * i), cycles, {})
-              for i, s in enumerate(seeds[3:])))
+              for i, s in enumerate(seeds[3:])),
+        tuple(recorded(hidden.bench(own, name), seeds[0], peak, period, cycles, {}) for name in names)
+        if len(names) > 1 else ())
