@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from diagnosis import data, integrity, setting, wire
 from diagnosis.data import Table
@@ -62,6 +63,14 @@ def diagnose(
     `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
     Raises `InputError` for files and options that cannot be used; data that contradict themselves are `refused`.
     """
+    # matrices of some hundred columns: threads that wait for each other cost more than they calculate
+    with threadpool_limits(1, user_api="blas"):
+        return _diagnosed(trials, calibration, healthy, holdout, lowpass)
+
+
+def _diagnosed(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None,
+               healthy: Sequence[str | Path | Table], holdout: Sequence[str | Path | Table], lowpass: float | None
+               ) -> Diagnosis:
     if not trials:
         raise InputError("diagnose: no trial given; name at least one.")
     held = [[_read(t) for t in group] for group in (trials, holdout, healthy)]

@@ -17,6 +17,7 @@ from diagnosis.relations import Block
 from diagnosis.search import Found, Model, Search
 from diagnosis.setting import Setting
 from physics.effects import CATALOGUE
+from physics.experiments import EXPERIMENTS
 from physics.models import RELATIONS
 
 MOST_ON_BENCH: Final = 2
@@ -35,7 +36,7 @@ class Judge:
         self.setting, self.holdout, self.within = setting, holdout, within
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
-                             setting.folds, self._pays, self._leaves, self._odd, near=not setting.any_rig)
+                             setting.folds, self._pays, self._leaves, self._wanting, near=not setting.any_rig)
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
 
@@ -85,12 +86,22 @@ class Judge:
         """Whether structure remains that a model does not explain; only healthy trials can say."""
         if self.setting.floors is None or self.within is not None:
             return False
-        checked = self.setting.checked
+        checked, rise = self.setting.checked, self._rise(model)
         left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, self.search.baseline))
-        rise = max(self.setting.rmse(n, model.by_relation[n]) / self.setting.floors[n] for n in checked) - 1.0
         if rise <= verdict.STRANGE - 1.0 or not model.effects:
             return rise > verdict.STRANGE - 1.0
         return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
+
+    def _rise(self, model: Model) -> float:
+        """Return by how many healthy floors the RMSE of some relation exceeds one."""
+        floors = self.setting.floors or {}
+        return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
+
+    def _wanting(self, model: Model) -> bool:
+        """Whether the foremost effects are not enough to go by; only healthy trials can say."""
+        if self.setting.floors is None or self.within is not None:
+            return False
+        return self._odd(model) or (not model.effects and self._rise(model) > verdict.WANTING - 1.0)
 
     def rivals(self) -> list[str]:
         """Return the class, the chosen effects first; nothing is named where structure remains."""
@@ -101,9 +112,15 @@ class Judge:
         return list(verdict.rivals(self.found))
 
     def experiment(self) -> str | None:
-        """Return the experiment that splits the class: the chosen effect's; None where nothing is to be split."""
+        """Return the experiment that splits the class, None where nothing is to be split.
+
+        It is the first that the bench runs by itself of those that the class's effects name, in the class's order.
+        """
         names = self.rivals()
-        return str(CATALOGUE[names[0]].experiment) if len(names) > len(self.found.best.effects) else None
+        if len(names) <= len(self.found.best.effects):
+            return None
+        named = [CATALOGUE[name].experiment for name in names]
+        return next((e for e in named if e in EXPERIMENTS and not EXPERIMENTS[e].by_hand), named[0])
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the chosen effects with their parameters and what each one gains."""

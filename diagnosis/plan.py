@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from diagnosis import integrity
 from diagnosis.candidates import Candidate
@@ -82,6 +83,11 @@ def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[s
     `healthy`: measured trials that the floors come from, in place of those of like benches.
     Raises `InputError` where the trial holds no relation or too few laps.
     """
+    with threadpool_limits(1, user_api="blas"):
+        return _planned(simulated, healthy, calibration)
+
+
+def _planned(simulated: Table, healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Plan:
     setting = settle([integrity.usable(simulated)], healthy, calibration or simulated.calibration)
     if not setting.checked or len(setting.folds) < integrity.LEAST_CYCLES:
         raise InputError(f"{simulated.source}: {len(setting.folds)} laps and {len(setting.checked)} relations to check;"

@@ -33,6 +33,8 @@ TAUT_N: Final = 5.0
 REMEMBERED: Final = 4
 FINE_HZ: Final = 100.0
 """Cut-off of the rope's motion that the drive's friction sees."""
+RATE_HZ: Final = 25.0
+"""Cut-off of END's rate of change: a bench's drives move no quicker, and a sensor's noise grows with its rate."""
 SETTLE_S: Final = 0.1
 """What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
 of one side only."""
@@ -90,7 +92,7 @@ def signals_of(given: Table, rate_hz: float) -> Signals:
 
 
 def _low_passed(values: Array, cutoff: float) -> Array:
-    """Take the encoder's noise off a position; `cutoff` in cycles per sample."""
+    """Take a sensor's noise off a signal; `cutoff` in cycles per sample."""
     if np.isnan(values).any() or cutoff >= 0.45:
         return values
     return np.asarray(sosfiltfilt(butter(2, 2.0 * cutoff, output="sos"), values))
@@ -123,7 +125,8 @@ def _derive(columns: dict[str, Array]) -> None:
         if "rope_m" in columns:
             columns["strain_m_s"] = columns["rope_m_s"] - LEG.moment_arm_m * speed
     if "tension_end_n" in columns:
-        columns["end_rate"] = np.gradient(columns["tension_end_n"], time)
+        step = float(np.median(np.diff(time)))
+        columns["end_rate"] = np.gradient(_low_passed(columns["tension_end_n"], RATE_HZ * step), time)
 
 
 def cycles_of(given: Signals) -> NDArray[np.intp]:

@@ -7,7 +7,7 @@ models are carried on together, each is offered every effect again, and what no 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -161,6 +161,11 @@ class Search:
         foremost = sorted(_foremost({m.names: m for m in grown}.values()), key=lambda m: m.rank)
         return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
 
+    def _ordered(self, model: Model) -> Model:
+        """Return `model` with the effect first whose absence would leave most."""
+        left = {c.name: self.without(model, c).score for c in model.effects}
+        return replace(model, effects=tuple(sorted(model.effects, key=lambda c: -left[c.name])))
+
     def _first(self, most: int) -> Model:
         """Return the best of all models of at most so many effects that were fitted on the way."""
         lengths = range(most + 1)
@@ -188,7 +193,7 @@ class Search:
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        best = self.prune(self._first(len(best.effects))) if best.effects else best
+        best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
         return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.promise)))
 
 

@@ -23,7 +23,7 @@ LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
 LEAST_FALL: Final = 40.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
-STRUCTURE: Final = 0.045
+STRUCTURE: Final = 0.04
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
 MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
@@ -33,12 +33,14 @@ RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
 WORTH_A_LOOK: Final = 1.5
 """Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
-SPLIT_RMSE: Final = 0.20
-SPLIT_GAIN: Final = 0.80
+SPLIT_RMSE: Final = 0.015
+SPLIT_GAIN: Final = 0.50
 """The same two in an experiment, of which no healthy trial says how far the laws are from holding."""
 STRANGE: Final = 1.33
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
-STRANGE_NAMED: Final = 0.28
+WANTING: Final = 1.2
+"""The same from which, where none of the foremost effects pays, all are fitted."""
+STRANGE_NAMED: Final = 0.225
 """The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
 STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""

@@ -26,7 +26,7 @@ STRETCH_LINEAR: Final = STIFFNESS_B_MM_N * MILLI
 STRETCH_BEND: Final = STIFFNESS_A_MM_N2 * MILLI
 UNSURE_N: Final = 1.0
 """Tension below which a sensor's word does not decide whether a rope that is dragged is taut."""
-CALM_S: Final = 0.02
+CALM_S: Final = 0.012
 """1σ of the low-pass on the tension whose stretch slides the fabric; the friction at its nodes sees it unfiltered."""
 SHARES: Final = (chain.SHARE_AFTER, chain.SHARE_OVER, 1.0 - chain.SHARE_AFTER - chain.SHARE_OVER)
 """Shares of the fabric behind, on and before the knee."""

@@ -6,10 +6,6 @@ machine as it is, and an answer comes back as plain values.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -99,10 +95,24 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
         second = data.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
         told = diagnose([trial, second], healthy=taught)
         after = After(said.experiment, told.verdict, tuple(told.rivals))
-    alone = [_risen(diagnose([data.table("alone", columns)], healthy=taught))[0]
-             for columns in case.alone if again]
+    alone = [_before(data.table("alone", columns), taught) for columns in case.alone if again]
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
                   said.causes, ratio, share, seconds, said.experiment, after, tuple(alone))
+
+
+def _before(trial: Any, taught: list[Any]) -> float:
+    """Return the largest residual of a trial in healthy floors, as `_risen`, without a search."""
+    from threadpoolctl import threadpool_limits
+
+    from diagnosis.fit import solve
+    from diagnosis.setting import settle
+    from diagnosis.unseen import unseen
+
+    with threadpool_limits(1, user_api="blas"):
+        s = settle([trial], taught, None)
+        squares = unseen(s.problem, s.folds, solve(s.problem, s.reference.values, s.reference.nuisance, thorough=True))
+    assert s.floors is not None
+    return max(squares.rmse(name) / s.floors[name] for name in s.checked)
 
 
 def _risen(said: Any) -> tuple[float, float | None]:

@@ -113,6 +113,7 @@ def bars(told: Sequence[Answer]) -> list[Bar]:
               90),
         share("two: class", two, lambda a: set(a.hidden) <= set(a.rivals), 85),
         share("two: one right", two, lambda a: bool(set(a.hidden) & set(a.rivals)), 95),
+        *_all_pairs(of["two"]),
         share("wire fault: right class", of["wire"], _in_class, 95),
         share("wire fault: wrong name", of["wire"], _wrong, 1, False),
         *_after(one),
@@ -138,6 +139,14 @@ def _healthy(healthy: Sequence[Answer]) -> list[Bar]:
     return [share("false alarms", healthy, alarm, 2, False),
             share("… on the plain structure", plain, alarm, None),
             share("… on altered structures", altered, alarm, None)]
+
+
+def _all_pairs(two: Sequence[Answer]) -> list[Bar]:
+    """The same of pairs of which one effect, by itself, would be below what counts."""
+    seen = [a for a in two if a.ratio >= LEAST_RATIO]
+    return [share("… of all pairs with a residual: class", seen, lambda a: set(a.hidden) <= set(a.rivals), None),
+            share("… of all pairs with a residual: one right", seen, lambda a: bool(set(a.hidden) & set(a.rivals)),
+                  None)]
 
 
 def _parameters(one: Sequence[Answer]) -> list[Bar]:

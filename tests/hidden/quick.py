@@ -9,10 +9,6 @@ said.
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 
