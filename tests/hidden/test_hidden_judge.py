@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,24 @@ def test_the_experiment_counts_where_the_class_held_the_truth() -> None:
     inside = bar(told, "after the experiment: truth in the class")
     assert (inside.figure, inside.count) == (pytest.approx(200.0 / 3.0), 3)
     assert bar(told, "after the experiment: truth alone").figure == pytest.approx(100.0 / 3.0)
+
+
+def test_a_pair_counts_where_each_effect_by_itself_would() -> None:
+    both = replace(said("two", "slack end_gain", "slack end_gain"), alone=(2.0, 1.5))
+    faint = replace(said("two", "slack end_gain", "slack"), alone=(2.0, 1.1))
+    counted, every = (bar([both, faint], name) for name in ("two: class", "… of all pairs with a residual: class"))
+    assert (counted.figure, counted.count) == (100.0, 1)
+    assert (every.figure, every.count, every.met) == (50.0, 2, None)
+
+
+def test_the_effects_of_a_pair_are_hidden_by_themselves_too() -> None:
+    case = cases.case(Job("two", 3, ("end_offset", "start_drift")), healthy=0, cycles=1)
+    offset, drift = case.alone
+    # the same seed gives the same noise: what differs is the other effect
+    assert np.array_equal(offset["tension_end_n"], case.trial["tension_end_n"])
+    assert not np.array_equal(offset["tension_start_n"], case.trial["tension_start_n"])
+    assert np.array_equal(drift["tension_start_n"], case.trial["tension_start_n"])
+    assert cases.case(Job("one", 3, ("end_offset",)), healthy=0, cycles=1).alone == ()
 
 
 def test_parameters_are_off_by_a_share_of_what_was_hidden() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from physics.effects import CATALOGUE
+from physics.experiments import EXPERIMENTS
 from tests.hidden import quick
 from tests.hidden.answers import Answer
 
@@ -22,3 +24,12 @@ def test_the_truth_is_in_the_class(told: list[Answer]) -> None:
     missed = quick.of(told, lambda a: not quick.right(a))
     # right when the seeds were fixed; a change may cost one that lies near the limit of eight cycles, not two
     assert len(missed) <= 1, missed
+
+
+def test_an_experiment_is_proposed_that_the_bench_runs_by_itself(told: list[Answer]) -> None:
+    undecided = [a for a in told if a.verdict == "ambiguous"]
+    assert undecided
+    for a in undecided:
+        named = [CATALOGUE[name].experiment for name in a.rivals]
+        alone = [name for name in named if not EXPERIMENTS[name].by_hand]
+        assert a.experiment == (alone or named)[0]
