@@ -28,7 +28,8 @@ from physics.models import RELATIONS
 class Diagnosis:
     """The verdict and its figures; `as_json` gives exactly the published keys.
 
-    `seconds` is for the caller that has a clock: nothing here reads one.
+    `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
+    split the class, by `verdict`'s thresholds for that.
     """
 
     verdict: str
@@ -42,6 +43,7 @@ class Diagnosis:
     lowpass_hz: float | None = None
     reference: str = "none"
     found: Found | None = field(default=None, repr=False)
+    split: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """Return what `bowden diagnose --json` prints: undefined is None."""
@@ -105,7 +107,7 @@ def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mappi
     figures = judge.figures() | ({} if settled.any_rig else carried.figures)
     return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
                      warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
-                     found=judge.found)
+                     found=judge.found, split=judge.within is not None)
 
 
 def _judge(settled: setting.Setting, groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None) -> Judge:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from diagnosis.finder import Diagnosis
 from diagnosis.search import Found, Model
-from diagnosis.verdict import RIVAL_GAIN, RIVAL_RMSE
+from diagnosis.verdict import RIVAL_GAIN, RIVAL_RMSE, SPLIT_GAIN, SPLIT_RMSE
 from physics.effects import CATALOGUE
 from physics.experiments import EXPERIMENTS
 from trial.page import Cell, Page
@@ -55,11 +55,12 @@ def ranking(page: Page, found: Diagnosis) -> None:
         return
     tried, base, best = found.found.models, found.found.baseline, found.found.best
     whole = base.score - best.score
+    gain, rmse = (SPLIT_GAIN, SPLIT_RMSE) if found.split else (RIVAL_GAIN, RIVAL_RMSE)
     page.text(f"{len(tried)} models were fitted in full, each judged on cycles it was not fitted on. 100 % is what the "
               f"chosen model gains over the simulation as it was; a model of as many effects is a rival from "
-              f"{100.0 * RIVAL_GAIN:.0f} % on and within {100.0 * RIVAL_RMSE:.0f} % of its unseen RMSE.", "note")
+              f"{100.0 * gain:g} % on and within {100.0 * rmse:g} % of its unseen RMSE.", "note")
     rows: list[tuple[Cell, ...]] = []
-    for model in tried[:MODELS_SHOWN]:
+    for model in sorted(tried[:MODELS_SHOWN], key=lambda m: m.rank):
         share = 100.0 * (base.score - model.score) / whole if whole > 0.0 else None
         behind = 100.0 * (math.sqrt(max(model.score, 0.0) / best.score) - 1.0) if best.score > 0.0 else None
         rows.append((" + ".join(model.names) or "as simulated", _why(model, found.found, found.rivals), share, behind,
