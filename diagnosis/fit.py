@@ -112,11 +112,13 @@ class Slopes:
             rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
 
     def stale(self, values: Values, thorough: bool = False) -> NDArray[np.intp]:
-        """Return the slots whose slope was never taken, or too far from `values` (`thorough`: elsewhere at all)."""
+        """Return the slots whose slope was never taken, or too far from `values`.
+
+        `thorough`: all slots, as soon as one was elsewhere when the slopes were taken.
+        """
         at = np.array([values[f.name] for f in self.free])
         if thorough:
-            moved = at != self.taken
-            return np.arange(at.size) if moved.any() else np.flatnonzero(moved)
+            return np.arange(at.size if (at != self.taken).any() else 0)
         return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
 
     def unknown(self) -> NDArray[np.intp]:

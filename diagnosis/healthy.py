@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
 from diagnosis.fit import Free, Problem, solve
-from diagnosis.floors import LEAST_FLOOR, LEAST_TIED
 from diagnosis.reference import BAND, Reference
 from diagnosis.relations import Block, rmse
 from physics.models_slots import SLOTS
@@ -54,7 +53,8 @@ class Deviating(Block):
             n: min(max(values[n] + values[f"{n}@{self.bench}"], SLOTS[n].low), SLOTS[n].high) for n in self.own}})
 
 
-def _deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
+def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
+    """Return `block` of the bench of a number, which may stand apart from what is common in the slots of `nuisance`."""
     own = tuple(f.name for f in nuisance if f.name in block.uses)
     return Deviating(block.relation, block.signals, block.keep, block.cycle,
                      block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
@@ -66,7 +66,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequ
 
     `floors`, `tied`: what is assumed before they are seen.
     """
-    blocks = [_deviating(b, i, reference.nuisance) for i, trial in enumerate(trials) for b in trial]
+    blocks = [deviating(b, i, reference.nuisance) for i, trial in enumerate(trials) for b in trial]
     weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
     deviations = [Free(f"{f.name}@{i}", -BAND * f.sigma, BAND * f.sigma, 0.0, f.sigma, f.scale)
                   for i in range(len(trials)) for f in reference.nuisance] if len(trials) > 1 else []
@@ -81,8 +81,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequ
         alone = solve(Problem(trial, weights), near, bands, thorough=True).values
         for block in trial:
             rests[block.relation.name].append(block.residual(alone))
-    return Lesson(moved, {n: max(rmse(r), LEAST_FLOOR[n]) for n, r in rests.items()},
-                  {n: max(correlated(r), LEAST_TIED) for n, r in rests.items()})
+    return Lesson(moved, {n: rmse(r) for n, r in rests.items()}, {n: correlated(r) for n, r in rests.items()})
 
 
 def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free, ...]:

@@ -88,8 +88,10 @@ class Judge:
             return False
         checked, rise = self.setting.checked, self._rise(model)
         left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, self.search.baseline))
-        if rise <= verdict.STRANGE - 1.0 or not model.effects:
-            return rise > verdict.STRANGE - 1.0
+        if rise <= verdict.STRANGE - 1.0:
+            return False
+        if not model.effects:
+            return True
         return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
 
     def _rise(self, model: Model) -> float:

@@ -94,9 +94,9 @@ class Search:
     """One search over one problem; `near`: effects are small enough for slopes to outlive one more of them."""
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
-                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, strange: Open, near: bool = True) -> None:
+                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, wanting: Open, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
-        self.pays, self.leaves, self.strange, self.near = pays, leaves, strange, near
+        self.pays, self.leaves, self.wanting, self.near = pays, leaves, wanting, near
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.baseline = self.model((), start)
@@ -185,7 +185,7 @@ class Search:
                 break
             ahead, grown = self._ahead((m for model in level for m in self.grow(
                 model, LATER_REFITS if depth else FIRST_REFITS)), best)
-            if depth == 0 and self.strange(ahead):
+            if depth == 0 and self.wanting(ahead):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
             level = grown
             if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):

@@ -35,8 +35,8 @@ WORTH_A_LOOK: Final = 1.5
 """Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
 SPLIT_RMSE: Final = 0.015
 SPLIT_GAIN: Final = 0.50
-"""The same two where an experiment lies beside the gait: both rivals err by the same laws, so less decides. Of 14
-hidden classes the truth was the better rival in 11; where it was not, the other one was by 1.4 % at most."""
+"""The same two where an experiment lies beside the gait: both rivals err by the same laws, so less decides.
+Below it the wrong rival of a hidden class can be the better one."""
 STRANGE: Final = 1.33
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
 WANTING: Final = 1.2
