@@ -18,7 +18,7 @@ from pathlib import Path
 from statistics import median
 
 from benchmarks import marked
-from bowden import about
+from bowden import provenance
 from tests.hidden import cases
 from tests.hidden.cases import Job
 
@@ -31,12 +31,12 @@ SEED = 60_000
 
 def spent(job: Job, cycles: int) -> tuple[float, float]:
     """Return (processor seconds of the diagnosis, seconds of gait in its trial); two healthy trials beside it."""
-    from diagnosis import data
+    from diagnosis.data import table
     from diagnosis.finder import diagnose
 
     case = cases.case(job, cycles=cycles)
-    trial = data.table("trial", case.trial)
-    healthy = [data.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
+    trial = table.table("trial", case.trial)
+    healthy = [table.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
     began = time.process_time()
     diagnose([trial], healthy=healthy)
     return time.process_time() - began, float(trial["time_s"][-1])
@@ -65,7 +65,7 @@ def kinds() -> list[str]:
 
 def main(arguments: list[str]) -> None:
     """Print both tables."""
-    said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {about.commit()}: one thread, a trial beside "
+    said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {provenance.commit()}: one thread, a trial beside "
             "two healthy ones of the same length.")
     text = "\n".join([said, "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
     print(text)

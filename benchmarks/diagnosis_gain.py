@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks import marked
-from bowden import about
-from bowden.app import run
+from bowden import provenance
+from bowden.cli.app import run
 
 SERIAL, PERIOD_S = 3, 1.3
 EFFECTS = {
@@ -76,7 +76,7 @@ def row(folder: Path, name: str, values: dict[str, float]) -> str:
 def main(arguments: list[str]) -> None:
     """Print the table, and with `--page` write it into the page; names pick some of the effects."""
     names = [argument for argument in arguments if argument != "--page"]
-    head, rows = HEAD.replace("COMMIT", about.commit()), []
+    head, rows = HEAD.replace("COMMIT", provenance.commit()), []
     with TemporaryDirectory() as given:
         folder = Path(given)
         command("identify", "all", "--serial", SERIAL, "-o", folder / "calibration.toml")

@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import redrawn
-from bowden import config, identification, loops_picture, session, sweep_rows, sweep_run
-from bowden.asked import Bus, Simulated
-from bowden.sweep_rows import Row, Value
-from bowden.sweep_table import Table
-from bowden.sweep_trial import digest
-from master import identify
-from master.calibration import write
+from bowden import configuration, identification, loops_picture, session
+from bowden.cli.option_groups import Bus, Simulated
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run
+from bowden.sweep.row_trial import digest
+from bowden.sweep.rows import Row, Value
+from bowden.sweep.table import Table
+from master.identification import identify
+from physics.calibration import write
 from trial import read
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -43,7 +45,7 @@ def identified() -> tuple[Path, Path]:
     """Return the calibration of the bench and the recording that it was measured in, made where they are missing."""
     calibration, recorded = OUT / "calibration.toml", OUT / "identification.mcap"
     if not calibration.exists():
-        sections = config.read(None)
+        sections = configuration.read(None)
         chosen = Bus(channel="figures").chosen(Simulated(SERIAL, 0))
         found = identification.perform(
             "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True, quiet=True)
@@ -62,13 +64,13 @@ def recorded_trials(calibration: Path) -> dict[str, Columns]:
     rows = list(wanted.values())
     files = {name: OUT / f"{digest(row)}.mcap" for name, row in wanted.items()}
     again = not all(file.exists() for file in files.values())
-    with Table(OUT / "trials.csv", list(rows[0]), overwrite=again) as table, sweep_run.local() as crew:
-        sweep_run.sweep(rows, table, crew, OUT, keep=str(OUT))
+    with Table(OUT / "trials.csv", list(rows[0]), overwrite=again) as table, run.local() as crew:
+        run.sweep(rows, table, crew, OUT, keep=str(OUT))
     return {name: read.open(file).columns for name, file in files.items()}
 
 
 def _row(given: dict[str, Value]) -> Row:
-    return sweep_rows.rows(config.read(None), given, [])[0]
+    return sweep_rows.rows(configuration.read(None), given, [])[0]
 
 
 def main() -> None:

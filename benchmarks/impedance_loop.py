@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from physics import laws
-from physics.drive import SERVO_GAINS
-from physics.sensor import SensorParameters
+from physics.converter import SensorParameters
+from physics.drive_loops import SERVO_GAINS
 
 PERIOD_S = 1e-3
 SUBSTEPS = 20

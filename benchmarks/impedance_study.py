@@ -14,9 +14,11 @@ from pathlib import Path
 from benchmarks import impedance_loop as loop
 from benchmarks import printed
 from benchmarks.results_page import markdown, number
-from bowden import config, session, sweep_rows, sweep_run
-from bowden.sweep_rows import Row, Value
-from bowden.sweep_table import Table
+from bowden import configuration, session
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run
+from bowden.sweep.rows import Row, Value
+from bowden.sweep.table import Table
 from physics import laws
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -149,7 +151,7 @@ def dropped(cable: float, fabric: float) -> float:
 def rows() -> list[Row]:
     """The trials of the bench's table."""
     base: dict[str, Value] = {"bench.serial": 0, "gait.controller": "paper", "gait.cycles": 3}
-    return [sweep_rows.rows(config.read(None), {**base, **more}, [])[0] for more in BENCH.values()]
+    return [sweep_rows.rows(configuration.read(None), {**base, **more}, [])[0] for more in BENCH.values()]
 
 
 def main() -> None:
@@ -157,8 +159,8 @@ def main() -> None:
     (ROOT / "out").mkdir(exist_ok=True)
     wanted = rows()
     session.compile_laws(simulated=True, quiet=True)
-    with Table(ROOT / "out" / "impedance.csv", list(wanted[0])) as table, sweep_run.local() as crew:
-        sweep_run.sweep(wanted, table, crew, ROOT / "out" / "impedance.calibrations")
+    with Table(ROOT / "out" / "impedance.csv", list(wanted[0])) as table, run.local() as crew:
+        run.sweep(wanted, table, crew, ROOT / "out" / "impedance.calibrations")
         bench = [(name, table.found(row) or {}) for name, row in zip(BENCH, wanted, strict=True)]
     (ROOT / "docs" / "impedance.md").write_text(page(bench), encoding="utf-8")
 

@@ -14,7 +14,7 @@ import numpy as np
 from physics import laws
 from physics.closure import CYCLE_POINTS
 from physics.laws import Array
-from physics.plant import NOMINAL
+from physics.plant.bench_plant import NOMINAL
 from physics.reference import paper_reference
 
 PERIOD_S = 2.0

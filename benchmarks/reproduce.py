@@ -2,7 +2,7 @@
 
     python -m benchmarks.reproduce [--quick] [--workers N] [--page]
 
-The rule of this file: a result is a row of a sweep (`bowden.sweep_run`), so that what is interrupted goes on and
+The rule of this file: a result is a row of a sweep (`bowden.sweep.run`), so that what is interrupted goes on and
 nothing is run twice; Ctrl-C writes the page of what there is.  The page is made from docs/results.csv alone (`--page`
 does only that).  Benches are identified on day 0 and tried on day 1.  `--quick` takes two benches and writes to out/.
 """
@@ -19,10 +19,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import results_page
-from bowden import about, config, session, sweep_rows, sweep_run, terminal
-from bowden.sweep_rows import IDENTIFIED, Row, Value
-from bowden.sweep_table import Table
-from master.config import CONTROLLERS
+from bowden import configuration, provenance, session
+from bowden.cli import terminal
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run as sweep_run
+from bowden.sweep.rows import IDENTIFIED, Row, Value
+from bowden.sweep.table import Table
+from master.settings import CONTROLLERS
 from virtual_bus.build import GROUPS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -74,7 +77,7 @@ def row(serial: int, controller: str, peak_n: float, period_s: float, **more: Va
     given: dict[str, Value] = {
         "bench.serial": serial, "bench.day": 1, "gait.controller": controller, "gait.peak_n": peak_n,
         "gait.period_s": period_s, "gait.cycles": cycles, "gait.settle": settle, "files.calibration": IDENTIFIED}
-    return sweep_rows.rows(config.read(None), {**given, **more}, [])[0]
+    return sweep_rows.rows(configuration.read(None), {**given, **more}, [])[0]
 
 
 def wanted(serials: Sequence[int]) -> list[Wanted]:
@@ -108,7 +111,7 @@ def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict
     filled = [{name: each[name] if name in each else _nominal(name) for name in columns} for each in rows]
     session.compile_laws(simulated=True, quiet=True)
     with Table(path, columns) as table, sweep_run.local(workers) as crew:
-        if table.commits - {about.commit()}:
+        if table.commits - {provenance.commit()}:
             terminal.remark(f"{path} has trials by other commits; remove it to run them again.")
         with terminal.progress("reproduce") as update, suppress(KeyboardInterrupt):
             sweep_run.sweep(filled, table, crew, path.with_suffix(".calibrations"), update=update)

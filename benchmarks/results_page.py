@@ -12,11 +12,11 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from bowden.run import PAPER_RMSE_PERCENT
+from bowden.cli.trial import PAPER_RMSE_PERCENT
 from physics import laws
-from physics.drive import SERVO_GAINS
-from physics.plant import NOMINAL
-from physics.sensor import SensorParameters
+from physics.converter import SensorParameters
+from physics.drive_loops import SERVO_GAINS
+from physics.plant.bench_plant import NOMINAL
 
 TRUE, WINDOW = "true_relative_rmse_percent", "true_relative_rmse_window_percent"
 IDLE, JUMP = "true_max_idle_tension_n", "true_peak_jump_n"

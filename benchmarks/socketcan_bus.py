@@ -11,7 +11,7 @@ import numpy as np
 
 from eds.bench import FILES, TARGETS_COB_ID
 from eds.cia301 import SYNC_COB_ID, TPDO_BASE
-from master.socketcan import KernelBus, Row
+from master.network.socketcan import KernelBus, Row
 from tests.socketcan import rig
 
 EDGE = 50

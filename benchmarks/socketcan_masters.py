@@ -28,16 +28,16 @@ from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand
 from eds.datatype import encode
 from eds.dictionary import key, packaged
 from eds.setup import Pdo
-from master.conduct import conduct
-from master.config import Gait, Limits
-from master.cycle import Exchange
-from master.experiment import Experiment, Planned
-from master.gait import collector_frozen
-from master.guard import Guard
-from master.host import prepared
-from master.link import WANTED, Link
-from master.log import Log
-from master.socketcan import KernelBus
+from master.cycle.exchange import Exchange
+from master.cycle.guard import Guard
+from master.cycle.log import Log
+from master.cycle.run_safely import conduct
+from master.motion.experiment import Experiment, Planned
+from master.motion.gait import collector_frozen
+from master.network.host_computer import prepared
+from master.network.link import WANTED, Link
+from master.network.socketcan import KernelBus
+from master.settings import Gait, Limits
 from physics.reference import paper_reference
 from tests.socketcan import rig
 from trial.record import Recorder

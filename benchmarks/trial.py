@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import trial
-from trial import cdr
+from trial.mcap_file import cdr
 
 CYCLES, READ_CYCLES, LONG_CYCLES = 20_000, 5_000, 600_000
 FRAMES = 8

@@ -16,11 +16,13 @@ import numpy as np
 
 from benchmarks.figures import OUT, ROOT, SERIAL, identified
 from benchmarks.results_page import TRUE, markdown, number
-from bowden import config, session, sweep_rows, sweep_run
-from bowden.report import true_end
-from bowden.sweep_rows import Row, Value
-from bowden.sweep_table import Table
-from bowden.sweep_trial import digest
+from bowden import configuration, session
+from bowden.figures import true_end
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run
+from bowden.sweep.row_trial import digest
+from bowden.sweep.rows import Row, Value
+from bowden.sweep.table import Table
 from physics.reference import close_cycle
 from trial import read
 from trial.curves import Curve, read_curve
@@ -38,7 +40,7 @@ def row(file: Path, timed: bool, calibration: Path) -> Row:
         "bench.serial": SERIAL, "bench.day": 1, "gait.controller": "extended", "gait.cycles": STRIDES,
         "files.knee": str(file), "files.calibration": str(calibration.relative_to(ROOT))}
     period: dict[str, Value] = {} if timed else {"gait.period_s": PERIOD_S}
-    found = sweep_rows.rows(config.read(None), {**given, **period}, [])[0]
+    found = sweep_rows.rows(configuration.read(None), {**given, **period}, [])[0]
     return {**found, "gait.period_s": round(float(found["gait.period_s"]), 2)}
 
 
@@ -87,8 +89,8 @@ def main(arguments: Sequence[str]) -> None:
     rows = [row(curve.path, bool(np.isfinite(curve.stride_s)), calibration) for curve in curves]
     kept: Mapping[int, Path] = {i: OUT / f"{digest(each)}.mcap" for i, each in enumerate(rows)}
     again = not all(file.exists() for file in kept.values())
-    with Table(OUT / "walking.csv", list(rows[0]), overwrite=again) as table, sweep_run.local() as crew:
-        sweep_run.sweep(rows, table, crew, OUT, keep=str(OUT))
+    with Table(OUT / "walking.csv", list(rows[0]), overwrite=again) as table, run.local() as crew:
+        run.sweep(rows, table, crew, OUT, keep=str(OUT))
     found = [(curve, float(each["gait.period_s"]), strides(kept[i]))
              for i, (curve, each) in enumerate(zip(curves, rows, strict=True))]
     (ROOT / "docs" / "walking.md").write_text(page(found), encoding="utf-8")

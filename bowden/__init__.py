@@ -5,6 +5,6 @@ command that needs it.  A command raises `InputError` for bad input (one sentenc
 and returns 0 (done) or 1 (it ran and the answer is bad); Ctrl-C ends with 130.
 """
 
-from bowden.app import main
+from bowden.cli.app import main
 
 __all__ = ["main"]

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bowden import about, recorded, session, terminal
-from bowden.bus import Chosen, opened
+from bowden import provenance, recorded, session
+from bowden.buses import Chosen, opened
+from bowden.cli import terminal
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from master.calibration import Calibration
-    from master.fits import Segment
+    from master.identification.calibration_fit import Segment
+    from physics.calibration import Calibration
 
 
 class Identified(NamedTuple):
@@ -29,9 +30,9 @@ def perform(
     overwrite: bool, quiet: bool,
 ) -> Identified:
     """Run the experiments of `what` on a bus, recorded in `recording`."""
-    from master import identify
-    from master.calibration import nominal, read
-    from master.link import Link
+    from master.identification import identify
+    from master.network.link import Link
+    from physics.calibration import nominal, read
     from trial.record import Recorder, RecordingError
 
     network = sections["network"]
@@ -43,8 +44,8 @@ def perform(
         recorder = Recorder(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
-                                 "commit": about.commit()},
-            attachments=about.attachments(wanted.guess, sections), threaded=not chosen.simulated, overwrite=overwrite)
+                                 "commit": provenance.commit()},
+            attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated, overwrite=overwrite)
         with session.discarding(recorder), terminal.progress(f"identify {what}", shown=not quiet) as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
                                              lambda _part, share: update(share))
@@ -64,8 +65,9 @@ def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, q
 
     Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
     """
-    from master import identify, transfer
-    from master.calibration import read
+    from master.identification import identify
+    from physics import inverse
+    from physics.calibration import read
     from trial import read as trial
 
     given = [trial.open(path) for path in trials]
@@ -75,7 +77,7 @@ def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, q
                          "identify one bench at a time.")
     segments = [segment for each in given for segment in identify.recorded(each)]
     start = recorded.calibration(given[0]) if guess is None else read(guess)
-    transfer.prepare()
+    inverse.prepare()
     with terminal.waiting("fitting", shown=not quiet):
         return Identified(None, identify.calibrate(
             what, segments, start, bench=next(iter(benches), ""), date=date,

@@ -1,6 +1,6 @@
 """The paper's Figs. 9 and 10 from the experiments of an identification: stretch over force, rope over knee angle.
 
-The rule of this file: recorded segments in, ink and one sentence out; the fits are `master.fits`', the paper's units
+The rule of this file: recorded segments in, ink and one sentence out; the fits are `master.identification.calibration_fit`', the paper's units
 stand on the axes.
 """
 
@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from master import fits
-from master.fits import Segment
+from master.identification import calibration_fit
+from master.identification.calibration_fit import Segment
 from physics import laws
 
 SWING_STEP, PULL_STEP = 20, 5
@@ -22,7 +22,7 @@ SWING_STEP, PULL_STEP = 20, 5
 
 def stiffness(axes: Any, segments: Sequence[Segment]) -> str:
     """Fig. 9: the pulls and releases, and the parabola (10) through them; forces in N, rope position in mm."""
-    fitted = fits.stiffness(segments, 0.0)
+    fitted = calibration_fit.stiffness(segments, 0.0)
     a, b, c = (1e3 * coefficient for coefficient in fitted.coefficients)
     force = np.concatenate([s.start for s in segments if s.kind == "stiffness"])
     position = np.concatenate([s.position for s in segments if s.kind == "stiffness"])
@@ -38,7 +38,7 @@ def stiffness(axes: Any, segments: Sequence[Segment]) -> str:
 
 def swing(axes: Any, segments: Sequence[Segment]) -> str:
     """Fig. 10: the slow swings at constant START tension, and the line (11) through them; mm over degrees."""
-    fitted = fits.swing(segments)
+    fitted = calibration_fit.swing(segments)
     slope, constant = 1e3 * fitted.coefficients[0] * np.pi / 180.0, 1e3 * fitted.coefficients[1]
     degrees = np.degrees(np.concatenate([s.knee for s in segments if s.kind == "swing"]))
     position = np.concatenate([s.position for s in segments if s.kind == "swing"])

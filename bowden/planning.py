@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from diagnosis.plan import Plan
+    from diagnosis.judgement.plan import Plan
 
 GAIT = "gait"
 
 
 def plan(name: str, asked: Mapping[str, Any], calibration: Path | None, healthy: Sequence[Path]) -> Plan:
     """Simulate the experiment `name` and say what it would show; `asked` are options by their names, None: default."""
-    from diagnosis import data
-    from diagnosis.plan import plan as planned
+    from diagnosis.data import table as data
+    from diagnosis.judgement.plan import plan as planned
     from parameters import read_toml
 
     with TemporaryDirectory(prefix="bowden-") as folder:
@@ -31,12 +31,12 @@ def plan(name: str, asked: Mapping[str, Any], calibration: Path | None, healthy:
 
 def simulate(name: str, asked: Mapping[str, Any], recorded: Path) -> None:
     """Run the experiment on the nominal bench, its sensors as noisy as asked for."""
-    from bowden import config, session
-    from bowden.asked import Bus, Simulated, Walk
+    from bowden import configuration, session
+    from bowden.cli.option_groups import Bus, Simulated, Walk
 
-    sections = config.read(None)
+    sections = configuration.read(None)
     gait = Walk(asked["--peak"], asked["--period"], asked["--cycles"]).gait(sections["gait"])
-    gait = config.override(gait, {"settle": ("--settle", 0)})
+    gait = configuration.override(gait, {"settle": ("--settle", 0)})
     reference, sections["gait"], _ = session.reference(
         gait, None, None, period_given=True, peak_given=asked["--peak"] is not None)
     chosen = Bus().chosen(Simulated(serial=0))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from master.calibration import Calibration
-    from master.experiment import Experiment
+    from master.motion.experiment import Experiment
+    from physics.calibration import Calibration
     from trial.read import Trial
 
 FILES = ("bench.toml", "calibration.toml")
@@ -28,9 +28,9 @@ def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
 
     `scripts` also takes those that ran in place of the gait (see `script`).
     """
-    from bowden import about, session
-    from master.calibration import read
-    from master.experiment import Experiment
+    from bowden import provenance, session
+    from master.motion.experiment import Experiment
+    from physics.calibration import read
 
     if recorded.metadata.get("experiment") != "gait" and not (scripts and script(recorded)):
         told = recorded.metadata.get("experiment", "nothing of the kind")
@@ -40,12 +40,12 @@ def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
         knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
         reference, chosen["gait"], _ = session.reference(
             chosen["gait"], knee, desired, period_given=True, peak_given=False)
-        model = folder / about.CONTROLLER_MODEL
+        model = folder / provenance.CONTROLLER_MODEL
         made = Experiment(
             reference=reference, calibration=read(folder / "calibration.toml"),
             known=session.known_effects(model if model.exists() else None),
             dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
-    if recorded.metadata.get("course", about.course(made)) != about.course(made):
+    if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
         raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "
                          "give a trial of bowden trial.")
     return made
@@ -53,7 +53,7 @@ def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
 
 def script(recorded: Trial) -> str:
     """Name of the experiment that a trial ran in place of the gait; "" where it ran none that is known."""
-    from master.experiments import SCRIPTS
+    from master.motion.scripted_experiments import SCRIPTS
 
     named = recorded.metadata.get("experiment", "")
     return named if named in SCRIPTS else ""
@@ -61,17 +61,17 @@ def script(recorded: Trial) -> str:
 
 def sections(recorded: Trial) -> dict[str, Any]:
     """The configuration that a trial carries, as its checked sections; the defaults where it carries none."""
-    from bowden import config
+    from bowden import configuration
 
     if "bench.toml" not in recorded.attachments:
-        return config.read(None)
+        return configuration.read(None)
     with _unpacked(recorded, ("bench.toml",)) as folder:
-        return config.read(folder / "bench.toml")
+        return configuration.read(folder / "bench.toml")
 
 
 def calibration(recorded: Trial) -> Calibration:
     """The calibration that a trial was run with; raises `InputError` where it carries none."""
-    from master.calibration import read
+    from physics.calibration import read
 
     with _unpacked(recorded, ("calibration.toml",)) as folder:
         return read(folder / "calibration.toml")
@@ -79,14 +79,14 @@ def calibration(recorded: Trial) -> Calibration:
 
 @contextmanager
 def _unpacked(recorded: Trial, needed: tuple[str, ...]) -> Iterator[Path]:
-    from bowden import about
+    from bowden import provenance
 
     attached: Mapping[str, bytes] = recorded.attachments
     for name in needed:
         if name not in attached:
             raise InputError(f"{recorded.path}: {name} is not attached; give a trial of bowden trial.")
     with TemporaryDirectory(prefix="bowden-") as folder:
-        for name in (*needed, about.CONTROLLER_MODEL, *(f"{part}.csv" for part in CURVES)):
+        for name in (*needed, provenance.CONTROLLER_MODEL, *(f"{part}.csv" for part in CURVES)):
             if name in attached:
                 (Path(folder) / name).write_bytes(attached[name])
         yield Path(folder)

@@ -14,20 +14,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bowden import outputs, terminal
-from bowden.bus import Chosen, opened
-from bowden.config import override
+from bowden.buses import Chosen, opened
+from bowden.cli import outputs, terminal
+from bowden.configuration import override
 from parameters import InputError, read_toml
 from trial.signals import INDEX
 
 if TYPE_CHECKING:
     import can
 
-    from master.config import Gait
-    from master.correction import Effects
-    from master.experiment import Experiment, Result
-    from master.link import Link
-    from master.log import Sink
+    from master.control.effect_correction import Effects
+    from master.cycle.log import Sink
+    from master.motion.experiment import Experiment, Result
+    from master.network.link import Link
+    from master.settings import Gait
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -50,17 +50,17 @@ class Prepared:
     @property
     def laps(self) -> int:
         """How many gait cycles, or laps of the script, are numbered."""
-        from master.experiments import laps
+        from master.motion.scripted_experiments import laps
 
         cycles = self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: Sink) -> Result:
         """Run it on an open bus."""
-        from master import experiment, experiments
+        from master.motion import experiment, scripted_experiments
 
         if self.script:
-            return experiments.run(link, tap, recorder, self.experiment, self.script)
+            return scripted_experiments.run(link, tap, recorder, self.experiment, self.script)
         return experiment.run(link, tap, recorder, self.experiment)
 
 
@@ -94,13 +94,13 @@ def prepare(
     controller_model: Path | None = None, files: Mapping[str, bytes] | None = None, script: str | None = None,
 ) -> Prepared:
     """Join options to an experiment that can be run; raises `InputError` where it cannot."""
-    from bowden import about
+    from bowden import provenance
     from eds import bus_load
     from eds.bench import wire
-    from master.calibration import nominal, read, refuse_beyond_validity
-    from master.config import checked_controller
-    from master.experiment import Experiment
-    from master.experiments import checked
+    from master.motion.experiment import Experiment
+    from master.motion.scripted_experiments import checked
+    from master.settings import checked_controller
+    from physics.calibration import nominal, read, refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
@@ -115,21 +115,22 @@ def prepare(
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
                             known=known_effects(controller_model), **sections)
-    return Prepared(experiment, sections, chosen, {**(files or {}), **about.controller_model(controller_model)},
+    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
                     script or "")
 
 
 def known_effects(controller_model: Path | None) -> Effects:
     """The effects that a controller model states; none without one."""
-    from physics.effects_table import stated
+    from physics.effects.effects_table import stated
 
     return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
 
 
 def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite: bool, quiet: bool) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
-    from bowden import about, report
-    from master.link import Link
+    from bowden import figures as report
+    from bowden import provenance
+    from master.network.link import Link
     from trial.record import Recorder
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
@@ -137,8 +138,8 @@ def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite
     outputs.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, quiet=quiet)
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
-        recorder = Recorder(output, metadata=about.metadata(prepared.experiment, prepared.script),
-                            attachments={**about.attachments(prepared.experiment.calibration, prepared.sections),
+        recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
+                            attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite)
         began = time.perf_counter()
@@ -181,15 +182,15 @@ def discarding(recorder: Recorder) -> Iterator[None]:
 def compile_laws(*, simulated: bool, quiet: bool) -> None:
     """Compile the laws where this machine has not yet; say so with the seconds it took."""
     import nodes
-    from master import transfer
-    from physics import plant
+    from physics import inverse
+    from physics.plant import bench_plant
 
     began, compiled = time.perf_counter(), False
     with terminal.waiting("preparing; a first run on a machine compiles the laws", shown=not quiet):
-        transfer.prepare()
+        inverse.prepare()
         if simulated:
             nodes.prepare()
-            compiled = plant.prepare()
+            compiled = bench_plant.prepare()
     if compiled:
         terminal.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")

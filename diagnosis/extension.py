@@ -1,6 +1,6 @@
 """extended.toml: what a diagnosis found, as a model that the simulator and the controller load.
 
-The rule of this file: `[effects.NAME]` is the model (`physics.effects_table` reads it), `[found]` the evidence it
+The rule of this file: `[effects.NAME]` is the model (`physics.effects.effects_table` reads it), `[found]` the evidence it
 rests on; nothing is written that the diagnosis did not say.
 """
 
@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from diagnosis.data import Table
+from diagnosis.data.table import Table
 from diagnosis.finder import Diagnosis
 from parameters import InputError, read_toml
-from physics.effects import CATALOGUE, apply
-from physics.effects_table import EVIDENCE, TABLE, stated
+from physics.effects.catalogue import CATALOGUE, apply
+from physics.effects.effects_table import EVIDENCE, TABLE, stated
 
 HEAD: Final = (
     "# What a diagnosis found that the simulation lacks. The simulator loads it as --plant-model, the extended\n"

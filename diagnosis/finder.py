@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import data, integrity, setting, wire
-from diagnosis.data import Table
-from diagnosis.judge import Judge
-from diagnosis.search import Found
-from diagnosis.verdict import Figures
-from diagnosis.wire import Wire
+from diagnosis.data import integrity, table, wire
+from diagnosis.data.table import Table
+from diagnosis.data.wire import Wire
+from diagnosis.judgement.judge import Judge
+from diagnosis.judgement.verdict import Figures
+from diagnosis.problem import problem
+from diagnosis.search.search import Found
 from parameters import InputError, read_toml
-from physics.models import RELATIONS
+from physics.relations.relation import RELATIONS
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _diagnosed(trials: Sequence[str | Path | Table], calibration: str | Path | M
 def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mapping[str, Any] | None,
             warnings: list[str]) -> Diagnosis:
     trials, _, healthy = groups
-    settled = setting.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
+    settled = problem.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
     source = ", ".join(t.source for t in trials)
     if not settled.checked:
         lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
@@ -110,7 +111,7 @@ def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mappi
                      found=judge.found, split=judge.within is not None)
 
 
-def _judge(settled: setting.Setting, groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None) -> Judge:
+def _judge(settled: problem.Setting, groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None) -> Judge:
     """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
 
     No healthy trial says how far the laws are from holding in another motion than its own.
@@ -120,7 +121,7 @@ def _judge(settled: setting.Setting, groups: Sequence[Sequence[Table]], calibrat
     if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
         return Judge(settled, holdout)
     known = calibration if calibration is not None else trials[0].calibration
-    first = Judge(setting.settle(walked, healthy, known), holdout)
+    first = Judge(problem.settle(walked, healthy, known), holdout)
     if len(first.rivals()) <= len(first.found.best.effects):
         return first
     split = Judge(settled, holdout, first)
@@ -136,7 +137,7 @@ def _of_wire(carried: Wire, warnings: list[str]) -> Diagnosis:
                      [*warnings, "wire and converter come first: the bench's own relations were not searched."])
 
 
-def _said(settled: setting.Setting, healthy: bool) -> list[str]:
+def _said(settled: problem.Setting, healthy: bool) -> list[str]:
     """Return what the reader must know of the reference and of what was not checked."""
     said = []
     if settled.any_rig:
@@ -152,11 +153,11 @@ def _said(settled: setting.Setting, healthy: bool) -> list[str]:
 
 
 def _read(given: str | Path | Table) -> Table:
-    return given if isinstance(given, Table) else data.read(given)
+    return given if isinstance(given, Table) else table.read(given)
 
 
 def _filtered(given: Table, lowpass: float | None) -> Table:
-    return given if lowpass is None else data.low_passed(given, lowpass)
+    return given if lowpass is None else table.low_passed(given, lowpass)
 
 
 def _calibration(given: str | Path | Mapping[str, Any] | None) -> Mapping[str, Any] | None:

@@ -1,7 +1,7 @@
 """What one axis does in one drive tick: bounds, following positions, braking, tightening the rope.
 
 The rule of this file: compiled laws over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis
-(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive`'s.  numba's cache does not
+(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive_loops`'s.  numba's cache does not
 see a change in an imported module, so that module's digest is a constant of the compiled functions.
 """
 
@@ -15,22 +15,22 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from physics import drive
-from physics.drive import loop, velocity_loop
+from physics import drive_loops
+from physics.drive_loops import loop, velocity_loop
 
 POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
     TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
     STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, EVENTS, STATES = range(29)
-"""Slots of `s`, the first five `physics.drive.LOOP`; `STATES` is their number."""
+"""Slots of `s`, the first five `physics.drive_loops.LOOP`; `STATES` is their number."""
 
 KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
     TORQUE_LOW, UNTRUSTED_TORQUE, HOLD_TORQUE, MODE, PERIOD_S, LOW, HIGH, RESOLUTION, WINDOW, WINDOW_S, \
     DECELERATION, STILL_SPEED, STILL_FOR_S, TENSION_LIMIT, YIELD_PER_N, PRELOAD, SEARCH_SPEED, ZERO_SPEED, \
     HOMING_ACCELERATION, TRAVEL, TARGET_VELOCITY, TARGET_TORQUE, RAW_PER_SI, ORIGIN, MILLE_PER_NM, \
     SETTINGS = range(37)
-"""Slots of `g`, the first six those of `physics.drive.Gains`; `SETTINGS` is their number."""
+"""Slots of `g`, the first six those of `physics.drive_loops.Gains`; `SETTINGS` is their number."""
 
-LOOP_STATES: Final = len(drive.LOOP)
+LOOP_STATES: Final = len(drive_loops.LOOP)
 GAINS: Final = 6
 
 OFF, FOLLOW, SPEED, PUSH, STOP, TIGHTEN = range(6)
@@ -250,7 +250,7 @@ def _compile(digest: int) -> tuple[Any, Any]:
     return step, counts
 
 
-step, counts = _compile(int.from_bytes(hashlib.sha256(Path(drive.__file__).read_bytes()).digest()[:7], "big"))
+step, counts = _compile(int.from_bytes(hashlib.sha256(Path(drive_loops.__file__).read_bytes()).digest()[:7], "big"))
 """`step(s, g, now_ns, position, velocity)` → torque, N·m: one drive tick; the position is rounded to the encoder's
 `g[RESOLUTION]`.  `counts(s, g, out)` writes nine integers: position, velocity, torque ‰, demanded position and
 velocity, following error, the position loop's output, encoder increments, and the `IS_…` flags."""

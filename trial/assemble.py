@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trial import cdr
+from trial.mcap_file import cdr
 from trial.record import FLUSH_NS, Recorder
 from trial.signals import SIGNALS, Signal
 

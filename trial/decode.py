@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from eds.bench import END, KNEE, NAMES, SERVO, START, Wire, tpdo_cob_id
 from eds.plan import Field, PdoPlan
 from eds.scales import drum_radius_m
-from trial import clock
+from trial.convert import clock
 
 Floats = NDArray[np.float64]
 

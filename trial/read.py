@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial import cdr, records, scan
-from trial import container as mcap
+from trial.mcap_file import cdr, records, scan
+from trial.mcap_file import container as mcap
 from trial.signals import UNITS
 
 Floats = NDArray[np.float64]

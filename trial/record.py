@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parameters import InputError
-from trial import cdr
-from trial.blocks import EVENTS_PER_CHUNK, FRAMES_PER_CHUNK, Block, Cycles, Events, Frames, cycles_per_chunk
-from trial.container import Container
+from trial.mcap_file import cdr
+from trial.mcap_file.blocks import EVENTS_PER_CHUNK, FRAMES_PER_CHUNK, Block, Cycles, Events, Frames, cycles_per_chunk
+from trial.mcap_file.container import Container
+from trial.mcap_file.writer import Writer
 from trial.signals import SIGNALS, Signal
-from trial.writer import Writer
 
 FLUSH_NS = 100_000_000
 LIBRARY = "bowden-bench"

@@ -17,9 +17,9 @@ import nodes
 from eds.bench import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
-from physics.drive import SERVO_GAINS
-from physics.plant import Plant, PlantParameters, create
-from physics.sensor import Converter, SensorParameters
+from physics.converter import Converter, SensorParameters
+from physics.drive_loops import SERVO_GAINS
+from physics.plant.bench_plant import Plant, PlantParameters, create
 from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.faults import declared
@@ -41,7 +41,7 @@ class Trim:
 
     position_gain: float = parameter(
         SERVO_GAINS.position_gain, "1/s", "position loop, proportional", low=1.0, high=2000.0,
-        source="physics/drive.py")
+        source="physics/drive_loops.py")
 
 
 GROUPS: Mapping[str, type[Any]] = {

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from physics.drive import DRIVE_TICK_NS
-from physics.plant import Outputs, Plant
+from physics.drive_loops import DRIVE_TICK_NS
+from physics.plant.bench_plant import Outputs, Plant
 from virtual_bus.faults import Fault
 from virtual_bus.kernel import TICK, Kernel
 from virtual_bus.node_station import NodeStation
@@ -39,7 +39,7 @@ class Tension(Protocol):
 
 
 class Converter(Protocol):
-    """What is asked of a bridge and its converter; `physics.sensor.Converter` does it."""
+    """What is asked of a bridge and its converter; `physics.converter.Converter` does it."""
 
     def sample(self, time_ns: int, force_n: float) -> int:
         """Return counts."""

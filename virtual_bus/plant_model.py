@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 
 from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
-from physics import effects, effects_table
+from physics.effects import catalogue as effects
+from physics.effects import effects_table
 from virtual_bus.faults import Fault
 from virtual_bus.scatter import Tables
 

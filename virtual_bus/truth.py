@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Final
 
 from eds.frame import Frame
-from physics.plant import Plant
+from physics.plant.bench_plant import Plant
 from trial.record import Recorder, RecordingError
 from trial.signals import Signal
 from virtual_bus.station import Station

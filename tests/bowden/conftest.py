@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from bowden.app import run
+from bowden.cli.app import run
 
 
 class Told(NamedTuple):

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from bowden import config
+from bowden import configuration
 from eds.bench import KNEE, Wire, wire
 from eds.dictionary import key
+from trial.convert.frames import rows_of
 from trial.decode import cycles
 from trial.follow import Follower
-from trial.frames import rows_of
 
 VENDOR = Path(__file__).parents[1] / "eds" / "vendor_drive.eds"
 TABLE = f'[knee]\nfile = "vendor_drive.eds"\nposition = "3010"\nposition_scale = {2 * math.pi / 524_288!r}\n'
@@ -33,11 +33,11 @@ def bench(here: Path) -> Path:
 
 
 def test_a_device_of_the_configuration_is_on_the_wire(bench: Path) -> None:
-    assert wire(config.read(bench)["network"]).tpdo[0x180 + KNEE].keys == (key(0x6041), key(0x3010))
+    assert wire(configuration.read(bench)["network"]).tpdo[0x180 + KNEE].keys == (key(0x6041), key(0x3010))
 
 
 def test_the_configuration_that_a_trial_carries_names_the_device(bench: Path) -> None:
-    assert 'position = "3010"' in config.as_text(config.read(bench))
+    assert 'position = "3010"' in configuration.as_text(configuration.read(bench))
 
 
 def test_check_passes_a_device_that_fits(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
@@ -66,7 +66,7 @@ def heard(described: Wire) -> list[tuple[int, int, bytes]]:
 
 
 def test_a_bought_drive_is_seen_by_who_follows_the_bus(bench: Path) -> None:
-    described = wire(config.read(bench)["network"])
+    described = wire(configuration.read(bench)["network"])
     follower = Follower(described)
     *_, ended = [follower.frame(*frame) for frame in heard(described)]
     assert ended is not None
@@ -74,6 +74,6 @@ def test_a_bought_drive_is_seen_by_who_follows_the_bus(bench: Path) -> None:
 
 
 def test_a_bought_drive_is_seen_in_a_log(bench: Path) -> None:
-    described = wire(config.read(bench)["network"])
+    described = wire(configuration.read(bench)["network"])
     rows = rows_of([(at, can_id, 0, len(data), 0, False, data) for at, can_id, data in heard(described)])
     assert cycles(rows, described).columns["knee_angle_rad"][0] == pytest.approx(-0.5, abs=COUNT)

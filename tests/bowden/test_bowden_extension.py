@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import trial as trials
-from physics.effects import CATALOGUE
+from physics.effects.catalogue import CATALOGUE
 
 Run = Callable[..., Any]
 RUBBING = "[effects.cable_friction]\nmu1 = { value = 0.16, low = 0.15, high = 0.17, unit = '' }\n"

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import trial
-from bowden import sweep_rows, sweep_trial
+from bowden.sweep import row_trial, rows
 from trial.assemble import Content, write
-from trial.frames import rows_of
+from trial.convert.frames import rows_of
 
 ROWS = 5000
 Bowden = Callable[..., Any]
@@ -104,5 +104,5 @@ def on_a_terminal(*words: str) -> str:
 def test_a_trial_of_a_sweep_carries_its_files(here: Path) -> None:
     (here / "walk.csv").write_text("time_s,knee_angle_rad\n" + "".join(
         f"{row / 100},{-0.3 + 0.2 * np.cos(row / 100 * np.pi):.6f}\n" for row in range(201)))
-    (row,) = sweep_rows.rows({}, {"files.knee": "walk.csv"}, ())
-    assert sweep_trial.attached(row) == {"knee.csv": (here / "walk.csv").read_bytes()}
+    (row,) = rows.rows({}, {"files.knee": "walk.csv"}, ())
+    assert row_trial.attached(row) == {"knee.csv": (here / "walk.csv").read_bytes()}

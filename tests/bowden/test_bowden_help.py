@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import pytest
 import typer.main
 
-from bowden import commands
-from bowden.app import app
+from bowden.cli import commands
+from bowden.cli.app import app
 
 
 def names(group: object = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:

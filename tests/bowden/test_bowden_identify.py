@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with stiffness.toml, its recording and its picture, of bench 3."""
-    from bowden.app import run
+    from bowden.cli.app import run
 
     folder = tmp_path_factory.mktemp("identified")
     assert run(["identify", "stiffness", "--serial", "3", "--json", "-o", str(folder / "stiffness.toml"),

@@ -24,8 +24,8 @@ import pytest
 
 import trial
 from eds.bench import Network, wire
-from trial import cdr
 from trial.follow import Follower
+from trial.mcap_file import cdr
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: pip install 'bowden-bench[live]'")
 PATIENCE_S = 60.0  # a server that says nothing for so long has hung
@@ -184,7 +184,7 @@ def test_a_client_subscribes_receives_the_trial_pauses_seeks_and_plays_to_the_en
 
 @pytest.mark.walltime
 def test_a_bus_is_followed_and_nothing_is_sent_on_it() -> None:
-    from bowden.viewer import Viewer
+    from bowden.live.viewer import Viewer
 
     follower = Follower(wire(Network()))
     viewer = Viewer("virtual", "127.0.0.1", 0, follower.units)
@@ -201,7 +201,7 @@ def test_a_bus_is_followed_and_nothing_is_sent_on_it() -> None:
 
 def followed(follower: Follower, viewer: Any, client: Client) -> tuple[bytes, bytes]:
     """Run a bus until the client has been told an event and a row; returns both."""
-    from bowden.relay import Relay
+    from bowden.live.relay import Relay
 
     told: dict[bool, bytes] = {}
     with can.Bus("live", interface="virtual") as bus, can.Bus("live", interface="virtual") as heard:

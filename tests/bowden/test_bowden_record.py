@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from bowden import config
+from bowden import configuration
 from trial import read
 
 TOLD = {"specimen": 'left leg, "tall"', "rope": "Dyneema 1 mm\\batch 7, 3. Tag", "operator": "Åsa", "notes": ""}
@@ -17,15 +17,15 @@ Bowden = Callable[..., tuple[int, str, str]]
 
 
 def test_what_was_told_is_read_again(here: Path) -> None:
-    (here / "bench.toml").write_text(config.as_template(TOLD), encoding="utf-8")
-    sections = config.read(here / "bench.toml")
+    (here / "bench.toml").write_text(configuration.as_template(TOLD), encoding="utf-8")
+    sections = configuration.read(here / "bench.toml")
     assert vars(sections["record"]) == TOLD
-    (here / "again.toml").write_text(config.as_text(sections), encoding="utf-8")
-    assert config.read(here / "again.toml")["record"] == sections["record"]
+    (here / "again.toml").write_text(configuration.as_text(sections), encoding="utf-8")
+    assert configuration.read(here / "again.toml")["record"] == sections["record"]
 
 
 def test_a_trial_carries_what_was_told_and_nothing_that_was_not(here: Path, bowden: Bowden) -> None:
-    (here / "bench.toml").write_text(config.as_template(TOLD), encoding="utf-8")
+    (here / "bench.toml").write_text(configuration.as_template(TOLD), encoding="utf-8")
     status, _, err = bowden("trial", "--config", "bench.toml", "--dry-run", "--rate", 100, "--period", 1, "--cycles", 1,
                             "--settle", 0, "--peak", 20, "-o", "trial.mcap", "--json")
     assert status == 0, err
@@ -45,10 +45,10 @@ def test_init_asks_on_a_terminal(here: Path) -> None:
     os.close(ours)
     os.close(theirs)
     assert asking.returncode == 0, said
-    record = config.read(here / "bench.toml")["record"]
+    record = configuration.read(here / "bench.toml")["record"]
     assert (record.specimen, record.rope, record.operator, record.notes) == ("left leg", "", "N. N.", "")
 
 
 def test_init_asks_nobody_where_nobody_is(here: Path, bowden: Bowden) -> None:
     assert bowden("init", "-o", "bench.toml")[0] == 0
-    assert config.read(here / "bench.toml")["record"].specimen == ""
+    assert configuration.read(here / "bench.toml")["record"].specimen == ""

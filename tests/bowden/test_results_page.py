@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import reproduce, results_page
 from benchmarks.results_page import CONTROLLERS, PEAKS_N, PERIODS_S, Result
-from physics.plant import NOMINAL
+from physics.plant.bench_plant import NOMINAL
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
-from bowden import config, sweep_rows
-from bowden.departure import Departure, motion
-from bowden.sweep_trial import bench_of, digest
+from bowden import configuration
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep.departure import Departure, motion
+from bowden.sweep.row_trial import bench_of, digest
 from parameters import InputError
 from physics.reference import paper_reference
 
-SECTIONS = config.read(None)
+SECTIONS = configuration.read(None)
 
 
 def rows(*axes: str, draws: tuple[str, ...] = (), count: int = 1, seed: int = 0, **fixed: Any) -> list[sweep_rows.Row]:

@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 
-from bowden import config, sweep_rows, sweep_run
-from bowden.sweep_table import Table
-from bowden.sweep_trial import FIGURES
-from master.calibration import nominal, write
+from bowden import configuration
+from bowden.sweep import rows as sweep_rows
+from bowden.sweep import run
+from bowden.sweep.row_trial import FIGURES
+from bowden.sweep.table import Table
+from physics.calibration import nominal, write
 
 SHORT = ("--grid", "cycles=2", "--grid", "period=0.6", "--grid", "controller=none")
 
@@ -26,7 +28,7 @@ def lines(path: Path) -> list[dict[str, str]]:
 
 def planned(*axes: str) -> list[sweep_rows.Row]:
     short = ("cycles=2", "period=0.6", "controller=none")
-    return sweep_rows.rows(config.read(None), {}, [sweep_rows.axis(text) for text in (*short, *axes)])
+    return sweep_rows.rows(configuration.read(None), {}, [sweep_rows.axis(text) for text in (*short, *axes)])
 
 
 def test_a_row_holds_what_the_trial_says_and_a_second_sweep_continues(bowden: Callable[..., Any], here: Path) -> None:
@@ -55,7 +57,7 @@ def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> No
 
     with (ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table,
           pytest.raises(KeyboardInterrupt)):
-        sweep_run.sweep(rows, table, sweep_run.Workers(executor, 1), tmp_path / "c", update=_interrupting())
+        run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c", update=_interrupting())
     done = [row["bench.serial"] for row in lines(tmp_path / "t.csv")]
     assert done[0] == "1"
     assert len(done) in (1, 2)
@@ -78,7 +80,7 @@ def test_a_trial_that_is_refused_is_a_row_that_says_why(tmp_path: Path) -> None:
     soft.write_text(write(nominal()).replace("value = -1.7e-06", "value = -3e-06"))
     rows = planned(f"calibration={soft}", "peak=60")
     with ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table:
-        sweep_run.sweep(rows, table, sweep_run.Workers(executor, 1), tmp_path / "c")
+        run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c")
     (row,) = lines(tmp_path / "t.csv")
     assert row["outcome"] == "refused"
     assert "turning point" in row["stop_reason"]

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from bowden.sweep_table import Table
-from bowden.sweep_trial import FIGURES, not_run
+from bowden.sweep.row_trial import FIGURES, not_run
+from bowden.sweep.table import Table
 from parameters import InputError
 
 ROWS: list[dict[str, Any]] = [{"bench.serial": serial, "gait.peak_n": 40.0} for serial in (1, 2, 3)]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.data import Table, table
+from diagnosis.data.table import Table, table
 from diagnosis.extension import read, text
 from diagnosis.finder import Diagnosis
 from parameters import InputError
-from physics.effects import CATALOGUE, apply, complete
+from physics.effects.catalogue import CATALOGUE, apply, complete
 from virtual_bus import plant_model
 
 TRIAL: Table = table("runs/gait.mcap", {"time_s": np.arange(0.0, 13.0, 0.5), "tension_end_n": np.ones(26)})

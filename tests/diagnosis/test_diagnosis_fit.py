@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data import table
+from diagnosis.data.table import table
 from diagnosis.finder import diagnose
-from diagnosis.fit import Free, Problem, solve
-from diagnosis.relations import blocks_of
-from physics.effects import Effect, EffectParameter, registered
-from physics.models_chain import along_cable
-from physics.models_slots import ideal
+from diagnosis.problem.blocks import blocks_of
+from diagnosis.problem.fit import Free, Problem, solve
+from physics.effects.catalogue import Effect, EffectParameter, registered
+from physics.relations.relation_parameters import ideal
+from physics.relations.tension_chain import along_cable
 
 
 def pulled(exponent: float, compliance: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnosis.data import table
-from diagnosis.fit import Problem, solve
-from diagnosis.healthy import deviating
-from diagnosis.reference import of_bench
-from diagnosis.relations import TAUT_N, Block, blocks_of
+from diagnosis.data.table import table
+from diagnosis.problem.blocks import TAUT_N, Block, blocks_of
+from diagnosis.problem.fit import Problem, solve
+from diagnosis.problem.healthy_fit import deviating
+from diagnosis.problem.reference import of_bench
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 

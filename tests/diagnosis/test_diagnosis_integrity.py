@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data import Table, low_passed, table
+from diagnosis.data.integrity import examine
+from diagnosis.data.table import Table, low_passed, table
 from diagnosis.finder import diagnose
-from diagnosis.integrity import examine
 from parameters import InputError
 
 

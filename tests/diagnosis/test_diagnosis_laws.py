@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data import table
-from diagnosis.relations import SETTLE_S, blocks_of
-from physics import models_tension
-from physics.leg import KNEE_AT_FIT
-from physics.models import RELATIONS
-from physics.models_chain import from_motion, slid
-from physics.models_signals import Signals
-from physics.models_slots import healthy
+from diagnosis.data.table import table
+from diagnosis.problem.blocks import SETTLE_S, blocks_of
+from physics.plant.leg import KNEE_AT_FIT
+from physics.relations import transmission
+from physics.relations.measured import Signals
+from physics.relations.relation import RELATIONS
+from physics.relations.relation_parameters import healthy
+from physics.relations.tension_chain import from_motion, slid
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 
@@ -38,12 +38,12 @@ def pulled(values: dict[str, float]) -> Signals:
 
 
 def _answer(signals: Signals, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    wound = models_tension.wound(signals, values, signals["rope_m"])
-    anchored = models_tension.anchored(values, signals["knee_angle_rad"])
+    wound = transmission.wound(signals, values, signals["rope_m"])
+    anchored = transmission.anchored(values, signals["knee_angle_rad"])
     end, start = from_motion(
-        wound, anchored, signals["time_s"], signals.fresh, models_tension.fabric_exponent(signals, values),
-        models_tension.cable_exponent(signals, values), signals["strain_m_s"], signals["rope_m_s"],
-        models_tension.STRETCH_LINEAR, models_tension.STRETCH_BEND, 0.0, models_tension.cable_compliance(values),
+        wound, anchored, signals["time_s"], signals.fresh, transmission.fabric_exponent(signals, values),
+        transmission.cable_exponent(signals, values), signals["strain_m_s"], signals["rope_m_s"],
+        transmission.STRETCH_LINEAR, transmission.STRETCH_BEND, 0.0, transmission.cable_compliance(values),
         0.0, 1.0, values["presliding"], values["presliding"], 1.0, 0.0, 1.0, 0.01)
     return end, start
 
@@ -82,7 +82,7 @@ def test_drag_at_the_edge_of_slack_is_what_start_says_and_elsewhere_all_of_it() 
     values = {**healthy(), "viscous": 10.0}
     signals = pulled(values)
     edge = signals["tension_end_n"] < 0.5
-    predicted = models_tension.friction(signals, values)
+    predicted = transmission.friction(signals, values)
     drag = 10.0 * signals["rope_m_s"]
     # START says that nothing is dragged there: inside what drag allows, so nothing is left
     allowed = edge & (drag > 0.0) & (signals["tension_start_n"] < 0.5)

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis import residuals, words
-from diagnosis.data import Table, table
+from diagnosis.data.table import Table, table
 from diagnosis.finder import Diagnosis
-from diagnosis.fit import solve
-from diagnosis.report import build, write
-from diagnosis.report_where import concentrated
-from diagnosis.search import Found, Model
-from diagnosis.setting import settle
-from diagnosis.verdict import Figures
-from physics.effects import CATALOGUE
-from physics.models import RELATIONS
+from diagnosis.judgement.verdict import Figures
+from diagnosis.problem.fit import solve
+from diagnosis.problem.problem import settle
+from diagnosis.report import residuals, words
+from diagnosis.report.page import build, write
+from diagnosis.report.remaining import concentrated
+from diagnosis.search.search import Found, Model
+from physics.effects.catalogue import CATALOGUE
+from physics.relations.relation import RELATIONS
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis import wire
-from diagnosis.data import Table, table
-from physics import models_wire
-from physics.models_wire import Staleness
+from diagnosis.data import wire
+from diagnosis.data.table import Table, table
+from physics.relations import sampling_laws
+from physics.relations.sampling_laws import Staleness
 
 CYCLES = 12_000
 
@@ -63,6 +63,6 @@ def test_healthy_values_are_left_in_peace() -> None:
 
 def test_the_law_of_ages_counts_every_value_once() -> None:
     for law in (Staleness(0.3, 4), Staleness(0.1, np.inf)):
-        assert models_wire.ages(law).sum() == pytest.approx(1.0)
+        assert sampling_laws.ages(law).sum() == pytest.approx(1.0)
         # what chance adds to the oldest runs is cut off
-        assert models_wire.repeats(law, 0.02).sum() == pytest.approx(1.0, abs=1e-9)
+        assert sampling_laws.repeats(law, 0.02).sum() == pytest.approx(1.0, abs=1e-9)

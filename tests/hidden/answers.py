@@ -80,22 +80,22 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
 
     `again` asks, of a pair, of each effect by itself as well.
     """
-    from diagnosis import data
+    from diagnosis.data import table
     from diagnosis.finder import diagnose
 
     case = cases.case(job, healthy, cycles)
-    trial, holdout = data.table("trial", case.trial), data.table("holdout", case.holdout)
-    taught = [data.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
+    trial, holdout = table.table("trial", case.trial), table.table("holdout", case.holdout)
+    taught = [table.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
     began = time.perf_counter()
     said = diagnose([trial], healthy=taught, holdout=[holdout])
     seconds = time.perf_counter() - began
     ratio, share = _risen(said)
     after = None
     if again and said.verdict == "ambiguous" and said.experiment in moves.EXPERIMENTS:
-        second = data.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
+        second = table.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
         told = diagnose([trial, second], healthy=taught)
         after = After(said.experiment, told.verdict, tuple(told.rivals))
-    alone = [_before(data.table("alone", columns), taught) for columns in case.alone if again]
+    alone = [_before(table.table("alone", columns), taught) for columns in case.alone if again]
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
                   said.causes, ratio, share, seconds, said.experiment, after, tuple(alone))
 
@@ -104,9 +104,9 @@ def _before(trial: Any, taught: list[Any]) -> float:
     """Return the largest residual of a trial in healthy floors, as `_risen`, without a search."""
     from threadpoolctl import threadpool_limits
 
-    from diagnosis.fit import solve
-    from diagnosis.setting import settle
-    from diagnosis.unseen import unseen
+    from diagnosis.problem.cross_validation import unseen
+    from diagnosis.problem.fit import solve
+    from diagnosis.problem.problem import settle
 
     with threadpool_limits(1, user_api="blas"):
         s = settle([trial], taught, None)

@@ -1,7 +1,7 @@
 """How far each relation is from holding on healthy hidden benches of many structures, nothing healthy beside them.
 
 The rule of this file: root mean squares of what the finder's baseline leaves on cycles it has not seen, all benches
-together; `diagnosis/floors.py` states them.
+together; `diagnosis/problem/floors.py` states them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tests.hidden.cases import Job
 
 def left(job: Job) -> dict[str, float]:
     """Return the residual of each relation on one healthy bench."""
-    from diagnosis import data
+    from diagnosis.data import table as data
     from diagnosis.finder import diagnose
 
     said = diagnose([data.table("healthy", cases.case(job, healthy=0).trial)])

@@ -18,7 +18,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from benchmarks import marked
-from bowden import about, sweep_run, terminal
+from bowden import provenance
+from bowden.cli import terminal
+from bowden.sweep import run
 from tests.hidden import cases, floors, page
 from tests.hidden.answers import Answer, answer, from_json
 from tests.hidden.cases import Job
@@ -72,7 +74,7 @@ class Kept:
             stream.write(json.dumps({"commit": commit, "answer": told.as_json()}) + "\n")
 
 
-def ask(todo: Iterable[Job], crew: sweep_run.Workers, question: Question) -> Iterator[Answer]:
+def ask(todo: Iterable[Job], crew: run.Workers, question: Question) -> Iterator[Answer]:
     """Yield answers as they come, little more than one a worker under way."""
     left, under_way = iter(todo), set[Future[Answer]]()
     while True:
@@ -86,16 +88,16 @@ def ask(todo: Iterable[Job], crew: sweep_run.Workers, question: Question) -> Ite
         yield from (future.result() for future in done)
 
 
-def crew_of(scheduler: str | None, workers: int | None) -> AbstractContextManager[sweep_run.Workers]:
+def crew_of(scheduler: str | None, workers: int | None) -> AbstractContextManager[run.Workers]:
     """Return processes of this machine, or the workers of a Dask cluster, as `bowden sweep` does."""
-    return sweep_run.local(workers) if scheduler is None else sweep_run.cluster(scheduler)
+    return run.local(workers) if scheduler is None else run.cluster(scheduler)
 
 
-def answered(wanted: Sequence[Job], kept: Kept, crew: Callable[[], AbstractContextManager[sweep_run.Workers]],
+def answered(wanted: Sequence[Job], kept: Kept, crew: Callable[[], AbstractContextManager[run.Workers]],
              question: Question = answer) -> list[Answer]:
     """Return the answers of `wanted`, in their order, those that are not kept yet by a crew."""
     todo = [job for job in wanted if job not in kept.answers]
-    commit = about.commit()
+    commit = provenance.commit()
     if todo:
         with crew() as workers, terminal.progress(f"{len(todo)} cases") as update:
             for i, told in enumerate(ask(todo, workers, question), 1):
@@ -133,7 +135,7 @@ def main(arguments: Sequence[str]) -> int:
         with crew_of(asked.scheduler, asked.workers) as crew:
             print("\n".join(floors.table(list(crew.executor.map(floors.left, healthy)))))
         return 0
-    kept = Kept(asked.answers or OUT / f"hidden-{about.commit()}.jsonl")
+    kept = Kept(asked.answers or OUT / f"hidden-{provenance.commit()}.jsonl")
     told = answered(wanted, kept, lambda: crew_of(asked.scheduler, asked.workers))
     written = page.text(told, f"Printed by `{command(arguments)}` at commit "
                         f"{', '.join(sorted({kept.commits[job] for job in wanted}))}: {len(told)} cases, seeds "

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from benchmarks import marked
-from bowden.sweep_run import Workers
-from master.experiments import SCRIPTS, laps
+from bowden.sweep.run import Workers
+from master.motion.scripted_experiments import SCRIPTS, laps
 from tests.hidden import bars, cases, moves, page, run
 from tests.hidden.answers import After, Answer, from_json
 from tests.hidden.cases import Job

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from physics.effects import CATALOGUE
-from physics.experiments import EXPERIMENTS
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
 from tests.hidden import quick
 from tests.hidden.answers import Answer
 

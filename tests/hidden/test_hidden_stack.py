@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bowden.app import run
+from bowden.cli.app import run
 from diagnosis.finder import Diagnosis, diagnose
 from trial import read
 

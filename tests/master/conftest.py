@@ -12,10 +12,10 @@ import can
 import numpy as np
 import pytest
 
-from master import config
-from master.experiment import Experiment, Result, run
-from master.link import Link
-from master.log import Sink
+from master import settings
+from master.cycle.log import Sink
+from master.motion.experiment import Experiment, Result, run
+from master.network.link import Link
 from physics.reference import paper_reference
 from trial import read
 from trial.metrics import figures
@@ -66,7 +66,7 @@ class Composer:
 
     def run(
         self, peak_n: float = 40.0, period_s: float = 1.1, cycles: int = 2, wrap: Wrap = lambda recorder: recorder,
-        limits: config.Limits | None = None, experiment: dict[str, Any] | None = None, controller: str = "paper",
+        limits: settings.Limits | None = None, experiment: dict[str, Any] | None = None, controller: str = "paper",
         soft_start: int = 0, **options: Any,
     ) -> Ran:
         """Run one short experiment; `options` are the simulated bench's."""
@@ -76,9 +76,9 @@ class Composer:
         recorder = Recorder(path, metadata={}, attachments={}, threaded=False)
         chosen = Experiment(
             paper_reference(peak_n, period_s),
-            gait=config.Gait(
+            gait=settings.Gait(
                 peak_n=peak_n, period_s=period_s, cycles=cycles, controller=controller, soft_start=soft_start),
-            limits=limits or config.Limits(),
+            limits=limits or settings.Limits(),
             **(experiment or {}),
         )
         result = run(link, tap, wrap(recorder), chosen)

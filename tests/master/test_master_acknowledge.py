@@ -10,10 +10,10 @@ import pytest
 
 from eds.bench import KNEE, SERVO, Network, Wire, wire
 from eds.cia402 import State, state_of
-from master.acknowledge import acknowledge
-from master.bringup import RefusedError
-from master.drives import RELEASE
-from master.link import Link
+from master.cycle.acknowledge import acknowledge
+from master.cycle.drives import RELEASE
+from master.network.bringup import RefusedError
+from master.network.link import Link
 
 if TYPE_CHECKING:
     from conftest import Composer

@@ -9,12 +9,13 @@ import pytest
 
 from eds.bench import Network, NodeEntry, Wire, wire
 from eds.cia301 import NmtCommand, NmtState
-from master import bringup, drives
-from master.conduct import conduct
-from master.config import Limits
-from master.cycle import Exchange
-from master.log import Log
-from master.sdo import SdoError
+from master.cycle import drives
+from master.cycle.exchange import Exchange
+from master.cycle.log import Log
+from master.cycle.run_safely import conduct
+from master.network import bringup
+from master.network.sdo import SdoError
+from master.settings import Limits
 from virtual_bus.bus import BowdenBus
 
 if TYPE_CHECKING:

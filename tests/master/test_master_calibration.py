@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from master import calibration
-from master.calibration import Calibration, Evidence
 from parameters import InputError
+from physics import calibration
+from physics.calibration import Calibration, Evidence
 
 
 def written(tmp_path: Path, text: str) -> Path:

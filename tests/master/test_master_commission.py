@@ -10,11 +10,11 @@ import pytest
 
 from eds.bench import KNEE, SERVO, Network
 from eds.cia402 import State, state_of
-from master import commission
-from master.calibration import nominal
-from master.conduct import Outcome, conduct
-from master.config import Homing, Limits
+from master.cycle.run_safely import Outcome, conduct
+from master.motion import commission
+from master.settings import Homing, Limits
 from parameters import InputError
+from physics.calibration import nominal
 from trial import read
 from trial.record import Recorder
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from master import config, gait, paper
-from master.calibration import Calibration, nominal
-from master.compensation import (
+from master import settings
+from master.control import paper
+from master.control.gait_table import (
     GaitTable,
     directions,
     fabric_exponent,
@@ -19,8 +19,10 @@ from master.compensation import (
     swing,
     tabulate,
 )
+from master.motion import gait
 from parameters import InputError
 from physics import laws
+from physics.calibration import Calibration, nominal
 from physics.reference import paper_reference
 
 RATE = 1000
@@ -32,8 +34,8 @@ def table(peak_n: float = 40.0, calibration: Calibration | None = None) -> GaitT
     return tabulate(calibration or nominal(), knee, desired, 1.0 / RATE, 4e-3)
 
 
-def configured(name: str, impedance: config.Impedance | None = None) -> paper.Config:
-    return paper.configure(name, nominal(), table(), impedance or config.Impedance())
+def configured(name: str, impedance: settings.Impedance | None = None) -> paper.Config:
+    return paper.configure(name, nominal(), table(), impedance or settings.Impedance())
 
 
 def seen(sample: int, start_n: float, knee_rad: float) -> paper.Seen:

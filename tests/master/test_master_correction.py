@@ -10,17 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from master import config, controller, gait
-from master.adaptation import Day
-from master.calibration import Calibration, nominal
-from master.compensation import GaitTable, tabulate
-from master.correction import SCALARS, Correction, calibrated, correction
-from master.experiment import Experiment, run
-from master.link import Link
-from master.signals import Outputs, Seen
-from physics.cable import CableParameters
-from physics.effects import CATALOGUE
-from physics.leg import KNEE_AT_FIT
+from master import settings
+from master.control import controller
+from master.control.controller_io import Outputs, Seen
+from master.control.effect_correction import SCALARS, Correction, calibrated, correction
+from master.control.gait_table import GaitTable, tabulate
+from master.control.homing_fit import Day
+from master.motion import gait
+from master.motion.experiment import Experiment, run
+from master.network.link import Link
+from physics.calibration import Calibration, nominal
+from physics.effects.catalogue import CATALOGUE
+from physics.plant.cable import CableParameters
+from physics.plant.leg import KNEE_AT_FIT
 from physics.reference import paper_reference
 from trial import read
 from trial.metrics import figures
@@ -122,8 +124,8 @@ def test_friction_that_homing_measures_is_not_counted_twice() -> None:
 
 
 def test_a_controller_without_effects_is_the_controller_itself() -> None:
-    plain = controller.configure("paper", nominal(), table(), config.Impedance(), Day())
-    told = controller.configure("paper", nominal(), table(), config.Impedance(), Day(),
+    plain = controller.configure("paper", nominal(), table(), settings.Impedance(), Day())
+    told = controller.configure("paper", nominal(), table(), settings.Impedance(), Day(),
                                 tabulated({"end_gain": {"end_gain": 1.05}}))
     state, same = controller.initial(plain), controller.initial(told)
     for sample in range(300):
@@ -139,7 +141,7 @@ def tracked(folder: Path, at_work: Effects, known: Effects, name: str) -> float:
     channel, truth, path = f"correction-{number}", folder / f"{number}.truth.mcap", folder / f"{number}.mcap"
     bus = BowdenBus(channel, serial=0, truth=str(truth), plant_model={"effects": at_work})
     tap, recorder = BowdenBus(channel), Recorder(path, metadata={}, attachments={}, threaded=False)
-    chosen = Experiment(paper_reference(40.0, 1.5), gait=config.Gait(period_s=1.5, cycles=3, controller=name),
+    chosen = Experiment(paper_reference(40.0, 1.5), gait=settings.Gait(period_s=1.5, cycles=3, controller=name),
                         known=known)
     result = run(Link(bus, bus.time_ns), tap, recorder, chosen)
     recorder.close({})

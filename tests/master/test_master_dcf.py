@@ -12,9 +12,9 @@ from eds import dictionary
 from eds.bench import SERVO, START, Network, Wire, wire
 from eds.cia301 import NmtCommand
 from eds.dictionary import key
-from master import bringup, dcf
-from master.link import Link
-from master.log import Log
+from master.cycle.log import Log
+from master.network import bringup, dcf
+from master.network.link import Link
 from parameters import InputError
 
 if TYPE_CHECKING:

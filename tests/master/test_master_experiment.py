@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eds.cia402 import State, state_of
-from master import config
+from master import settings
 from trial.signals import COLUMNS
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def test_drives_are_enabled_after_the_bring_up_only_and_end_disabled(composer: C
     assert states[0] is State.SWITCH_ON_DISABLED
     assert State.OPERATION_ENABLED in states
     assert states[-1] is State.SWITCH_ON_DISABLED
-    assert ran.trial.columns["tension_start_n"][-50:].max() < config.Limits().unwound_n
+    assert ran.trial.columns["tension_start_n"][-50:].max() < settings.Limits().unwound_n
 
 
 def test_end_is_out_of_the_loop(composer: Composer) -> None:

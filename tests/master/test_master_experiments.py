@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bowden.options import SCRIPTS as TOLD
-from master import config, experiments
-from master.experiment import Experiment
-from master.link import Link
+from bowden.cli.options import SCRIPTS as TOLD
+from master import settings
+from master.motion import scripted_experiments
+from master.motion.experiment import Experiment
+from master.network.link import Link
 from parameters import InputError
-from physics.effects import CATALOGUE
-from physics.experiments import EXPERIMENTS
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
 from physics.reference import paper_reference
 from trial import read
 from trial.record import Recorder
@@ -30,8 +31,8 @@ def ran(name: str, path: Path, cycles: int = 2) -> read.Trial:
     channel = f"experiments-{next(CHANNELS)}"
     bus, tap = BowdenBus(channel, serial=2), BowdenBus(channel)
     recorder = Recorder(path, metadata={}, attachments={}, threaded=False)
-    chosen = Experiment(paper_reference(40.0, 1.1), gait=config.Gait(period_s=1.1, cycles=cycles))
-    result = experiments.run(Link(bus, bus.time_ns), tap, recorder, chosen, name)
+    chosen = Experiment(paper_reference(40.0, 1.1), gait=settings.Gait(period_s=1.1, cycles=cycles))
+    result = scripted_experiments.run(Link(bus, bus.time_ns), tap, recorder, chosen, name)
     recorder.close({})
     tap.shutdown()
     bus.shutdown()
@@ -47,28 +48,28 @@ def laps(trial: read.Trial, column: str) -> list[np.ndarray]:
 
 
 def test_every_experiment_of_the_catalogue_is_run_or_needs_hands() -> None:
-    assert set(experiments.SCRIPTS).isdisjoint(experiments.BY_HAND)
-    assert set(experiments.SCRIPTS) | set(experiments.BY_HAND) == set(EXPERIMENTS)
-    assert set(experiments.BY_HAND) == {name for name, one in EXPERIMENTS.items() if one.by_hand}
+    assert set(scripted_experiments.SCRIPTS).isdisjoint(scripted_experiments.BY_HAND)
+    assert set(scripted_experiments.SCRIPTS) | set(scripted_experiments.BY_HAND) == set(EXPERIMENTS)
+    assert set(scripted_experiments.BY_HAND) == {name for name, one in EXPERIMENTS.items() if one.by_hand}
     assert {effect.experiment for effect in CATALOGUE.values()} <= set(EXPERIMENTS)
-    assert experiments.names() == TOLD
+    assert scripted_experiments.names() == TOLD
 
 
-@pytest.mark.parametrize("name", sorted(experiments.BY_HAND))
+@pytest.mark.parametrize("name", sorted(scripted_experiments.BY_HAND))
 def test_what_needs_hands_is_refused_with_what_they_do(name: str) -> None:
     with pytest.raises(InputError, match=f"{name} needs an operator: {EXPERIMENTS[name].by_hand}"):
-        experiments.checked(name, where="--experiment")
+        scripted_experiments.checked(name, where="--experiment")
 
 
 def test_an_unknown_experiment_names_the_known() -> None:
     with pytest.raises(InputError, match="locked_angles"):
-        experiments.checked("waltz", where="--experiment")
+        scripted_experiments.checked("waltz", where="--experiment")
 
 
 def test_locked_angles_pull_and_release_at_three_angles(tmp_path: Path) -> None:
     trial = ran("locked_angles", tmp_path / "t.mcap")
     starts, knees = laps(trial, "tension_start_n"), laps(trial, "knee_angle_rad")
-    assert len(starts) == experiments.laps("locked_angles", 0) == 12
+    assert len(starts) == scripted_experiments.laps("locked_angles", 0) == 12
     # the pull stops when START has passed 50 N; two cycles and the drive's lag at 60 mm/s are a millimetre: 4 N
     assert all(50.0 < start.max() < 56.0 and 5.0 < start.min() < 12.0 for start in starts)
     assert [round(math.degrees(float(np.median(knee)))) for knee in knees[::4]] == [-10, -30, -60]
@@ -111,11 +112,11 @@ def test_the_bus_log_is_any_gait(tmp_path: Path) -> None:
 
 def test_a_step_is_numbered_step_by_step(tmp_path: Path) -> None:
     numbers = ran("step", tmp_path / "t.mcap").columns["cycle"]
-    assert np.array_equal(np.unique(numbers), np.arange(-1, experiments.laps("step", 0)))
+    assert np.array_equal(np.unique(numbers), np.arange(-1, scripted_experiments.laps("step", 0)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LONG)
 def test_the_long_ones_number_their_laps(name: str, tmp_path: Path) -> None:
     numbers = ran(name, tmp_path / "t.mcap").columns["cycle"]
-    assert np.array_equal(np.unique(numbers), np.arange(-1, experiments.laps(name, 0)))
+    assert np.array_equal(np.unique(numbers), np.arange(-1, scripted_experiments.laps(name, 0)))

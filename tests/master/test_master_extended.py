@@ -9,13 +9,14 @@ import math
 import numpy as np
 import pytest
 
-from master import adaptation, controller, extended, friction, gait, learning, transfer
-from master.adaptation import Day
-from master.calibration import nominal
-from master.compensation import tabulate
-from master.config import Impedance
-from master.signals import Seen
-from physics import laws
+from master.control import controller, extended, friction_following, homing_fit, learning
+from master.control.controller_io import Seen
+from master.control.gait_table import tabulate
+from master.control.homing_fit import Day
+from master.motion import gait
+from master.settings import Impedance
+from physics import inverse, laws
+from physics.calibration import nominal
 from physics.reference import paper_reference
 
 SAMPLES, PERIOD_S = 2000, 1e-3
@@ -32,36 +33,36 @@ def configured(day: Day | None = None) -> extended.Config:
 
 def test_start_of_a_force_leads_back_to_the_force() -> None:
     """`behind` undoes `path`: the END force that was asked for comes back from START and position."""
-    law = transfer.law(nominal(), PERIOD_S)
+    law = inverse.law(nominal(), PERIOD_S)
     knee = np.full(BACK_AND_FORTH.size, -0.5)
-    asked = transfer.path(law, BACK_AND_FORTH, knee, laps=1)
-    end, position = transfer.behind(law, asked.position, asked.start, knee)
+    asked = inverse.path(law, BACK_AND_FORTH, knee, laps=1)
+    end, position = inverse.behind(law, asked.position, asked.start, knee)
     sliding = (asked.rope_slip > 0.99) | (asked.rope_slip < -0.99)
     assert np.abs(end - BACK_AND_FORTH)[sliding].max() < 0.05
     assert np.abs(position - asked.position)[sliding].max() < 20e-6
 
 
 def test_without_friction_the_model_is_ten_and_eleven() -> None:
-    law = transfer.law(nominal(), PERIOD_S, friction=0.0)
+    law = inverse.law(nominal(), PERIOD_S, friction=0.0)
     knee = np.linspace(-0.6, -0.3, 50)
     force = np.linspace(5.0, 60.0, 50)
-    path = transfer.path(law, force, knee, laps=1)
+    path = inverse.path(law, force, knee, laps=1)
     np.testing.assert_allclose(path.position, laws.rope_position(force, knee), atol=1e-12)
     np.testing.assert_allclose(path.start, force)
 
 
 def test_sliding_friction_is_series_friction() -> None:
-    law = transfer.law(nominal(), PERIOD_S)
-    asked = transfer.path(law, np.linspace(0.0, 50.0, 2000), np.full(2000, -0.5), laps=1)
+    law = inverse.law(nominal(), PERIOD_S)
+    asked = inverse.path(law, np.linspace(0.0, 50.0, 2000), np.full(2000, -0.5), laps=1)
     fabric = law.fabric_offset + 0.5 * law.fabric_slope
     assert asked.start[-1] == pytest.approx(laws.series_input(50.0, law.cable_exponent, 1.0, fabric, 1.0), rel=1e-6)
 
 
 def test_pre_sliding_turns_over_with_travel_not_with_steps() -> None:
-    whole = transfer.turned(1.0, -3e-4, 1e-4)
+    whole = inverse.turned(1.0, -3e-4, 1e-4)
     parts = 1.0
     for _ in range(30):
-        parts = transfer.turned(parts, -1e-5, 1e-4)
+        parts = inverse.turned(parts, -1e-5, 1e-4)
     assert parts == pytest.approx(whole, abs=1e-12)
     assert whole == pytest.approx(-1.0 + 2.0 * math.exp(-3.0))
 
@@ -71,10 +72,10 @@ def found(residue: Day, noise_n: float = 0.15) -> Day:
     calibration = nominal()
     rng = np.random.default_rng(1)
     knee = np.full(BACK_AND_FORTH.size, float(laws.knee_angle(13.0)))
-    law = transfer.law(calibration, PERIOD_S, residue.friction, residue.softness)
-    path = transfer.path(law, BACK_AND_FORTH, knee, laps=1)
+    law = inverse.law(calibration, PERIOD_S, residue.friction, residue.softness)
+    path = inverse.path(law, BACK_AND_FORTH, knee, laps=1)
     start = path.start + residue.start_offset_n + rng.normal(0.0, noise_n, path.start.size)
-    work = adaptation.adapt(calibration, PERIOD_S, path.position + residue.zero_m, start, knee, residue.start_offset_n)
+    work = homing_fit.adapt(calibration, PERIOD_S, path.position + residue.zero_m, start, knee, residue.start_offset_n)
     while True:
         try:
             next(work)
@@ -177,16 +178,16 @@ def test_knee_ahead_of_its_reference_is_led() -> None:
     assert outputs.servo_target_m == pytest.approx(expected, abs=5e-6)
 
 
-def evidence_of(law: transfer.Law, true: transfer.Law, offset_m: float = 0.0) -> list[friction.Evidence]:
+def evidence_of(law: inverse.Law, true: inverse.Law, offset_m: float = 0.0) -> list[friction_following.Evidence]:
     """What one gait cycle tells a controller that believes `law` on a bench that is `true`, with noise at START."""
     rng = np.random.default_rng(5)
     knee, desired = gait.sampled(paper_reference(40.0, 2.0), SAMPLES)
-    told, slip, believed = [], tuple(transfer.Slip()), tuple(transfer.Slip())
+    told, slip, believed = [], tuple(inverse.Slip()), tuple(inverse.Slip())
     for angle, force in zip(knee.tolist(), desired.tolist(), strict=True):
-        position, start, *_, slip = transfer.inverse(true, slip, force, angle)
-        *_, by_sheath, by_knee, sheath_slow, knee_slow, believed = transfer.inverse(law, believed, force, angle)
+        position, start, *_, slip = inverse.inverse(true, slip, force, angle)
+        *_, by_sheath, by_knee, sheath_slow, knee_slow, believed = inverse.inverse(law, believed, force, angle)
         if abs(believed[0]) > extended.SETTLED and abs(believed[1]) > extended.SETTLED:
-            one = friction.witness(law, position + offset_m, angle, start + float(rng.normal(0.0, 0.15)), by_sheath,
+            one = friction_following.witness(law, position + offset_m, angle, start + float(rng.normal(0.0, 0.15)), by_sheath,
                                    by_knee, sheath_slow, knee_slow)
             told += [] if one is None else [one]
     return told
@@ -196,15 +197,15 @@ def evidence_of(law: transfer.Law, true: transfer.Law, offset_m: float = 0.0) ->
 @pytest.mark.parametrize(("factor", "breakaway"), [(1.0, 0.0), (1.1, 0.0), (0.85, 0.0), (1.0, 0.3), (1.1, 0.3)])
 def test_friction_is_followed_over_gait_cycles(factor: float, breakaway: float, offset_m: float) -> None:
     """Within 3 % of the exponent after six cycles, with 0.1 mm of zero against it: 0.3 N at 40 N."""
-    law = transfer.law(nominal(), PERIOD_S)
-    true = transfer.adapted(law, factor, breakaway)
+    law = inverse.law(nominal(), PERIOD_S)
+    true = inverse.adapted(law, factor, breakaway)
     followed = law
     for _ in range(6):
-        followed = friction.follow(followed, evidence_of(followed, true, offset_m))
+        followed = friction_following.follow(followed, evidence_of(followed, true, offset_m))
     assert followed.cable_exponent == pytest.approx(true.cable_exponent, rel=0.03)
     assert followed.breakaway == pytest.approx(breakaway, abs=0.06)
 
 
 def test_without_evidence_friction_stays() -> None:
-    law = transfer.law(nominal(), PERIOD_S)
-    assert friction.follow(law, []) is law
+    law = inverse.law(nominal(), PERIOD_S)
+    assert friction_following.follow(law, []) is law

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from master import fits, identify, transfer
-from master.calibration import Calibration, nominal
-from master.fits import Rest, Segment
+from master.identification import calibration_fit, identify
+from master.identification.calibration_fit import Rest, Segment
 from parameters import InputError
+from physics import inverse
+from physics.calibration import Calibration, nominal
 
 if TYPE_CHECKING:
     from conftest import Composer
@@ -25,7 +26,7 @@ NOISE_N = 0.05
 def made(kind: str, force: np.ndarray, knee: np.ndarray, seed: int) -> Segment:
     """What a bench that is exactly the model would record."""
     rng = np.random.default_rng(seed)
-    path = transfer.path(transfer.law(BENCH, 1e-3), force, knee, laps=1)
+    path = inverse.path(inverse.law(BENCH, 1e-3), force, knee, laps=1)
     start, end = (values + rng.normal(0.0, NOISE_N, force.size) for values in (path.start, force))
     return Segment(kind, 1e-3, path.position, path.position, knee, start, end)
 
@@ -43,7 +44,7 @@ def test_the_joint_fit_recovers_the_bench() -> None:
     """
     angles = np.linspace(0.0, 2.0 * np.pi, 2000)
     swing = made("swing", np.full(2000, 16.0), -0.6 + 0.5 * np.cos(angles), 9)
-    fitted, evidence = fits.loops(
+    fitted, evidence = calibration_fit.loops(
         [ramps(-0.1, 1), ramps(-0.5, 2), ramps(-1.0, 3), swing], nominal(), Rest(0.0, 0.0, NOISE_N))
     total = [c.cable_exponent + c.fabric_friction * (c.wrap_offset + 0.5) for c in (fitted, BENCH)]
     assert total[0] == pytest.approx(total[1], rel=0.03)
@@ -58,7 +59,7 @@ def test_the_papers_fits_give_their_coefficients_and_r_squared() -> None:
     force = np.linspace(20.0, 60.0, 500)
     position = BENCH.stiffness_a * force**2 + BENCH.stiffness_b * force + BENCH.stiffness_c
     loop = Segment("stiffness", 1e-3, position, position, np.full(500, -0.5), force + 0.3, force)
-    line = fits.stiffness([loop], 0.3)
+    line = calibration_fit.stiffness([loop], 0.3)
     assert line.coefficients == pytest.approx((BENCH.stiffness_a, BENCH.stiffness_b, BENCH.stiffness_c), rel=1e-6)
     assert line.r_squared == pytest.approx(1.0)
 
@@ -67,14 +68,14 @@ def test_a_lagging_drive_is_measured() -> None:
     lag_s, period_s = 7.5e-3, 1e-3
     target = 5e-3 * np.sin(np.linspace(0.0, 20.0, 4000))
     position, share = np.zeros_like(target), 1.0 - np.exp(-period_s / lag_s)
-    for i in range(fits.DRIVE_TICKS, target.size):
-        position[i] = position[i - 1] + share * (target[i - fits.DRIVE_TICKS] - position[i - 1])
+    for i in range(calibration_fit.DRIVE_TICKS, target.size):
+        position[i] = position[i - 1] + share * (target[i - calibration_fit.DRIVE_TICKS] - position[i - 1])
     halves = [Segment("ramp", period_s, *(column[part] for column in (target, position, target, target, target)))
               for part in (slice(0, 2000), slice(2000, 4000))]
-    found, true = fits.bandwidth(halves), 1.0 / (2.0 * np.pi * lag_s)
+    found, true = calibration_fit.bandwidth(halves), 1.0 / (2.0 * np.pi * lag_s)
     assert found.value == pytest.approx(true, rel=0.02)
     assert found.evidence.low <= true <= found.evidence.high
-    assert np.isnan(fits.bandwidth(halves[:1]).half)
+    assert np.isnan(calibration_fit.bandwidth(halves[:1]).half)
 
 
 def test_intervals_by_the_jackknife_cover_the_truth_as_often_as_they_say() -> None:
@@ -84,20 +85,20 @@ def test_intervals_by_the_jackknife_cover_the_truth_as_often_as_they_say() -> No
     deviation comes out 2.7 % low in the mean), within what 200 draws of it scatter.
     """
     rng, inside, halves = np.random.default_rng(4), 0, []
-    at = np.tile(np.concatenate([np.linspace(-1.0, 0.0, 20), np.linspace(0.0, -1.0, 20)]), fits.LAPS)
+    at = np.tile(np.concatenate([np.linspace(-1.0, 0.0, 20), np.linspace(0.0, -1.0, 20)]), calibration_fit.LAPS)
     for _ in range(200):
-        shift, tilt = (np.repeat(rng.normal(0.0, size, fits.LAPS), 40) for size in (1e-3, 2e-3))
+        shift, tilt = (np.repeat(rng.normal(0.0, size, calibration_fit.LAPS), 40) for size in (1e-3, 2e-3))
         position = 0.04 * at + shift + tilt * at
-        line = fits.swing([Segment("swing", 1e-3, position, position, at, at, at)])
+        line = calibration_fit.swing([Segment("swing", 1e-3, position, position, at, at, at)])
         inside += line.evidence[0].low <= 0.04 <= line.evidence[0].high
         halves.append(line.half[0])
     assert inside / 200 >= 0.89
-    assert np.mean(halves) == pytest.approx(0.973 * 2.262 * 2e-3 / np.sqrt(fits.LAPS), rel=0.07)
+    assert np.mean(halves) == pytest.approx(0.973 * 2.262 * 2e-3 / np.sqrt(calibration_fit.LAPS), rel=0.07)
 
 
 def test_what_was_not_recorded_is_named() -> None:
     with pytest.raises(InputError, match="no swing experiment"):
-        fits.swing([ramps(-0.5, 1)])
+        calibration_fit.swing([ramps(-0.5, 1)])
 
 
 def test_an_unknown_procedure_is_refused(composer: Composer) -> None:

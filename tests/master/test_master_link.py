@@ -10,12 +10,12 @@ import pytest
 
 from eds.bench import Network, wire
 from eds.cia301 import NmtCommand, NmtState
-from master import bringup
-from master.config import Limits
-from master.cycle import Exchange
-from master.guard import Guard
-from master.link import Emergency, Link, LinkError, stamp_ns
-from master.log import Log
+from master.cycle.exchange import Exchange
+from master.cycle.guard import Guard
+from master.cycle.log import Log
+from master.network import bringup
+from master.network.link import Emergency, Link, LinkError, stamp_ns
+from master.settings import Limits
 
 if TYPE_CHECKING:
     from conftest import Composer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from eds.bench import END, KNEE, SERVO, START
-from master.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
+from master.cycle.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
 
 
 def test_every_condition_has_a_row() -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eds.bench import Network
-from master.calibration import nominal
-from master.config import Impedance
-from master.stability import GAIN_MARGIN, crossing_rad_s, derated, gain_margin
+from master.control.stability import GAIN_MARGIN, crossing_rad_s, derated, gain_margin
+from master.settings import Impedance
+from physics.calibration import nominal
 
 if TYPE_CHECKING:
     from conftest import Composer

@@ -12,14 +12,15 @@ import pytest
 from eds.bench import KNEE, SERVO, Network, Wire, wire
 from eds.cia402 import State, state_of
 from eds.dictionary import key
-from master import bringup, drives
-from master.acknowledge import acknowledge
-from master.conduct import conduct
-from master.config import Limits
-from master.cycle import Exchange, Inputs
-from master.guard import Guard
-from master.link import Link
-from master.log import Log
+from master.cycle import drives
+from master.cycle.acknowledge import acknowledge
+from master.cycle.exchange import Exchange, Inputs
+from master.cycle.guard import Guard
+from master.cycle.log import Log
+from master.cycle.run_safely import conduct
+from master.network import bringup
+from master.network.link import Link
+from master.settings import Limits
 from virtual_bus.bus import BowdenBus
 
 if TYPE_CHECKING:

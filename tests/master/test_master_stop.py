@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from eds.cia402 import State, state_of
-from master import config
+from master import settings
 from trial.record import Recorder, RecordingError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def servo_is_off(ran: Ran) -> None:
 
 
 def test_start_above_its_limit_unwinds_then_quick_stops(composer: Composer) -> None:
-    ran = composer.run(limits=config.Limits(start_n=47.0))
+    ran = composer.run(limits=settings.Limits(start_n=47.0))
     stopped(ran, "START tension above its limit")
     assert 0x0002 in words(ran)
     servo_is_off(ran)
@@ -53,7 +53,7 @@ def test_start_above_its_limit_unwinds_then_quick_stops(composer: Composer) -> N
 
 
 def test_end_above_its_limit_unwinds(composer: Composer) -> None:
-    ran = composer.run(limits=config.Limits(end_n=39.0))
+    ran = composer.run(limits=settings.Limits(end_n=39.0))
     stopped(ran, "END tension above its limit")
     assert 0x0002 in words(ran)
     servo_is_off(ran)
@@ -65,7 +65,7 @@ def test_a_node_cut_off_is_named_and_the_rope_let_go(
 ) -> None:
     """Without START nothing says when the rope is slack, so the torque goes off; otherwise it is unwound."""
     ran = composer.run(
-        faults=[{"kind": "cut", "node": node, "start_s": IN_GAIT_S}], limits=config.Limits(stale_cycles=3))
+        faults=[{"kind": "cut", "node": node, "start_s": IN_GAIT_S}], limits=settings.Limits(stale_cycles=3))
     stopped(ran, f"inputs too old: {name}")
     assert (0x0002 in words(ran)) is quick_stop
     servo_is_off(ran)
@@ -86,7 +86,7 @@ def test_a_lost_heartbeat_alone_stops_the_trial(composer: Composer) -> None:
 def test_a_restarted_node_stops_the_trial(composer: Composer) -> None:
     ran = composer.run(
         faults=[{"kind": "power_off", "node": 4, "start_s": IN_GAIT_S, "stop_s": IN_GAIT_S + 0.002}],
-        limits=config.Limits(stale_cycles=500))
+        limits=settings.Limits(stale_cycles=500))
     stopped(ran, "restarted by itself: end")
     servo_is_off(ran)
 
@@ -102,7 +102,7 @@ def test_an_emergency_stops_the_trial_and_is_told(composer: Composer) -> None:
 
 def test_start_stale_for_n_cycles_stops_after_n(composer: Composer) -> None:
     ran = composer.run(
-        faults=[{"kind": "drop", "cob_id": 0x183, "start_s": IN_GAIT_S}], limits=config.Limits(stale_cycles=3))
+        faults=[{"kind": "drop", "cob_id": 0x183, "start_s": IN_GAIT_S}], limits=settings.Limits(stale_cycles=3))
     stopped(ran, "start missed 3 cycles in a row")
     servo_is_off(ran)
 

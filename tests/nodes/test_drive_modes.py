@@ -9,7 +9,7 @@ import struct
 import pytest
 
 from eds.cia402 import Mode, State, Status
-from physics.drive import KNEE_GAINS, SERVO_GAINS, Gains
+from physics.drive_loops import KNEE_GAINS, SERVO_GAINS, Gains
 from tests.nodes.drive_rig import KNEE, SERVO, DriveRig, lag_of
 
 ENABLED = State.OPERATION_ENABLED

@@ -9,7 +9,7 @@ import pytest
 
 from eds.bench import END, START
 from eds.cia301 import NmtCommand
-from physics.sensor import FULL_COUNTS
+from physics.converter import FULL_COUNTS
 from tests.nodes.drive_rig import MS, NodeBus
 from tests.nodes.test_sensor_values import Gauge
 

@@ -15,7 +15,7 @@ from nodes import TensionSensor
 from nodes.filter import Filter, FilterType
 from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, two_point
 from parameters import InputError
-from physics.sensor import FULL_COUNTS, SensorParameters
+from physics.converter import FULL_COUNTS, SensorParameters
 from tests.nodes.drive_rig import MS, NodeBus
 
 COUNTS_PER_N = FULL_COUNTS / SensorParameters().full_scale_n

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from physics import laws
-from physics.drive import DRIVE_TICK_NS, KNEE_GAINS, SERVO_GAINS, loop, loop_state
-from physics.plant import BowdenPlant, Outputs, create
+from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, SERVO_GAINS, loop, loop_state
+from physics.plant.bench_plant import BowdenPlant, Outputs, create
 
 TICK_S = DRIVE_TICK_NS * 1e-9
 FIT_KNEE = float(laws.knee_angle(13.0))

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from physics import step
+from physics.plant import step
 
 HERE = Path(step.__file__).parent
 

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from physics import laws
-from physics.drive import (
+from physics.drive_loops import (
     DRIVE_TICK_NS,
     KNEE_GAINS,
     LOOP,
@@ -15,7 +15,7 @@ from physics.drive import (
     loop_state,
     velocity_loop,
 )
-from physics.plant import create
+from physics.plant.bench_plant import create
 from physics.reference import paper_reference
 
 TICK_S = DRIVE_TICK_NS * 1e-9

@@ -8,11 +8,21 @@ import numpy as np
 import pytest
 
 from parameters import InputError, from_table
-from physics.effects import CATALOGUE, Course, Effect, EffectParameter, apply, compensate, register, registered, takes
-from physics.effects_page import page
-from physics.experiments import EXPERIMENTS
-from physics.memory import PlantParameters
-from physics.sensor import SensorParameters
+from physics.converter import SensorParameters
+from physics.effects.catalogue import (
+    CATALOGUE,
+    Course,
+    Effect,
+    EffectParameter,
+    apply,
+    compensate,
+    register,
+    registered,
+    takes,
+)
+from physics.effects.catalogue_page import page
+from physics.effects.separating_experiments import EXPERIMENTS
+from physics.plant.state_layout import PlantParameters
 
 FIRST_EDITION = (
     "cable_friction fabric_friction fabric_wrap cable_bend load_dependent_friction viscous_friction stribeck "

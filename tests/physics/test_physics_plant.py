@@ -7,8 +7,8 @@ import pytest
 
 from parameters import InputError
 from physics import laws
-from physics.memory import CABLE_NODES, ELEMENTS, NODES, SLOT
-from physics.plant import NOMINAL, PlantParameters, create
+from physics.plant.bench_plant import NOMINAL, PlantParameters, create
+from physics.plant.state_layout import CABLE_NODES, ELEMENTS, NODES, SLOT
 from tests.physics.plant_rig import FIT_KNEE, Rig
 
 X, KNEE, START, END, TRUE_END = 0, 4, 5, 6, 7

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from parameters import InputError, declarations
-from physics.leg import KNEE_AT_FIT
-from physics.memory import CABLE_NODES, NODES, SLOT
-from physics.plant import NOMINAL, BowdenPlant, PlantParameters, create
+from physics.plant.bench_plant import NOMINAL, BowdenPlant, PlantParameters, create
+from physics.plant.leg import KNEE_AT_FIT
+from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 
 SERVO_NM, KNEE_NM = 0.8, -1.2
 SECONDS = 0.05

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from physics.plant import NOMINAL, create
+from physics.plant.bench_plant import NOMINAL, create
 from tests.physics.plant_rig import FIT_KNEE, Rig
 
 X, V, KNEE, START, END, TRUE_END = 0, 1, 4, 5, 6, 7

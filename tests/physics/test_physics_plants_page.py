@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from physics.drive import DRIVE_TICK_NS, KNEE_GAINS, SERVO_GAINS, loop, loop_state
-from physics.plant import Outputs
+from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, SERVO_GAINS, loop, loop_state
+from physics.plant.bench_plant import Outputs
 
 PAGE = Path(__file__).parents[2] / "docs" / "plants.md"
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physics.sensor import FULL_COUNTS, Converter, SensorParameters
+from physics.converter import FULL_COUNTS, Converter, SensorParameters
 
 MS = 1_000_000
 QUIET = SensorParameters(noise_n=0.0)

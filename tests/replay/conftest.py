@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 
-from bowden.app import run
+from bowden.cli.app import run
 from trial import read
 
 

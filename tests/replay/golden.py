@@ -16,9 +16,9 @@ ATTACHED = ("bench.toml", "calibration.toml")
 
 def make(controller: str, folder: Path) -> None:
     """Run one walk on the simulated bench and keep the rows of its gait, with the frames of targets."""
-    from bowden.app import run
+    from bowden.cli.app import run
+    from bowden.replay.onto_controller_laws import INPUTS, OUTPUTS, walked
     from eds.bench import TARGETS_COB_ID
-    from master.replay_controller import INPUTS, OUTPUTS, walked
     from trial import read
     from trial.assemble import Content, write
     from trial.signals import PDO_NAMES
@@ -42,7 +42,7 @@ def make(controller: str, folder: Path) -> None:
 def main() -> None:
     """Make all of them."""
     sys.path.insert(0, str(Path(__file__).parents[2]))
-    from master.config import CONTROLLERS
+    from master.settings import CONTROLLERS
 
     FOLDER.mkdir(exist_ok=True)
     with TemporaryDirectory() as folder:

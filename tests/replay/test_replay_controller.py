@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from master.config import CONTROLLERS, Impedance
-from master.replay_controller import OUTPUTS, replay, walked
+from bowden.replay.onto_controller_laws import OUTPUTS, replay, walked
+from master.settings import CONTROLLERS, Impedance
 from parameters import InputError
 from trial.assemble import Content, write
 from trial.read import Trial

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from master.config import CONTROLLERS
-from master.replay_controller import OUTPUTS, step_again, walked
+from bowden.replay.onto_controller_laws import OUTPUTS, step_again, walked
+from master.settings import CONTROLLERS
 from trial import read
 
 FOLDER = Path(__file__).parent / "golden"

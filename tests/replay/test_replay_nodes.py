@@ -12,14 +12,14 @@ import can
 import numpy as np
 import pytest
 
-from bowden import replay_onto_master
-from bowden.replay_onto_plant import lengths_ns
+from bowden.replay import onto_master
+from bowden.replay.onto_plant import lengths_ns
+from bowden.replay.plant_residuals import commands
+from bowden.replay.recorded_nodes import Heard, RecordedNodes, compare, said
 from eds.bench import Network, wire
 from eds.frame import Frame
-from master.config import Impedance
-from master.replay_nodes import Heard, RecordedNodes, compare, said
-from master.replay_plant import commands
-from trial.frames import rows_of
+from master.settings import Impedance
+from trial.convert.frames import rows_of
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
@@ -117,9 +117,9 @@ def test_a_master_that_changed_is_told_by_its_first_frame(
     recorded: Callable[..., Trial], bowden: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trial = recorded()
-    meant = replay_onto_master.experiment(trial)
+    meant = onto_master.experiment(trial)
     changed = dataclasses.replace(meant, impedance=Impedance(stiffness_n_m=330.0))
-    monkeypatch.setattr(replay_onto_master, "experiment", lambda recorded, scripts: changed)
+    monkeypatch.setattr(onto_master, "experiment", lambda recorded, scripts: changed)
     told = bowden("replay", trial.path, "--onto", "bus", "--nodes-only", "--json")
     assert told.status == 1, told
     result = json.loads(told.stdout)

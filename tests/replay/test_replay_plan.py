@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bowden.replay.schedule import Selection, nmt_states, nodes_of, plan, restoration
 from eds.cia301 import NmtCommand, NmtState
 from eds.frame import Frame
-from master.replay_plan import Selection, nmt_states, nodes_of, plan, restoration
 from parameters import InputError
-from trial.cdr import ERROR, EXTENDED, REMOTE
-from trial.frames import rows_of
+from trial.convert.frames import rows_of
+from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
 
 MS = 1_000_000
 START_ALL, STOP_2 = bytes((NmtCommand.START, 0)), bytes((NmtCommand.STOP, 2))

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from master.replay_plan import plan
-from master.replay_plant import PREFIX, commands, origin_ns, residuals
+from bowden.replay.plant_residuals import PREFIX, commands, origin_ns, residuals
+from bowden.replay.schedule import plan
 from parameters import InputError
 from trial.assemble import Content, write
 from trial.read import Trial

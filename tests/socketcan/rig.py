@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import can
 
-from bowden.app import run
-from master.socketcan import KernelBus
+from bowden.cli.app import run
+from master.network.socketcan import KernelBus
 from trial import read
 
 wall_clock = time.time_ns

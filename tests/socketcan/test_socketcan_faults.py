@@ -16,10 +16,10 @@ import can
 import numpy as np
 import pytest
 
-from master.link import Link, LinkError
-from master.socketcan import KernelBus
+from master.network.link import Link, LinkError
+from master.network.socketcan import KernelBus
 from tests.socketcan import rig
-from trial.cdr import ERROR
+from trial.mcap_file.cdr import ERROR
 
 pytestmark = pytest.mark.guest("native", "icount")
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trial import clock
+from trial.convert import clock
 
 S = 1_000_000_000
 

@@ -10,9 +10,9 @@ import pytest
 
 import trial
 from parameters import InputError
-from trial import cdr
-from trial.export import export
-from trial.imports import import_file
+from trial.convert.export import export
+from trial.convert.imports import import_file
+from trial.mcap_file import cdr
 from trial.signals import Signal
 
 

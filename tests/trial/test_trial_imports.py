@@ -18,9 +18,10 @@ from mcap.writer import Writer
 import trial
 from eds.bench import Network, wire
 from parameters import InputError
-from trial import candump, cdr, csv_table
-from trial.frames import rows_of
-from trial.imports import import_file
+from trial.convert import candump, csv_table
+from trial.convert.frames import rows_of
+from trial.convert.imports import import_file
+from trial.mcap_file import cdr
 from trial.signals import SIGNALS, Signal
 
 WIRE = wire(Network())

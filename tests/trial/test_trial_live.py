@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 
 import trial
 from eds.bench import Network, wire
-from trial import cdr, decode
+from trial import decode
+from trial.convert.frames import rows_of
 from trial.follow import Follower
-from trial.frames import rows_of
-from trial.live import LONGEST_NS, SPEEDS, TRANSITIONS, Command, Message, Playback, Status, Tape, player
+from trial.mcap_file import cdr
+from trial.player_tape import LONGEST_NS, SPEEDS, TRANSITIONS, Command, Message, Playback, Status, Tape, player
 
 FIRST, LAST = 1_000_000_000, 3_000_000_000
 MS = 1_000_000

@@ -15,9 +15,9 @@ import pytest
 
 import trial
 from parameters import InputError
-from trial import cdr
-from trial.frames import ChannelNumbers
-from trial.python_can import McapReader, McapWriter, TrialMessage
+from trial.convert.frames import ChannelNumbers
+from trial.convert.python_can import McapReader, McapWriter, TrialMessage
+from trial.mcap_file import cdr
 
 ROOT = Path(trial.__file__).parent.parent
 LOG = """\

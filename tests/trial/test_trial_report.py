@@ -15,9 +15,10 @@ import pytest
 
 import trial
 from parameters import InputError
-from trial import metrics, report, report_force
-from trial.page import Page, Series
+from trial import metrics
 from trial.read import Event
+from trial.report import force_section, trial_page
+from trial.report.page import Page, Series
 
 RATE_HZ = 200
 PERIOD_S = 2.0
@@ -64,7 +65,7 @@ def write(path: Path, *, cycles: int = 3, metadata: dict[str, str] = METADATA, l
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report of a small trial."""
     path = tmp_path_factory.mktemp("report") / "report.html"
-    report.write(trial.open(write(path.with_suffix(".mcap"))), path, frame_bits, bound_percent=59.9)
+    trial_page.write(trial.open(write(path.with_suffix(".mcap"))), path, frame_bits, bound_percent=59.9)
     return path
 
 
@@ -158,13 +159,13 @@ def test_the_figures_are_those_of_metrics(written: Path) -> None:
     recorded = trial.open(written.with_suffix(".mcap"))
     found = metrics.figures(recorded.columns, peak_n=PEAK_N, rate_hz=RATE_HZ, cycles=3, settle=1)
     assert found["relative_rmse_percent"] is not None
-    for name, unit, _ in report.FIGURES:
+    for name, unit, _ in trial_page.FIGURES:
         assert f'<div class="value">{found[name]:.3g} <span class="unit">{unit}</span>' in written.read_text()
 
 
 def test_what_is_not_recorded_is_named_and_not_drawn(tmp_path: Path) -> None:
     recorded = trial.open(write(tmp_path / "a.mcap", lacks="tension_end_n"))
-    text = report.build(recorded, frame_bits, {}, None).html()
+    text = trial_page.build(recorded, frame_bits, {}, None).html()
     assert "No figures of force: tension_end_n not known." in text
     assert re.search(r"Not in this trial: [^<]*tension_end_n", text)
     labels = {series["label"] for plot in data(text)["plots"] for series in plot["series"]}
@@ -175,24 +176,24 @@ def test_what_is_not_recorded_is_named_and_not_drawn(tmp_path: Path) -> None:
 def test_events_of_trouble_are_marked_where_they_happened(tmp_path: Path) -> None:
     opened = trial.open(write(tmp_path / "a.mcap"))
     events = (*opened.events, Event(2_500_000_000, "safety", "master", "START lost"))
-    text = report.build(dataclasses.replace(opened, events=events), frame_bits, {}, None).html()
+    text = trial_page.build(dataclasses.replace(opened, events=events), frame_bits, {}, None).html()
     assert data(text)["plots"][0]["marks"] == [1.5]
     assert "mark 1 events (emcy, miss, safety, warning)" in text
 
 
 def test_the_interval_of_the_estimate_is_a_band(tmp_path: Path) -> None:
     opened = trial.open(write(tmp_path / "a.mcap"))
-    assert data(report.build(opened, frame_bits, {}, None).html())["plots"][0]["series"][0]["high"] is None
+    assert data(trial_page.build(opened, frame_bits, {}, None).html())["plots"][0]["series"][0]["high"] is None
     columns = {**opened.columns, "estimated_end_force_n": opened.columns["tension_end_n"],
                "estimated_end_half_n": np.full(len(opened.time_ns), 1.5)}
-    text = report.build(dataclasses.replace(opened, columns=columns), frame_bits, {}, None).html()
+    text = trial_page.build(dataclasses.replace(opened, columns=columns), frame_bits, {}, None).html()
     band = data(text)["plots"][0]["series"][0]
     assert band["label"] == "estimated_end_force_n ± estimated_end_half_n"
     np.testing.assert_allclose(array(text, band["high"]) - array(text, band["y"]), 3.0, atol=1e-5)  # float32 of 40 N
 
 
 def test_the_load_is_that_of_whole_windows(tmp_path: Path) -> None:
-    text = report.build(trial.open(write(tmp_path / "a.mcap")), frame_bits, {}, None).html()
+    text = trial_page.build(trial.open(write(tmp_path / "a.mcap")), frame_bits, {}, None).html()
     plot = next(plot for plot in data(text)["plots"] if plot["series"][0]["label"] == "all frames")
     load = array(text, plot["series"][0]["y"])
     bits = RATE_HZ * (55 + 2 * 135)
@@ -203,7 +204,7 @@ def test_the_load_is_that_of_whole_windows(tmp_path: Path) -> None:
 
 def test_a_setting_that_nobody_stated_is_read_off_the_columns_and_said(tmp_path: Path) -> None:
     recorded = trial.open(write(tmp_path / "a.mcap", metadata={"specimen": "fabric 3"}))
-    text = report.build(recorded, frame_bits, {}, None).html()
+    text = trial_page.build(recorded, frame_bits, {}, None).html()
     assert "Read off the columns: peak_n, rate_hz, cycles." in text
     assert "kbit/s" in json.dumps([plot["y_label"] for plot in data(text)["plots"]])
 
@@ -216,7 +217,7 @@ def test_a_recording_without_control_cycles_has_a_report(
     for _ in range(frames):
         with_none.frame(5, 0x181, b"\0")
     with_none.close({})
-    report.write(trial.open(tmp_path / "a.mcap"), tmp_path / "a.html", frame_bits)
+    trial_page.write(trial.open(tmp_path / "a.mcap"), tmp_path / "a.html", frame_bits)
     browser.open(tmp_path / "a.html")
     assert browser.complaints == []
     assert browser.run("document.documentElement.dataset.drawn") == str(plots)
@@ -234,9 +235,9 @@ def test_a_trial_of_ten_minutes_stays_below_ten_megabytes_and_keeps_its_peak(tmp
     columns |= {"cycle": np.floor(np.arange(rows) / 2000), "gait_percent": np.arange(rows) % 2000 / 20.0}
     columns["tension_end_n"][peak_at] = 4321.5
     long = dataclasses.replace(short, time_ns=time_ns, columns=columns, metadata=METADATA | {"cycles": "300"})
-    text = report.build(long, frame_bits, {}, None).html()
+    text = trial_page.build(long, frame_bits, {}, None).html()
     assert len(text) < 10_000_000
-    assert f"every 30 ms ({rows} rows in {report_force.BINS} bins)" in text
+    assert f"every 30 ms ({rows} rows in {force_section.BINS} bins)" in text
     force = data(text)["plots"][0]
     at = [series["label"] for series in force["series"]].index("tension_end_n")
     values = array(text, force["series"][at]["y"])

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from parameters import InputError
-from physics.memory import PlantParameters
-from physics.plant import Plant, create
+from physics.plant.bench_plant import Plant, create
+from physics.plant.state_layout import PlantParameters
 from virtual_bus import plant_model
 from virtual_bus.build import factory, nominal
 from virtual_bus.bus import BowdenBus
@@ -48,8 +48,8 @@ def test_a_plant_by_module_stands_behind_the_nodes() -> None:
 
 
 @pytest.mark.parametrize(("name", "says"), [
-    ("no_such_module:create", "cannot be imported"), ("physics.plant:nothing", "cannot be imported"),
-    ("physics.plant:__doc__", "no callable"),
+    ("no_such_module:create", "cannot be imported"), ("physics.plant.bench_plant:nothing", "cannot be imported"),
+    ("physics.plant.bench_plant:__doc__", "no callable"),
 ])
 def test_a_plant_that_is_none_is_one_sentence(name: str, says: str) -> None:
     with pytest.raises(InputError, match=says):

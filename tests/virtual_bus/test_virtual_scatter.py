@@ -7,8 +7,8 @@ import math
 import pytest
 
 from parameters import InputError, declarations
-from physics.plant import PlantParameters
-from physics.sensor import SensorParameters
+from physics.converter import SensorParameters
+from physics.plant.bench_plant import PlantParameters
 from virtual_bus import scatter
 from virtual_bus.build import GROUPS, factory, nominal, steady
 from virtual_bus.scatter import DAY, LAWS, SERIAL, draw, scattered

@@ -1,0 +1,149 @@
+"""`bowden home`, `tare`, `jog`, `release`: a bench before and between trials."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from master.cycle.run_safely import Outcome
+    from master.motion.commission import Procedure
+
+Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start or end.", show_default=False)]
+Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee.", show_default=False)]
+By = Annotated[float, typer.Option(metavar="X", help="mm of rope (pulling > 0) or degrees of knee (flexion < 0).")]
+Speed = Annotated[float | None, typer.Option(metavar="V", help="mm/s or degrees/s at most (default 10).")]
+SPEED = 10.0
+
+
+@app.command()
+@grouped
+def home(
+    calibration: options.Calibration = None,
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Find the encoder zero at the preload.
+
+    The rope is left slack.
+
+    Example: bowden home --interface socketcan --channel can0
+    """
+    from master.motion import commission
+    from physics.calibration import nominal, read
+
+    bench = _Bench(reached, rate, config)
+    measured = nominal() if calibration is None else read(calibration)
+    return bench.perform("home", commission.home(
+        measured, bench.sections["homing"], bench.sections["gait"].idle_slack_m), json=json)
+
+
+@app.command()
+@grouped
+def tare(
+    sensor: Sensor,
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Zero a tension sensor.
+
+    The rope must be slack, and no drive is enabled.
+
+    Example: bowden tare start --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    procedure = commission.tare(sensor)
+    return _Bench(reached, rate, config).perform(f"tare {sensor}", procedure, json=json)
+
+
+@app.command()
+@grouped
+def jog(
+    axis: Axis,
+    by: By,
+    speed: Speed = None,
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Move one axis slowly, alone; the other drive stays off.
+
+    Example: bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    unit = math.radians(1.0) if axis == "knee" else 1e-3
+    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit)
+    return _Bench(reached, rate, config).perform(f"jog {axis}", procedure, json=json)
+
+
+@app.command()
+@grouped
+def release(
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Take the tension off.
+
+    The servo alone pays the rope out until START is slack.
+
+    Example: bowden release --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    bench = _Bench(reached, rate, config)
+    return bench.perform("release", commission.release(bench.sections["homing"], bench.sections["limits"]), json=json)
+
+
+class _Bench:
+    """The bench that the options name: its bus and its configuration."""
+
+    def __init__(self, reached: Bus, rate: int | None, config: Path | None) -> None:
+        self.sections = reached.sections(config, rate)
+        self.chosen = reached.chosen()
+
+    def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
+        """Run one procedure and say what it found."""
+        found: dict[str, Any] = {}
+        with terminal.waiting(what, shown=not json):
+            outcome = self._conduct(procedure, found)
+        result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
+                  "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
+        if json:
+            terminal.emit(result)
+        else:
+            terminal.table(what, ("figure", "value"), [
+                (name, terminal.number(value, 4)) for name, value in found.items()])
+            print(f"{what}: {result['outcome']}" + (f": {outcome.reason}" if outcome.reason else "."))
+        return 0 if outcome.reason is None else 1
+
+    def _conduct(self, procedure: Procedure, found: dict[str, Any]) -> Outcome:
+        from bowden import session
+        from bowden.buses import opened
+        from master.cycle.run_safely import conduct
+        from master.network.link import Link
+
+        network = self.sections["network"]
+        session.compile_laws(simulated=self.chosen.simulated, quiet=True)
+        with opened(self.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus, bus.host():
+            return conduct(Link(bus.bus, bus.clock), bus.tap, None, network, self.sections["limits"],
+                           lambda exchange: found.update(procedure(exchange)))

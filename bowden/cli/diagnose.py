@@ -1,0 +1,203 @@
+"""`bowden diagnose`: what the simulation gets wrong about measured trials, and what an experiment would show."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.finder import Diagnosis
+    from diagnosis.judgement.plan import Plan
+
+Trials = Annotated[list[Path] | None, typer.Argument(
+    metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
+Healthy = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Nothing is wrong in it; repeatable.")]
+Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
+Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
+Extended = Annotated[Path | None, typer.Option(
+    "-o", "--output", metavar="FILE", help="extended.toml: what was found, for --plant-model and --controller-model.")]
+Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
+Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
+    metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
+Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="With --each: processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(
+    metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
+Planned = Annotated[str | None, typer.Option(
+    "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
+    "bowden trial --experiment, would show.")]
+Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
+
+RELATION_COLUMNS = ("relation", "unit", "floor", "before", "after", "held out before", "held out after", "gain (%)")
+RELATION_FIGURES = ("floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after")
+
+
+@app.command()
+def diagnose(
+    trials: Trials = None,
+    calibration: options.Calibration = None,
+    healthy: Healthy = None,
+    holdout: Holdout = None,
+    lowpass: Lowpass = None,
+    output: Extended = None,
+    report: Report = None,
+    tracked: Tracked = None,
+    each: Each = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    plan: Planned = None,
+    peak: options.Peak = None,
+    period: options.Period = None,
+    cycles: options.Cycles = None,
+    noise: Noise = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Say what the simulation gets wrong, and why.
+
+    From measured trials: the cause by name, with intervals, on data that no fit has seen.
+
+    Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
+    """
+    from bowden.cli import outputs
+
+    asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
+    given = {"TRIAL": trials, "-o": output, "--report": report, "--lowpass": lowpass, "--holdout": holdout,
+             "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
+    if plan is not None:
+        _leave_out(given, given, "--plan is before any trial")
+        return _plan(plan, asked, calibration, healthy or [], json)
+    chosen = _trials(trials, asked, given)
+    if each:
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
+    outputs.refuse([output, report], overwrite=overwrite)
+    began = time.perf_counter()
+    with terminal.waiting("diagnosing", shown=not json):
+        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
+    result = found.as_json() | {"seconds": time.perf_counter() - began}
+    terminal.emit(result) if json else _tell(found, result)
+    return 2 if found.verdict == "refused" else 0
+
+
+def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
+    for option in names:
+        if given[option]:
+            raise InputError(f"{reason}; leave {option} out.")
+
+
+def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, Any]) -> list[Path]:
+    """Return the trials; raises `InputError` for options that do not belong beside each other."""
+    for option, value in asked.items():
+        if value is not None:
+            raise InputError(f"{option} belongs to --plan; leave it out, or name an experiment with --plan.")
+    if not trials:
+        raise InputError("diagnose: no trial given; name at least one, or an experiment with --plan.")
+    if given["--each"]:
+        _leave_out(given, ("-o", "--report", "--tracked"), "--each gives a verdict for every trial and writes none")
+    for option in ("--workers", "--scheduler"):
+        if given[option] and not given["--each"]:
+            raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
+    if given["--tracked"] and not given["--report"]:
+        raise InputError("--tracked is shown in the report; name one with --report.")
+    return trials
+
+
+def _each(
+    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
+    scheduler: str | None, workers: int | None, json: bool,
+) -> int:
+    """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
+    from bowden.sweep import diagnose_each
+
+    given = diagnose_each.Given(calibration, healthy, holdout, lowpass)
+    with diagnose_each.crew(scheduler, workers) as crew, terminal.progress("diagnosing", shown=not json) as update:
+        told = diagnose_each.each(trials, given, crew, update)
+    terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
+    refused = sum(one["verdict"] == "refused" for one in told.values())
+    return 2 if refused == len(told) else 1 if refused else 0
+
+
+def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
+    terminal.table("diagnoses" + (f" (low-pass {lowpass:g} Hz)" if lowpass else ""), (
+        "trial", "verdict", "causes", "class", "to do next, or why not"), [
+        (trial, one["verdict"], "; ".join(f"{c['effect']} {_parameters(c['parameters'])}" for c in one["causes"]),
+         ", ".join(one["class"]), one["warnings"][0] if one["verdict"] == "refused" else one["experiment"] or "")
+        for trial, one in told.items()])
+
+
+def _diagnosed(
+    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
+    output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
+) -> Diagnosis:
+    """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
+    from diagnosis import extension
+    from diagnosis.data import table
+    from diagnosis.finder import diagnose as diagnosed
+
+    groups = [[table.read(path) for path in group] for group in (trials, healthy, holdout)]
+    found = diagnosed(groups[0], calibration, groups[1], groups[2], lowpass)
+    if found.verdict == "refused":
+        return found
+    if output is not None:
+        output.write_text(extension.text(found, groups[0]), encoding="utf-8")
+    if report is not None:
+        from diagnosis.report import page
+
+        page.write(found, groups[0], groups[2], report, tracked)
+    return found
+
+
+def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
+    print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+    figure = terminal.number
+    if result["causes"]:
+        terminal.table("causes", ("effect", "site", "parameters", "gain (%)"), [
+            (cause["effect"], cause["site"], _parameters(cause["parameters"]), figure(cause["gain_percent"], 1))
+            for cause in result["causes"]])
+    if found.rivals[1:]:
+        print(f"These data cannot tell {found.rivals[0]} from {', '.join(found.rivals[1:])}.")
+    if found.experiment:
+        print(f"What would: {found.experiment}")
+    terminal.table("relations", RELATION_COLUMNS, [
+        (name, row["unit"], *(figure(row[key], 4) for key in RELATION_FIGURES), figure(row["gain_percent"], 1))
+        if row["checked"] else (name, row["unit"], "not checked", *["–"] * len(RELATION_FIGURES))
+        for name, row in result["relations"].items()])
+    for warning in found.warnings:
+        print(f"Warning: {warning}")
+
+
+def _parameters(parameters: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}] {value['unit']}"
+                     for name, value in parameters.items())
+
+
+def _plan(name: str, asked: dict[str, Any], calibration: Path | None, healthy: list[Path], json: bool) -> int:
+    from bowden import planning
+
+    with terminal.waiting(f"simulating {name}", shown=not json):
+        found = planning.plan(name, asked, calibration, healthy)
+    terminal.emit({"experiment": name, **found.as_json()}) if json else _tell_plan(name, found)
+    return 0
+
+
+def _tell_plan(name: str, found: Plan) -> None:
+    terminal.table(f"the smallest departure from healthy that {name} shows", (
+        "effect", "smallest", "likely", "seen in"), [
+        (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
+         f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.relation or "–") for limit in found.limits])
+    for limit in found.limits:
+        if limit.like:
+            print(f"{limit.effect} looks like {', '.join(limit.like)}.")
+    if found.blind:
+        print(f"Not seen by any relation: {', '.join(found.blind)}.")
+    terminal.table("relations", ("relation", "unit", "floor", "independent samples"), [
+        (relation, found.unit(relation), f"{floor:.3g}", f"{found.samples[relation]:.0f}")
+        for relation, floor in found.floors.items()])

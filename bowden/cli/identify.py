@@ -1,0 +1,122 @@
+"""`bowden identify`: measure a bench by the paper's procedures, or fit its recorded trials, into a calibration."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, Simulated, grouped
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.identification import Identified
+    from physics.calibration import Calibration
+
+What = Annotated[str, typer.Argument(metavar="WHAT", help="stiffness, swing, friction, sensors or all.")]
+Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="What it starts from.")]
+From = Annotated[list[Path] | None, typer.Option(
+    "--from", metavar="TRIAL", help="Fit recorded experiments in place of measuring; repeatable.")]
+Picture = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Draw the paper's Figs. 9 and 10 (png, svg, pdf).")]
+
+
+@app.command()
+@grouped
+def identify(
+    what: What,
+    output: options.Output,
+    calibration: Guess = None,
+    recorded: From = None,
+    picture: Picture = None,
+    *,
+    rate: options.Rate = None,
+    simulated: Simulated,
+    reached: Bus,
+    config: options.Config = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Measure a bench and write its calibration.
+
+    The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus.
+
+    Example: bowden identify all --serial 3 -o calibration.toml
+    """
+    from bowden import identification
+    from bowden.cli import outputs
+
+    _drawable(what, picture)
+    today = datetime.date.today().isoformat()
+    if recorded:
+        _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
+        outputs.refuse([output, picture], overwrite=overwrite)
+        found = identification.again(what, recorded, calibration, date=today, quiet=json)
+        return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
+    sections = reached.sections(config, rate)
+    chosen = reached.chosen(simulated)
+    recording = output.with_suffix(".mcap")
+    outputs.refuse([output, recording, picture], overwrite=overwrite)
+    found = identification.perform(
+        what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, quiet=json)
+    return _ended(found, output, str(recording), picture, json)
+
+
+def _drawable(what: str, picture: Path | None) -> None:
+    if picture is not None and what == "sensors":
+        raise InputError(f"--picture {picture}: identify sensors pulls and swings nothing that could be drawn; "
+                         "leave it out.")
+
+
+def _no_bench(given: Mapping[str, object]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
+
+
+def _ended(found: Identified, output: Path, source: str, picture: Path | None, json: bool) -> int:
+    if found.calibration is not None:
+        from physics.calibration import write
+
+        output.write_text(write(found.calibration), encoding="utf-8")
+        if picture is not None:
+            from bowden import loops_picture
+
+            loops_picture.draw(found.segments, f"{output.name}, measured in {source}", picture)
+    terminal.emit(_object(found, output, source)) if json else _tell(found, output, source)
+    return 0 if found.reason is None else 1
+
+
+def _rows(found: Calibration) -> dict[str, dict[str, Any]]:
+    from parameters import declarations
+
+    return {
+        name: {"value": getattr(found, name), "unit": declared.unit, "low": proof.low, "high": proof.high,
+               "r_squared": proof.r_squared}
+        for name, _, declared in declarations(type(found))
+        if (proof := found.evidence.get(name)) is not None and proof.date
+    }
+
+
+def _object(found: Identified, output: Path, source: str) -> dict[str, Any]:
+    made = found.calibration
+    return {
+        "calibration": None if made is None else str(output), "trial": source,
+        "outcome": "completed" if found.reason is None else "stopped", "stop_reason": found.reason,
+        "scalars": {} if made is None else _rows(made),
+    }
+
+
+def _tell(found: Identified, output: Path, source: str) -> None:
+    if found.calibration is None:
+        print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
+        return
+    terminal.table(f"{output}, measured in {source}", ("scalar", "unit", "value", "95 % low", "high", "R²"), [
+        (name, row["unit"] or "1", f"{row['value']:.4g}",
+         *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
+        for name, row in _rows(found.calibration).items()])

@@ -1,0 +1,103 @@
+"""Options that belong together, declared once; a command takes each group as one parameter.
+
+The rule of this file: a group is a named tuple of options with defaults, and knows what it makes of a configuration;
+`grouped` spells groups out for the command line and gathers them again.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
+
+from bowden.cli import options
+
+if TYPE_CHECKING:
+    from bowden.buses import Chosen
+
+
+class Walk(NamedTuple):
+    """What the gait is asked to be; None leaves it to the configuration."""
+
+    peak: options.Peak = None
+    period: options.Period = None
+    cycles: options.Cycles = None
+    settle: options.Settle = None
+    controller: options.Controller = None
+    soft_start: options.SoftStart = None
+
+    def gait(self, section: Any, controller: str | None = None) -> Any:
+        """The configuration's `section`, overridden; `controller` where the command line names none."""
+        from bowden.configuration import override
+
+        return override(section, {
+            "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
+            "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller),
+            "soft_start": ("--soft-start", self.soft_start)})
+
+
+class Simulated(NamedTuple):
+    """What belongs to simulated benches only; None where it was not given."""
+
+    serial: options.Serial = None
+    day: options.Day = None
+    seed: options.Seed = None
+    plant: options.Plant = None
+    plant_model: options.PlantModel = None
+
+
+class Bus(NamedTuple):
+    """The bus that the bench is on; the virtual one where no interface is named."""
+
+    interface: options.Interface = None
+    channel: options.Channel = None
+    bitrate: options.Bitrate = None
+    option: options.Extra = None
+
+    def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
+        """The checked sections of the configuration in `config`, the network overridden by what was given."""
+        from bowden import configuration
+
+        sections = configuration.read(config)
+        sections["network"] = configuration.override(
+            sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
+        return sections
+
+    def chosen(self, simulated: Simulated | None = None) -> Chosen:
+        """The bus to open; raises `InputError` for what contradicts itself."""
+        from bowden.buses import choose
+
+        return choose(self, simulated or Simulated())
+
+
+def grouped(command: Callable[..., int]) -> Callable[..., int]:
+    """Let `command` take groups: its options are theirs, in their place, and each group arrives as one argument."""
+    hints = get_type_hints(command, include_extras=True)
+    groups = {name: kind for name, kind in hints.items() if hasattr(kind, "_field_defaults")}
+    spelt: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command).parameters.values():
+        if parameter.name in groups:
+            spelt += _options(groups[parameter.name])
+        else:
+            spelt.append(parameter.replace(annotation=hints[parameter.name], kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @wraps(command)
+    def gathered(**given: Any) -> int:
+        made = {name: kind(**{field: given.pop(field) for field in kind._fields}) for name, kind in groups.items()}
+        return command(**given, **made)
+
+    _spell(gathered, {parameter.name: parameter.annotation for parameter in spelt}, inspect.Signature(spelt))
+    return gathered
+
+
+def _options(group: Any) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=group._field_defaults[name],
+                              annotation=hints[name]) for name in group._fields]
+
+
+def _spell(function: Any, annotations: Mapping[str, Any], signature: inspect.Signature) -> None:
+    """What a command line reads a command's options from."""
+    function.__annotations__, function.__signature__ = dict(annotations), signature

@@ -1,0 +1,144 @@
+"""`bowden sweep`: many trials of simulated benches, one table."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+
+if TYPE_CHECKING:
+    from bowden.sweep.rows import Row
+    from bowden.sweep.run import Workers
+
+Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…", help=(
+    "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
+    "Repeatable."))]
+Draw = Annotated[list[str] | None, typer.Option("--draw", metavar="NAME=LOW:HIGH[:log]", help=(
+    "A number drawn at random. Repeatable."))]
+Draws = Annotated[int, typer.Option(help="Random draws for each point of the grid.")]
+DrawSeed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Identify = Annotated[bool, typer.Option("--identify", help="Identify each bench on its day 0 first.")]
+Keep = Annotated[Path | None, typer.Option(metavar="DIR", help="Keep the recordings there (default: none is kept).")]
+Workers_ = Annotated[int | None, typer.Option("--workers", help="Processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
+Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
+
+
+@app.command()
+def sweep(
+    output: Table,
+    grid: Grid = None,
+    draw: Draw = None,
+    draws: Draws = 1,
+    draw_seed: DrawSeed = 0,
+    identify: Identify = False,
+    calibration: options.Calibration = None,
+    knee: options.Knee = None,
+    desired: options.Desired = None,
+    config: options.Config = None,
+    keep: Keep = None,
+    workers: Workers_ = None,
+    scheduler: Scheduler = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Run trials over grids and random draws.
+
+    Of any value, into one table; a partial table is continued.
+
+    Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
+    """
+    from bowden import configuration
+    from bowden.sweep import rows as sweep_rows
+    from bowden.sweep.table import Table as Growing
+
+    if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
+        raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
+    rows = sweep_rows.rows(
+        configuration.read(config), _fixed(identify, calibration, knee, desired),
+        [sweep_rows.axis(text) for text in grid or ()], [sweep_rows.draw(text) for text in draw or ()],
+        draws, draw_seed)
+    _keeping(keep)
+    with Growing(output, list(rows[0]), overwrite=overwrite) as table:
+        resumed = sum(table.found(row) is not None for row in rows)
+        _say_resumed(table, resumed, len(rows))
+        with _crew(scheduler, workers, quiet=json, idle=resumed == len(rows)) as crew:
+            _run(rows, table, crew, _calibrations(output, overwrite), keep, quiet=json)
+        found = [table.found(row) or {} for row in rows]
+    failed = sum(row["outcome"] != "completed" for row in found)
+    result = {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed}
+    terminal.emit(result) if json else print(
+        f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
+    return 1 if failed else 0
+
+
+def _fixed(identify: bool, calibration: Path | None, knee: Path | None, desired: Path | None) -> dict[str, Any]:
+    from bowden.sweep.rows import IDENTIFIED
+    from parameters import InputError
+
+    if identify and calibration is not None:
+        raise InputError("--identify measures the calibration that --calibration gives; leave one of them out.")
+    given = {"files.calibration": IDENTIFIED if identify else calibration, "files.knee": knee, "files.desired": desired}
+    return {name: str(value) for name, value in given.items() if value is not None}
+
+
+def _keeping(keep: Path | None) -> None:
+    from parameters import InputError
+
+    if keep is not None and not keep.is_dir():
+        raise InputError(f"--keep {keep}: is no directory; make it first.")
+
+
+def _calibrations(output: Path, overwrite: bool) -> Path:
+    """The directory beside the table that keeps what was identified for it; emptied with `overwrite`."""
+    folder = output.with_suffix(".calibrations")
+    for stale in folder.glob("serial-*.toml") if overwrite else ():
+        stale.unlink()
+    return folder
+
+
+def _say_resumed(table: Any, resumed: int, total: int) -> None:
+    from bowden import provenance
+
+    if resumed:
+        terminal.remark(f"{table.path}: {resumed} of {total} trials are there from before.")
+        if table.commits - {provenance.commit()}:
+            terminal.remark("some of them are by another commit; --overwrite makes them again.")
+
+
+@contextlib.contextmanager
+def _crew(scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool) -> Iterator[Workers | None]:
+    """The workers that were asked for; None where there is nothing to do."""
+    from bowden import session
+    from bowden.sweep import run as sweep_run
+
+    if idle:
+        yield None
+        return
+    if scheduler is not None:
+        with sweep_run.cluster(scheduler) as crew:
+            yield crew
+        return
+    session.compile_laws(simulated=True, quiet=quiet)
+    with sweep_run.local(workers) as crew:
+        yield crew
+
+
+def _run(rows: list[Row], table: Any, crew: Workers | None, folder: Path, keep: Path | None, *, quiet: bool) -> None:
+    from bowden.sweep.run import sweep as run
+
+    if crew is None:
+        table.finish(rows)
+        return
+    with terminal.progress("sweep", shown=not quiet) as update:
+        try:
+            run(rows, table, crew, folder, keep=None if keep is None else str(keep.resolve()), update=update)
+        except KeyboardInterrupt:
+            terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
+            raise

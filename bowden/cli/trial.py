@@ -1,0 +1,81 @@
+"""`bowden trial`: one experiment, on the virtual bus or on a real one, recorded in one MCAP file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
+
+PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
+"""Relative RMSE that the paper's experiment gives by peak, its section 5.2."""
+
+
+@app.command()
+@grouped
+def trial(
+    output: options.Output,
+    walk: Walk,
+    knee: options.Knee = None,
+    desired: options.Desired = None,
+    calibration: options.Calibration = None,
+    controller_model: options.ControllerModel = None,
+    experiment: options.Script = None,
+    dry_run: options.DryRun = False,
+    *,
+    rate: options.Rate = None,
+    simulated: Simulated,
+    reached: Bus,
+    config: options.Config = None,
+    picture: options.Picture = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Run one experiment and record it.
+
+    Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
+    """
+    from bowden import provenance, session
+
+    sections = reached.sections(config, rate)
+    reference, sections["gait"], notes = session.reference(
+        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
+        peak_given=walk.peak is not None)
+    chosen = reached.chosen(simulated)
+    prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
+                               controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
+    for note in notes:
+        terminal.remark(note)
+    result = session.perform(prepared, output, picture, overwrite=overwrite, quiet=json)
+    terminal.emit(result) if json else _show(result, output, picture)
+    return 0 if result["outcome"] == "completed" else 1
+
+
+FORCE_FIGURES = (
+    ("relative RMSE, END (%)", "relative_rmse_percent"),
+    ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
+    ("largest END at idle (N)", "max_idle_tension_n"),
+    ("jump at the peak (N)", "peak_jump_n"),
+)
+
+
+def _show(result: dict[str, Any], output: Path, picture: Path | None) -> None:
+    figure = terminal.number
+    paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
+             f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
+    terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
+        (name, figure(result[key]), figure(result[f"true_{key}"]), paper.get(key, "–")) for name, key in FORCE_FIGURES])
+    ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
+    terminal.table("bus", ("figure", "value"), [
+        ("load, measured (%)", figure(result["bus_load_percent"])),
+        ("load, computed bound (%)", figure(result["bus_load_bound_percent"])),
+        ("missed cycles", str(result["missed_cycles"])),
+        ("stale inputs", str(result["stale_inputs"])),
+        ("wall seconds per simulated second", figure(ratio, 3)),
+    ])
+    if result["stop_reason"]:
+        print(f"Stopped: {result['stop_reason']}")
+    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else ""))

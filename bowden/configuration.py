@@ -1,0 +1,104 @@
+"""bench.toml: one table per room's declaration; nothing here knows a value or a bound.
+
+The rule of this file: a section is a declared dataclass of the room that uses it, found in `SECTIONS`;
+options on the command line replace fields of those dataclasses and are checked by the same bounds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from parameters import InputError, checked, declarations, from_table, read_toml, template
+
+SECTIONS: dict[str, tuple[str, str]] = {
+    "network": ("eds.bench", "Network"),
+    "gait": ("master.settings", "Gait"),
+    "impedance": ("master.settings", "Impedance"),
+    "limits": ("master.settings", "Limits"),
+    "homing": ("master.settings", "Homing"),
+    "record": ("master.settings", "Record"),
+}
+DEVICES: dict[str, tuple[str, str]] = {
+    "servo": ("eds.fitting", "ServoFitting"),
+    "knee": ("eds.fitting", "KneeFitting"),
+    "start": ("eds.fitting", "SensorFitting"),
+    "end": ("eds.fitting", "SensorFitting"),
+}
+"""Tables of devices that are not those of this project; they become the network's fittings."""
+TABLES = {**SECTIONS, **DEVICES}
+
+
+def declaration(section: str) -> type[Any]:
+    """The dataclass that declares one section."""
+    module, name = TABLES[section]
+    found: type[Any] = getattr(importlib.import_module(module), name)
+    return found
+
+
+def read(path: Path | None) -> dict[str, Any]:
+    """Every section as its checked dataclass; sections absent from the file, or no file, give the defaults."""
+    given = read_toml(path) if path else {}
+    for name, content in given.items():
+        if name not in TABLES:
+            raise InputError(f"{path}: unknown table [{name}]; expected one of {', '.join(TABLES)}.")
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
+    read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
+            for name in TABLES if name in SECTIONS or name in given}
+    fittings = tuple((_node(name), _beside(path, read.pop(name))) for name in DEVICES if name in read)
+    return read | {"network": dataclasses.replace(read["network"], fittings=fittings)}
+
+
+def _node(name: str) -> int:
+    from eds.bench import NAMES
+
+    return next(node for node, called in NAMES.items() if called == name)
+
+
+def _beside(path: Path | None, fitting: Any) -> Any:
+    """A device's file is named from where the configuration lies."""
+    file = Path(fitting.file)
+    return fitting if not fitting.file or path is None else dataclasses.replace(fitting, file=str(path.parent / file))
+
+
+def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
+    """Replace fields by command-line options {field: (option, value)}; None means not given."""
+    for field, (option, value) in options.items():
+        if value is not None:
+            section = checked(dataclasses.replace(section, **{field: value}), where=option)
+    return section
+
+
+def as_text(sections: Mapping[str, Any]) -> str:
+    """The configuration that was used, as TOML: what a trial carries with it."""
+    from eds.bench import NAMES
+
+    devices = {NAMES[node]: fitting for node, fitting in sections["network"].fittings}
+    return "\n".join(f"[{name}]\n{_lines(section)}" for name, section in {**sections, **devices}.items())
+
+
+def _lines(section: Any) -> str:
+    lines = []
+    for field, _, _ in declarations(type(section)):
+        value = getattr(section, field)
+        shown = str(value).lower() if isinstance(value, bool) else _quoted(value) if isinstance(value, str) else value
+        lines.append(f"{field} = {shown}\n")
+    return "".join(lines)
+
+
+def _quoted(text: str) -> str:
+    """A TOML string: JSON's escapes are among TOML's."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def as_template(told: Mapping[str, str] | None = None) -> str:
+    """A commented bench.toml with every default, unit, range and source; `told` fills `[record]`."""
+    text = "\n".join(template(declaration(name), name) for name in SECTIONS)
+    for field, said in (told or {}).items():
+        text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
+    return text

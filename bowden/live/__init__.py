@@ -1,0 +1,1 @@
+"""Live view: a trial or a running bus in a Foxglove viewer."""

@@ -1,0 +1,1 @@
+"""Replay of a recorded trial onto a bus, the controller or a plant."""

@@ -1,0 +1,151 @@
+"""A trial's commands into a simulated bench, and how far what it answers is from what was recorded.
+
+The rule of this file: pure.  A command is played where its first bit was on the recorded wire; both sides are decoded
+from frames by the same plans, row k from SYNC k, so that the same bits give no residual, exactly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bowden.replay.schedule import Rows, Selection
+from eds.bench import MASTER, Wire
+from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
+from parameters import InputError
+from trial import decode
+from trial.read import Trial
+from trial.signals import SIGNALS, Signal
+
+Floats = NDArray[np.float64]
+
+SECOND_NS = 1_000_000_000
+BOOT_NS = 50_000_000
+"""A bench that was just switched on is given so long before the first command."""
+PREFIX = "residual_"
+_KEPT = ("time_s", "gait_percent", "cycle", "desired_force_n")
+"""What a file of residuals keeps of the trial beside them, as far as it is there."""
+_NOT_COMPARED = ("time_s",)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Recorded − simulated of one signal: over all rows and over the gait, where it is largest (s), and in how many
+    rows it is not zero; `one_sided` rows have a value on one side only."""
+
+    unit: str
+    rows: int
+    differing: int
+    one_sided: int
+    rms: float
+    gait_rms: float
+    mean: float
+    largest: float
+    largest_at_s: float
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """By signal: figures, and the columns they come from, at the recorded times of SYNC, ns."""
+
+    time_ns: NDArray[np.int64]
+    columns: Mapping[str, Floats]
+    figures: Mapping[str, Residual]
+
+    @property
+    def same(self) -> bool:
+        """Every signal is the recorded one in every row, bit for bit."""
+        return not any(figure.differing or figure.one_sided for figure in self.figures.values())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures with nothing that JSON lacks but NaN."""
+        return {"same": self.same, "rows": len(self.time_ns),
+                "residuals": {name: dataclasses.asdict(figure) for name, figure in self.figures.items()}}
+
+
+def commands(described: Wire) -> Selection:
+    """The frames that a master sends: NMT, SYNC, targets, controlwords, SDO requests and its heartbeat."""
+    requests = {SDO_REQUEST_BASE + node for node in described.nodes}
+    return Selection(cob_ids=frozenset({
+        NMT_COB_ID, SYNC_COB_ID, described.targets.cob_id, described.controlwords.cob_id, HEARTBEAT_BASE + MASTER,
+        *requests}))
+
+
+def origin_ns(first_ns: int, first_command_ns: int) -> int:
+    """Bus time at which the recording's first frame lies: whole seconds away, so that every phase is kept.
+
+    `first_command_ns` counts from that frame; the bench is to have booted by then.
+    """
+    origin = first_ns % SECOND_NS
+    return origin if origin + first_command_ns >= BOOT_NS else origin + SECOND_NS
+
+
+def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
+    """Compare what the nodes said in a trial with what they say in `simulated` frames, row by row."""
+    frames = recorded.frames
+    channel = decode.bench_channel(frames, described)
+    then = decode.cycles(frames[frames["channel"] == channel], described)
+    again = decode.cycles(simulated, described)
+    count = min(len(then.time_ns), len(again.time_ns))
+    if not count:
+        raise InputError(f"{recorded.path}: no SYNC was recorded, so there are no control cycles to compare.")
+    time_ns = then.time_ns[:count]
+    gait = _gait(recorded, time_ns)
+    columns: dict[str, Floats] = {}
+    figures: dict[str, Residual] = {}
+    for signal in SIGNALS:
+        one, other = then.columns.get(signal.name), again.columns.get(signal.name)
+        if (one is None and other is None) or signal.name in _NOT_COMPARED:
+            continue
+        nothing = np.full(count, np.nan)
+        one = nothing if one is None else one[:count]
+        other = nothing if other is None else other[:count]
+        columns[signal.name] = one - other
+        figures[signal.name] = _figure(signal, one, other, time_ns, gait)
+    return Residuals(time_ns, columns, figures)
+
+
+def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Rows that are in a gait cycle, all where the trial does not say."""
+    if "cycle" not in recorded.columns:
+        return np.ones(len(time_ns), np.bool_)
+    return np.isin(time_ns, recorded.time_ns[recorded.columns["cycle"] >= 0])
+
+
+def _figure(
+    signal: Signal, one: Floats, other: Floats, time_ns: NDArray[np.int64], gait: NDArray[np.bool_]
+) -> Residual:
+    error = one - other
+    known = np.flatnonzero(np.isfinite(error))
+    one_sided = int(np.count_nonzero(np.isnan(one) != np.isnan(other)))
+    if not len(known):
+        return Residual(signal.unit, 0, 0, one_sided, math.nan, math.nan, math.nan, math.nan, math.nan)
+    values, walked = error[known], error[known[gait[known]]]
+    worst = known[np.abs(values).argmax()]
+    return Residual(
+        signal.unit, len(known), int(np.count_nonzero(values)), one_sided, _rms(values), _rms(walked),
+        float(values.mean()), float(abs(error[worst])), float(time_ns[worst] - time_ns[0]) / 1e9)
+
+
+def _rms(values: Floats) -> float:
+    return math.sqrt(float(np.mean(values**2))) if len(values) else math.nan
+
+
+def table(recorded: Trial, found: Residuals) -> tuple[tuple[Signal, ...], dict[str, Floats]]:
+    """Signals and columns of a file of residuals: each under its own name with `PREFIX`, and where in the gait."""
+    declared = {signal.name: signal for signal in SIGNALS}
+    kept = {name: np.full(len(found.time_ns), np.nan) for name in _KEPT if name in recorded.columns}
+    _, ours, theirs = np.intersect1d(found.time_ns, recorded.time_ns, return_indices=True)
+    for name, column in kept.items():
+        column[ours] = recorded.columns[name][theirs]
+    signals = [declared[name] for name in kept]
+    for name in found.columns:
+        unit, text = declared[name].unit, declared[name].text
+        signals.append(Signal(f"{PREFIX}{name}", unit, f"recorded − simulated: {text}", derived=True))
+    return tuple(signals), kept | {f"{PREFIX}{name}": column for name, column in found.columns.items()}

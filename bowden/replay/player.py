@@ -1,0 +1,199 @@
+"""The player: a schedule of frames, played, paused, stepped, sought and repeated.
+
+The rule of this file: the table is the machine, and time goes in as an argument; whoever owns a bus asks `next_ns`,
+waits by receiving, and calls `poll`.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable
+from enum import Enum
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from bowden.replay.schedule import Schedule, frame_of, restoration
+from eds.frame import Frame
+from parameters import InputError
+
+
+class State(Enum):
+    """What a player does."""
+
+    READY = "ready"
+    PLAYING = "playing"
+    PAUSED = "paused"
+    ENDED = "ended"
+
+
+class Command(Enum):
+    """What it is told; END is its own."""
+
+    PLAY = "play"
+    PAUSE = "pause"
+    STEP = "step"
+    SEEK = "seek"
+    END = "end"
+
+
+_S, _C = State, Command
+TRANSITIONS: Final = MappingProxyType({
+    (_S.READY, _C.PLAY): _S.PLAYING,
+    (_S.READY, _C.STEP): _S.PAUSED,
+    (_S.READY, _C.SEEK): _S.PAUSED,
+    (_S.PLAYING, _C.PAUSE): _S.PAUSED,
+    (_S.PLAYING, _C.STEP): _S.PAUSED,
+    (_S.PLAYING, _C.SEEK): _S.PLAYING,
+    (_S.PLAYING, _C.END): _S.ENDED,
+    (_S.PAUSED, _C.PLAY): _S.PLAYING,
+    (_S.PAUSED, _C.STEP): _S.PAUSED,
+    (_S.PAUSED, _C.SEEK): _S.PAUSED,
+    (_S.PAUSED, _C.END): _S.ENDED,
+    (_S.ENDED, _C.SEEK): _S.PAUSED,
+})
+"""(state, command) → state; a command without a row changes nothing."""
+
+
+class Lateness(NamedTuple):
+    """How late frames were handed to the bus, ns: over all of them."""
+
+    frames: int
+    median_ns: int
+    p99_ns: int
+    max_ns: int
+
+
+class Player:
+    """Plays a schedule `loops` times through `send(frame, channel)`; positions are ns of the schedule's window.
+
+    `lateness_ns` has one value for each frame that was played by its time (not by step).
+    """
+
+    def __init__(
+        self, schedule: Schedule, send: Callable[[Frame, int], None], *, speed: float = 1.0, loops: int = 1
+    ) -> None:
+        if loops < 1:
+            raise InputError(f"--loop {loops}: expected a whole number from 1; give how often it is played.")
+        self.schedule = schedule
+        self.state = State.READY
+        self.lateness_ns = array("q")
+        self.sent = self.pass_ = 0
+        self._send, self._loops = send, loops
+        self._times: list[int] = schedule.times.tolist()
+        self._channels: list[int] = schedule.frames["channel"].tolist()
+        self._speed = checked_speed(speed)
+        self._next = self._position_ns = self._since_ns = 0
+
+    def _told(self, command: Command) -> bool:
+        after = TRANSITIONS.get((self.state, command))
+        if after is None:
+            return False
+        self.state = after
+        return True
+
+    @property
+    def speed(self) -> float:
+        """Recorded by played time."""
+        return self._speed
+
+    def position_ns(self, now_ns: int) -> int:
+        """Where in the window it is."""
+        if self.state is not State.PLAYING:
+            return self._position_ns
+        return min(self._position_ns + round((now_ns - self._since_ns) * self._speed), self.schedule.length_ns)
+
+    def share(self, now_ns: int) -> float:
+        """How much of all its passes is played, 0 … 1."""
+        played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
+        return (self.pass_ + played) / self._loops
+
+    def _rebase(self, now_ns: int) -> None:
+        self._position_ns, self._since_ns = self.position_ns(now_ns), now_ns
+
+    def play(self, now_ns: int) -> None:
+        """Go on from where it is."""
+        self._rebase(now_ns)
+        self._told(Command.PLAY)
+
+    def pause(self, now_ns: int) -> None:
+        """Send nothing until it is played again; the bus keeps what it was told last."""
+        self._rebase(now_ns)
+        self._told(Command.PAUSE)
+
+    def set_speed(self, speed: float, now_ns: int) -> None:
+        """Play faster or slower from here on."""
+        self._rebase(now_ns)
+        self._speed = checked_speed(speed)
+
+    def seek(self, position_ns: int, now_ns: int) -> list[Frame]:
+        """Go to a position of this pass: the nodes are told the NMT state of then, and the last PDOs are sent again.
+
+        Returns what was sent for that.
+        """
+        if not 0 <= position_ns <= self.schedule.length_ns:
+            raise InputError(f"seek to {position_ns / 1e9:g} s: expected 0 … {self.schedule.length_ns / 1e9:g} s.")
+        self._next = int(np.searchsorted(self.schedule.times, position_ns, side="left"))
+        self._position_ns, self._since_ns = position_ns, now_ns
+        self._told(Command.SEEK)
+        restored = restoration(self.schedule, self._next)
+        for frame, channel in restored:
+            self._send(frame, channel)
+        return [frame for frame, _ in restored]
+
+    def step(self) -> Frame | None:
+        """Send the next frame, whenever it was due; None at the end."""
+        if not self._told(Command.STEP):
+            return None
+        if self._next == len(self._times):
+            if self.pass_ + 1 == self._loops:
+                self._told(Command.END)
+                return None
+            self.pass_ += 1
+            self._next = 0
+        self._position_ns = self._times[self._next]
+        return self._send_next()
+
+    def _send_next(self) -> Frame:
+        frame = frame_of(self.schedule.frames[self._next])
+        channel = self._channels[self._next]
+        self._next += 1
+        self.sent += 1
+        self._send(frame, channel)
+        return frame
+
+    def next_ns(self) -> int | None:
+        """When `poll` has something to do: the next frame, or the end of this pass; None unless it plays."""
+        if self.state is not State.PLAYING:
+            return None
+        due = self._times[self._next] if self._next < len(self._times) else self.schedule.length_ns
+        return self._since_ns + round(max(0, due - self._position_ns) / self._speed)
+
+    def poll(self, now_ns: int) -> None:
+        """Send everything that is due; at the end of a pass begin the next one, exactly then."""
+        while (due_ns := self.next_ns()) is not None and due_ns <= now_ns:
+            if self._next < len(self._times):
+                self.lateness_ns.append(now_ns - due_ns)
+                self._send_next()
+            elif self.pass_ + 1 < self._loops:
+                self.pass_ += 1
+                self._next, self._position_ns, self._since_ns = 0, 0, due_ns
+            else:
+                self._position_ns = self.schedule.length_ns
+                self._told(Command.END)
+
+    def lateness(self) -> Lateness:
+        """Median, 99th percentile (nearest rank) and largest lateness."""
+        late = np.sort(np.array(self.lateness_ns, np.int64))
+        if not len(late):
+            return Lateness(0, 0, 0, 0)
+        rank = [int(late[int(np.ceil(share * len(late))) - 1]) for share in (0.5, 0.99, 1.0)]
+        return Lateness(len(late), *rank)
+
+
+def checked_speed(speed: float) -> float:
+    """Return a speed that can be played, else raise `InputError`."""
+    if not 1e-3 <= speed <= 1e3:
+        raise InputError(f"--speed {speed:g}: expected 0.001 … 1000, recorded by played time; 1 is the original.")
+    return speed

@@ -1,0 +1,77 @@
+"""A player on python-can buses.
+
+The rule of this file: waiting is receiving; what is heard meanwhile goes to `heard`, and time is the clock's that is
+handed in, virtual or wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import can
+
+from bowden.replay.player import Player, State
+from eds.frame import Frame
+
+NS = 1_000_000_000
+LINGER_NS = 10_000_000
+"""How long it stays after the last frame, so that it is on the bus before the bus is closed."""
+ROOM_S = 0.1
+"""How long a full queue is waited for."""
+Heard = Callable[[can.Message], None]
+
+
+class Outlet:
+    """Sends frames of recorded channels to the buses they are mapped to; `lost` counts what a bus did not take.
+
+    `buses` maps a recorded channel to its bus; a channel without one goes to `others`, or nowhere.
+    """
+
+    def __init__(self, buses: Mapping[int, can.BusABC], others: can.BusABC | None = None) -> None:
+        self.lost = 0
+        self._buses, self._others = buses, others
+
+    def send(self, frame: Frame, channel: int) -> None:
+        """Send one frame."""
+        bus = self._buses.get(channel, self._others)
+        if bus is None:
+            return
+        try:
+            bus.send(message_of(frame), ROOM_S)
+        except can.CanError:
+            self.lost += 1
+
+
+def message_of(frame: Frame) -> can.Message:
+    """A frame as python-can's message."""
+    return can.Message(
+        arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote,
+        dlc=len(frame.data) if frame.dlc is None else frame.dlc, is_rx=False)
+
+
+def ignore(message: can.Message) -> None:
+    """Hear nothing."""
+
+
+def run(
+    player: Player, bus: can.BusABC, clock: Callable[[], int], heard: Heard = ignore,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Play until the player pauses or ends, hearing `bus` meanwhile."""
+    shown = 0
+    while (due_ns := player.next_ns()) is not None:
+        wait(bus, clock, due_ns, heard)
+        player.poll(clock())
+        if player.sent - shown >= 1000:
+            shown = player.sent
+            progress(player.share(clock()))
+    if player.state is State.ENDED:
+        wait(bus, clock, clock() + LINGER_NS, heard)
+
+
+def wait(bus: can.BusABC, clock: Callable[[], int], until_ns: int, heard: Heard) -> None:
+    """Receive until a time has come."""
+    while (left_ns := until_ns - clock()) > 0:
+        message = bus.recv(left_ns / NS)
+        if message is not None:
+            heard(message)

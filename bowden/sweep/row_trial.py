@@ -1,0 +1,114 @@
+"""One row of a sweep, done: an identification, or a trial and its figures.
+
+The rule of this file: what comes in and goes out can be sent to another process or machine, and no bench is shared
+with another trial, whichever thread it runs in; a trial's files are gone with it unless they are to be kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+import json
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from bowden import buses, identification, provenance, session
+from bowden.cli.option_groups import Bus, Simulated
+from bowden.sweep.departure import motion
+from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
+from parameters import InputError
+
+FIGURES = (
+    "trial", "peak_n", "period_s", "cycles", "rate_hz", "serial", "controller", "calibration",
+    "relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n",
+    "true_relative_rmse_percent", "true_relative_rmse_window_percent", "true_max_idle_tension_n", "true_peak_jump_n",
+    "missed_cycles", "stale_inputs", "bus_load_percent", "bus_load_bound_percent", "simulated_s", "wall_s", "outcome",
+    "stop_reason",
+)
+"""What a row yields: the keys of `bowden trial --json`, in their order."""
+COMMIT = "commit"
+"""And the commit that it was made by."""
+BENCH_TABLES = ("bench", "network", "limits", "homing", "plant", "start_sensor", "end_sensor", "servo_drive")
+CHANGING = ("bench.day", "bench.seed", "bench.steady")
+
+
+def digest(row: Row) -> str:
+    """Return the sixteen hex digits that name a row."""
+    return hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def bench_of(row: Row) -> Row:
+    """Return what a calibration belongs to: the bench of a row on day 0, and how the master treats it."""
+    kept = {name: value for name, value in row.items()
+            if name.partition(".")[0] in BENCH_TABLES and name not in CHANGING}
+    return {**kept, "bench.day": 0, "bench.seed": 0, "bench.steady": ""}
+
+
+def identify(bench: Row) -> tuple[str | None, str]:
+    """Identify a bench; returns the reason of a stop, or None and the calibration's text."""
+    from physics.calibration import write
+
+    sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            found = identification.perform(
+                "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
+                date=datetime.date.today().isoformat(), overwrite=False, quiet=True)
+        except InputError as error:
+            return str(error), ""
+    return found.reason, "" if found.calibration is None else write(found.calibration)
+
+
+def perform(row: Row, calibration: str, label: str, keep: str | None) -> dict[str, Any]:
+    """Run a row's trial; `calibration` is the text of an identified one and `label` its name, else both are "".
+
+    Returns `FIGURES` and the commit; `keep` is the directory for its recording, None where it is not kept.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder if keep is None else keep, f"{digest(row)}.mcap")
+        try:
+            found = _figures(row, calibration, place, Path(folder))
+        except InputError as error:
+            return not_run("refused", str(error))
+    found["trial"] = "" if keep is None else found["trial"]
+    if label:
+        found["calibration"] = label
+    defined = {name: None if isinstance(value, float) and not math.isfinite(value) else value
+               for name, value in found.items()}
+    return defined | {COMMIT: provenance.commit()}
+
+
+def not_run(outcome: str, reason: str) -> dict[str, Any]:
+    """Return the figures of a trial that did not take place."""
+    return dict.fromkeys(FIGURES) | {"trial": "", "outcome": outcome, "stop_reason": reason, COMMIT: provenance.commit()}
+
+
+def _figures(row: Row, calibration: str, place: Path, folder: Path) -> dict[str, Any]:
+    sections = {name: table(row, name) for name in ("network", "impedance", "limits", "homing")}
+    course, sections["gait"] = reference(row, ("gait.period_s",))
+    given = str(row["files.calibration"])
+    path = None if given == NOMINAL else Path(given)
+    if given == IDENTIFIED:
+        path = folder / "calibration.toml"
+        path.write_text(calibration, encoding="utf-8")
+    prepared = session.prepare(sections, course, path, chosen(row), dry_run=False, files=attached(row))
+    departing = dataclasses.replace(prepared.experiment, motion=motion(course, table(row, "departure")))
+    return session.perform(dataclasses.replace(prepared, experiment=departing), place, None, overwrite=True, quiet=True)
+
+
+def attached(row: Row) -> dict[str, bytes]:
+    """Return the knee and desired-force files of a row, as its trial carries them."""
+    files = table(row, "files")
+    return provenance.curves(**{part: Path(name) if name else None for part, name in
+                           (("knee", files.knee), ("desired", files.desired))})
+
+
+def chosen(row: Row) -> buses.Chosen:
+    """Return the virtual bus of a row, on a channel of its own."""
+    bench = table(row, "bench")
+    found = Bus(channel=digest(row)).chosen(Simulated(bench.serial, bench.day, bench.seed, bench.plant))
+    more = {"steady": bench.steady.replace("+", ","), "plant_model": plant_model(row) or None}
+    return dataclasses.replace(found, arguments={**found.arguments, **more})

@@ -1,0 +1,240 @@
+"""What a sweep varies: rows of parameters, each the whole description of one trial.
+
+The rule of this file: a row names every parameter as "table.key", with a value of its declared type, and has been
+checked by the declaration; two rows that say the same are the same trial.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import itertools
+import math
+import typing
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bowden import configuration, session
+from bowden.sweep.departure import Departure
+from eds import bus_load
+from eds.bench import Network, wire
+from master.settings import Gait, checked_controller
+from parameters import InputError, checked, parameter
+from physics.reference import Reference
+from virtual_bus.build import GROUPS, steady
+from virtual_bus.options import Options
+
+Value = float | int | str
+Row = dict[str, Value]
+
+NOMINAL, IDENTIFIED = "nominal", "identified"
+SHORT = {"peak": "gait.peak_n", "period": "gait.period_s", "cycles": "gait.cycles", "settle": "gait.settle",
+         "controller": "gait.controller", "rate": "network.rate_hz", "serial": "bench.serial", "day": "bench.day",
+         "seed": "bench.seed", "calibration": "files.calibration"}
+"""The options of `bowden trial`, by the parameters they set."""
+LARGEST_SWEEP = 1_000_000
+
+
+def _option(name: str) -> Any:
+    found = next(field for field in dataclasses.fields(Options) if field.name == name)
+    declared = found.metadata["declared"]
+    return parameter(found.default, declared.unit, declared.text, low=declared.low, high=declared.high,
+                     source=declared.source)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The simulated bench, as the virtual bus takes it; `steady` has its names joined by "+"."""
+
+    serial: int = _option("serial")
+    day: int = _option("day")
+    seed: int = _option("seed")
+    plant: str = _option("plant")
+    steady: str = parameter("", "", "what the day leaves as it was, names joined by +", source="virtual_bus/scatter.py")
+
+
+@dataclass(frozen=True)
+class Files:
+    """Files of a trial; "" for none.  They are read where the trial runs."""
+
+    calibration: str = parameter(NOMINAL, "", "nominal, identified, or a calibration.toml", source="bowden trial")
+    knee: str = parameter("", "", "knee motion, CSV", source="bowden trial")
+    desired: str = parameter("", "", "desired force, CSV", source="bowden trial")
+
+
+ALWAYS: dict[str, type[Any]] = {
+    "bench": Bench, **{name: configuration.declaration(name) for name in configuration.SECTIONS}, "departure": Departure,
+    "files": Files,
+}
+"""Tables that are in every row, whole; those of the plant are there as far as they are varied."""
+
+
+class Draw(NamedTuple):
+    """One parameter drawn at random, evenly, or evenly in its logarithm."""
+
+    name: str
+    low: float
+    high: float
+    logarithmic: bool
+
+
+@cache
+def kinds() -> Mapping[str, type[Any]]:
+    """Type of every parameter that can be varied, by its full name."""
+    tables = {**ALWAYS, **GROUPS}
+    return {f"{table}.{key}": hint for table, cls in tables.items() for key, hint in typing.get_type_hints(cls).items()}
+
+
+def full_name(name: str) -> str:
+    """Return "table.key" of a parameter; raises `InputError` for one that nobody declares."""
+    found = SHORT.get(name, name)
+    if found not in kinds():
+        close = difflib.get_close_matches(name, [*SHORT, *kinds()], n=1)
+        hint = f"did you mean {close[0]}?" if close else "see bowden init for the names of bench.toml."
+        raise InputError(f"{name}: no parameter has that name; {hint}")
+    return found
+
+
+def value(name: str, text: str) -> Value:
+    """Return the value of the parameter `name` that `text` says; raises `InputError`."""
+    kind = kinds()[name]
+    try:
+        return typing.cast(Value, kind(text.strip()))
+    except ValueError:
+        expected = {int: "a whole number", float: "a number"}[kind]
+        raise InputError(f"{name}: {text!r} is not {expected}; mend that value.") from None
+
+
+def axis(text: str) -> tuple[str, list[Value]]:
+    """Return name and values of "NAME=V,V…"; whole numbers also as ranges, 1-20."""
+    name, values = _split(text, "--grid", "NAME=VALUE,VALUE")
+    found: list[Value] = []
+    for part in values.split(","):
+        low, dash, high = part.partition("-")
+        if kinds()[name] is int and dash and low:
+            found += range(int(value(name, low)), int(value(name, high)) + 1)
+        else:
+            found.append(value(name, part))
+    if len(set(found)) < len(found) or not found:
+        raise InputError(f"--grid {text}: expected at least one value and none of them twice; mend the list.")
+    return name, found
+
+
+def draw(text: str) -> Draw:
+    """Return what "NAME=LOW:HIGH" or "NAME=LOW:HIGH:log" says."""
+    name, limits = _split(text, "--draw", "NAME=LOW:HIGH")
+    low, _, rest = limits.partition(":")
+    high, _, log = rest.partition(":")
+    if kinds()[name] is str or not high or log not in ("", "log"):
+        raise InputError(f"--draw {text}: expected a number's NAME=LOW:HIGH, or NAME=LOW:HIGH:log; mend it.")
+    drawn = Draw(name, float(value(name, low)), float(value(name, high)), log == "log")
+    if not drawn.low < drawn.high or (drawn.logarithmic and drawn.low <= 0):
+        raise InputError(f"--draw {text}: low must be below high, and above 0 where it is logarithmic; swap them.")
+    return drawn
+
+
+def _split(text: str, option: str, form: str) -> tuple[str, str]:
+    name, equals, rest = text.partition("=")
+    if not equals or not rest:
+        raise InputError(f"{option} {text}: expected {form}; write it so.")
+    return full_name(name.strip()), rest
+
+
+def rows(
+    sections: Mapping[str, Any], fixed: Mapping[str, Value], axes: Sequence[tuple[str, Sequence[Value]]],
+    draws: Sequence[Draw] = (), count: int = 1, seed: int = 0,
+) -> list[Row]:
+    """Return the rows: every point of the grid with each of the `count` random draws, the same for every point."""
+    names = [name for name, _ in axes] + [drawn.name for drawn in draws]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{name}: is varied twice; keep one.")
+    base: Row = {}
+    for table, cls in ALWAYS.items():
+        given = sections.get(table) or cls()
+        base |= {f"{table}.{field.name}": getattr(given, field.name) for field in dataclasses.fields(given)}
+    trials = math.prod(len(values) for _, values in axes) * (count if draws else 1)
+    if trials > LARGEST_SWEEP:
+        raise InputError(f"{trials} trials, expected at most {LARGEST_SWEEP}; vary less.")
+    grid = [dict(zip((name for name, _ in axes), point, strict=True))
+            for point in itertools.product(*(values for _, values in axes))]
+    drawn = _drawn(draws, count, seed)
+    varied = frozenset(names).union(fixed)
+    return [checked_row({**base, **fixed, **point, **more}, varied) for point in grid for more in drawn]
+
+
+def _drawn(draws: Sequence[Draw], count: int, seed: int) -> list[Row]:
+    if not draws:
+        return [{}]
+    random = np.random.Generator(np.random.Philox(seed))
+    unit = random.random((count, len(draws)))
+    return [{each.name: _between(each, float(u)) for each, u in zip(draws, line, strict=True)} for line in unit]
+
+
+def _between(each: Draw, u: float) -> Value:
+    if kinds()[each.name] is int:
+        return int(each.low + u * (each.high - each.low + 1))
+    if each.logarithmic:
+        return float(each.low * (each.high / each.low) ** u)
+    return each.low + u * (each.high - each.low)
+
+
+def table(row: Row, name: str) -> Any:
+    """Return one table of a row as its checked dataclass."""
+    cls = ALWAYS[name]
+    return checked(cls(**{field.name: row[f"{name}.{field.name}"] for field in dataclasses.fields(cls)}), where=name)
+
+
+def plant_model(row: Row) -> dict[str, dict[str, Value]]:
+    """Return the plant's parameters that a row sets, by table."""
+    model: dict[str, dict[str, Value]] = {}
+    for name, given in row.items():
+        group, _, key = name.partition(".")
+        if group in GROUPS:
+            model.setdefault(group, {})[key] = given
+    return model
+
+
+def checked_row(row: Row, varied: Container[str]) -> Row:
+    """Return `row`, numbers in their declared type; raises `InputError`.
+
+    A period or peak that is not in `varied` comes from the knee or desired-force file, where there is one.
+    """
+    row = {name: float(given) if kinds()[name] is float else given for name, given in row.items()}
+    files, bench = table(row, "files"), table(row, "bench")
+    for file in (files.knee, files.desired, files.calibration):
+        if file not in ("", NOMINAL, IDENTIFIED) and not Path(file).is_file():
+            raise InputError(f"{file}: no such file; give the path of an existing one.")
+    if files.knee or files.desired:
+        gait = reference(row, varied)[1]
+        row |= {"gait.period_s": gait.period_s, "gait.peak_n": gait.peak_n}
+    gait = table(row, "gait")
+    checked_controller(gait.controller, where="gait")
+    if gait.settle >= gait.cycles:
+        raise InputError(f"settle = {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
+    steady(bench.steady.replace("+", ","))
+    for name in ("impedance", "limits", "homing", "departure"):
+        table(row, name)
+    _affordable(table(row, "network"))
+    for group, given in plant_model(row).items():
+        checked(GROUPS[group](**given), where=group)
+    return row
+
+
+def reference(row: Row, varied: Container[str]) -> tuple[Reference, Gait]:
+    """Return a row's reference, and its gait with the period and peak that its files say and `varied` does not."""
+    files = table(row, "files")
+    knee, desired = (Path(file) if file else None for file in (files.knee, files.desired))
+    built, gait, _ = session.reference(table(row, "gait"), knee, desired, period_given="gait.period_s" in varied,
+                                       peak_given="gait.peak_n" in varied)
+    return built, gait
+
+
+@cache
+def _affordable(network: Network) -> None:
+    bus_load.refuse(wire(network))

@@ -1,0 +1,165 @@
+"""A sweep: rows that are not in the table yet are run by an executor, and are in it as soon as they are done.
+
+The rule of this file: it knows `concurrent.futures.Executor` and nothing else of who does the work; little is under
+way at a time, so that an interruption has little to wait for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bowden.sweep import row_trial
+from bowden.sweep.rows import IDENTIFIED, Row
+from bowden.sweep.table import Table
+from parameters import InputError
+
+CONNECT_S = 10
+COMPLETED = "completed"
+
+
+class Workers(NamedTuple):
+    """Who does the work, and how many trials they do at a time."""
+
+    executor: Executor
+    at_once: int
+
+
+@contextmanager
+def local(count: int | None = None) -> Iterator[Workers]:
+    """Give processes on this machine, as many as it has processors unless told."""
+    count = count or os.cpu_count() or 1
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_aside) as executor:
+        yield Workers(executor, count)
+
+
+def _aside() -> None:
+    """Leave the terminal's process group: Ctrl-C is the sweep's, which lets a trial under way end."""
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Workers]:
+    """Give the workers of the Dask scheduler at `address`; raises `InputError` where it does not answer."""
+    try:
+        dask = importlib.import_module("distributed")
+    except ImportError:
+        raise InputError("--scheduler needs dask.distributed; install bowden-bench[sweep].") from None
+    try:
+        client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: does not answer ({error}); give its address, host:port.") from None
+    with client:
+        count = sum(client.nthreads().values())
+        if not count:
+            raise InputError(f"--scheduler {address}: has no workers; start some.")
+        yield Workers(client.get_executor(pure=False), count)
+
+
+def sweep(
+    rows: Sequence[Row], table: Table, workers: Workers, calibrations: Path, *, keep: str | None = None,
+    update: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Run the rows that `table` lacks; calibrations that they need are identified once and kept in `calibrations`.
+
+    On `KeyboardInterrupt` what is under way is finished and put in the table before it goes on.
+    """
+    run = _Sweep(rows, table, workers, calibrations, keep, update)
+    try:
+        run.all()
+    except KeyboardInterrupt:
+        run.wind_up()
+        raise
+    table.finish(rows)
+
+
+class _Sweep:
+    """The state of a sweep: jobs that wait, futures under way, rows that wait for their calibration."""
+
+    def __init__(self, rows: Sequence[Row], table: Table, workers: Workers, calibrations: Path, keep: str | None,
+                 update: Callable[[float], None]) -> None:
+        self.table, self.workers, self.folder, self.keep, self.update = table, workers, calibrations, keep, update
+        self.texts: dict[str, str] = {}
+        self.waiting: dict[str, list[Row]] = {}
+        self.jobs: deque[tuple[str, Row]] = deque()
+        self.under_way: dict[Future[Any], tuple[str, Row]] = {}
+        missing = [row for row in rows if table.found(row) is None]
+        self.total, self.done = max(len(missing), 1), 0
+        for row in missing:
+            self._plan(row)
+
+    def _plan(self, row: Row) -> None:
+        if row["files.calibration"] != IDENTIFIED:
+            self.jobs.append(("", row))
+            return
+        bench = row_trial.bench_of(row)
+        name = self._name(bench)
+        if name not in self.texts and name not in self.waiting and (self.folder / name).is_file():
+            self.texts[name] = (self.folder / name).read_text(encoding="utf-8")
+        if name in self.texts:
+            self.jobs.append((name, row))
+            return
+        if name not in self.waiting:
+            self.jobs.append((name, bench))
+        self.waiting.setdefault(name, []).append(row)
+
+    @staticmethod
+    def _name(bench: Row) -> str:
+        return f"serial-{bench['bench.serial']}-{row_trial.digest(bench)}.toml"
+
+    def all(self) -> None:
+        """Run everything."""
+        while self.jobs or self.under_way:
+            while self.jobs and len(self.under_way) <= self.workers.at_once:
+                self._submit(*self.jobs.popleft())
+            for future in wait(self.under_way, return_when=FIRST_COMPLETED).done:
+                self._take(future)
+
+    def wind_up(self) -> None:
+        """Let go what has not begun, and take what is under way when it is done."""
+        for future in list(self.under_way):
+            if future.cancel():
+                del self.under_way[future]
+        for future in wait(self.under_way).done:
+            self._take(future)
+
+    def _submit(self, name: str, row: Row) -> None:
+        submit = self.workers.executor.submit
+        if "files.calibration" in row:
+            label = str(self.folder / name) if name else ""
+            self.under_way[submit(row_trial.perform, row, self.texts.get(name, ""), label, self.keep)] = name, row
+        else:
+            self.under_way[submit(row_trial.identify, row)] = name, row
+
+    def _take(self, future: Future[Any]) -> None:
+        name, row = self.under_way.pop(future)
+        if "files.calibration" in row:
+            self._finished(row, future.result())
+            return
+        reason, text = future.result()
+        rows = self.waiting.pop(name)
+        if reason is None:
+            self._keep_calibration(name, text)
+            self.jobs.extendleft((name, each) for each in reversed(rows))
+        for each in rows if reason is not None else ():
+            self._finished(each, row_trial.not_run("not identified", reason))
+
+    def _keep_calibration(self, name: str, text: str) -> None:
+        self.texts[name] = text
+        self.folder.mkdir(exist_ok=True)
+        beside = self.folder / f"{name}.new"
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(self.folder / name)
+
+    def _finished(self, row: Row, figures: dict[str, Any]) -> None:
+        self.table.append(row, figures)
+        self.done += 1
+        self.update(self.done / self.total)

@@ -1,0 +1,184 @@
+"""The judgement on one setting: what is searched, what pays, what is said of it.
+
+The rule of this file: thresholds are `verdict`'s, figures of the chosen model are refitted fold by fold; a
+parameter is told as its declared healthy value plus the change that the trial shows against the healthy ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from diagnosis.data.table import Table
+from diagnosis.judgement import verdict
+from diagnosis.problem import blocks
+from diagnosis.problem.blocks import Block
+from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.problem import Setting
+from diagnosis.search.search import Found, Model, Search
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
+from physics.relations.relation import RELATIONS
+
+MOST_ON_BENCH: Final = 2
+"""Effects in one verdict; what needs a third is not explained."""
+MOST_ELSEWHERE: Final = 4
+"""On a rig compared with an ideal transmission, everything that a real one has is an effect."""
+
+
+class Judge:
+    """One search and its verdict.
+
+    `within`: the judgement whose class this one only splits, on data of which no healthy floor is known.
+    """
+
+    def __init__(self, setting: Setting, holdout: Sequence[Table], within: Judge | None = None) -> None:
+        self.setting, self.holdout, self.within = setting, holdout, within
+        offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
+        self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
+                             setting.folds, self._pays, self._leaves, self._wanting, near=not setting.any_rig)
+        most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
+        self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
+
+    def _expected(self, relation: str) -> float:
+        """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
+        floors, weights = self.setting.floors, self.setting.weights
+        return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
+
+    def _excess(self, model: Model, relation: str) -> float:
+        return max(model.by_relation[relation] - self._expected(relation), 0.0)
+
+    def _pays(self, lesser: Model, model: Model) -> bool:
+        if self.within is not None:
+            return True
+        healthy = sum(self._expected(n) for n in self.setting.checked)
+        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+            return False
+        if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+            return False
+        cuts, base = verdict.cut(lesser, model), self.search.baseline
+        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
+                   >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
+
+    def _unlike(self, effect: Candidate, model: Model) -> bool:
+        """Whether some slot of an effect is outside of the band of like benches: inside, nothing is to be found."""
+        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        banded = [bands[f.name] for f in effect.frees if f.name in bands]
+        return not banded or any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+
+    def _leaves(self, model: Model) -> bool:
+        """Whether a model leaves more than healthy trials do (always, where none says)."""
+        return self.setting.floors is None or self.within is not None or any(
+            self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
+
+    def word(self) -> str:
+        """Return none, found, ambiguous or unexplained."""
+        if self._strange():
+            return "unexplained"
+        if not self.found.best.effects:
+            return "none"
+        return "found" if len(self.rivals()) == len(self.found.best.effects) else "ambiguous"
+
+    def _strange(self) -> bool:
+        return self._odd(self.found.best)
+
+    def _odd(self, model: Model) -> bool:
+        """Whether structure remains that a model does not explain; only healthy trials can say."""
+        if self.setting.floors is None or self.within is not None:
+            return False
+        checked, rise = self.setting.checked, self._rise(model)
+        left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, self.search.baseline))
+        if rise <= verdict.STRANGE - 1.0:
+            return False
+        if not model.effects:
+            return True
+        return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
+
+    def _rise(self, model: Model) -> float:
+        """Return by how many healthy floors the RMSE of some relation exceeds one."""
+        floors = self.setting.floors or {}
+        return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
+
+    def _wanting(self, model: Model) -> bool:
+        """Whether the foremost effects are not enough to go by; only healthy trials can say."""
+        if self.setting.floors is None or self.within is not None:
+            return False
+        return self._odd(model) or (not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+
+    def rivals(self) -> list[str]:
+        """Return the class, the chosen effects first; nothing is named where structure remains."""
+        if self._strange():
+            return []
+        if self.within is not None:
+            return list(verdict.rivals(self.found, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+        return list(verdict.rivals(self.found))
+
+    def experiment(self) -> str | None:
+        """Return the experiment that splits the class, None where nothing is to be split.
+
+        It is the first that the bench runs by itself of those that the class's effects name, in the class's order.
+        """
+        names = self.rivals()
+        if len(names) <= len(self.found.best.effects):
+            return None
+        named = [CATALOGUE[name].experiment for name in names]
+        return next((e for e in named if e in EXPERIMENTS and not EXPERIMENTS[e].by_hand), named[0])
+
+    def causes(self) -> list[dict[str, Any]]:
+        """Return the chosen effects with their parameters and what each one gains."""
+        return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
+
+    def _cause(self, cause: Candidate) -> dict[str, Any]:
+        units = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
+        best = self.found.best
+        parameters = {}
+        for f in cause.frees:
+            shift = self.setting.declared[f.name] - self.setting.reference.values[f.name]
+            at = best.fit.values[f.name]
+            change = at - self.setting.reference.values[f.name]
+            half = verdict.spread(best.unseen.fitted, f.name, verdict.curvature_sigma(best, f.name),
+                                  self._likeness(f.name), change)
+            told = {"value": at, "low": at - half, "high": at + half}
+            shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
+            parameters[f.name] = {**shifted, "unit": units[f.name]}
+        without = self.search.without(best, cause)
+        return {"effect": cause.name, "site": cause.site, "parameters": parameters,
+                "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
+
+    def _likeness(self, slot: str) -> float:
+        """Return 1σ of the healthy value among like benches; 0 where nothing is known of it."""
+        bands = {f.name: f.sigma for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        return bands.get(slot, 0.0)
+
+    def figures(self) -> dict[str, verdict.Figures]:
+        """Return every relation's figures, those that were not checked marked so."""
+        lacking = blocks.allowed(self.holdout) if self.holdout else {}
+        ahead = blocks.blocks_of(
+            self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut) if lacking else []
+        return {name: self._figures(name, ahead) for name in RELATIONS}
+
+    def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:
+        unit = RELATIONS[name].unit
+        if name not in self.setting.checked:
+            return verdict.Figures(unit, False)
+        before, after = self.found.baseline.unseen, self.found.best.unseen
+        gain, low, high = verdict.gain(before, after, name)
+        mine = [b for b in ahead if b.relation.name == name and b.keep.size]
+        held, mended = (blocks.rmse(b.residual(m.fit.values) for b in mine) if mine else None
+                        for m in (self.found.baseline, self.found.best))
+        floor = self.setting.floors[name] if self.setting.floors else None
+        return verdict.Figures(unit, True, floor, before.rmse(name), after.rmse(name), held, mended, gain, low, high)
+
+    def limits(self) -> dict[str, Mapping[str, Any]] | None:
+        """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
+        if self.setting.any_rig:
+            return None
+        from diagnosis.judgement.plan import sight
+
+        return {limit.effect: {"parameter": limit.parameter, "value": limit.size, "unit": limit.unit}
+                for limit in sight(self.setting, self.found.baseline.fit)}
+
+
+def _inside(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)

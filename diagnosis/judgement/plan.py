@@ -1,0 +1,180 @@
+"""Before any trial: the smallest size of each effect that an experiment would show.
+
+The rule of this file: the same relations, bands, floors and thresholds as the verdict's, on a simulated healthy
+trial of the experiment.  What an effect does to the residuals, Δ, counts only as far as the nuisance (slopes J, prior
+precision P) cannot follow it, Δ⊥ = Δ − J·(JᵀJ + P)⁻¹·Jᵀ·Δ; its size is scaled down, linearly, to where it would just be
+named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from diagnosis.data import integrity
+from diagnosis.data.table import Table
+from diagnosis.judgement.verdict import LEAST_FALL, LEAST_GAIN, RIVAL_GAIN, STRUCTURE
+from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.fit import Fit, solve
+from diagnosis.problem.floors import FLOORS
+from diagnosis.problem.problem import Setting, settle
+from parameters import InputError
+from physics.effects.catalogue import CATALOGUE, EffectParameter
+from physics.relations.relation import RELATIONS
+
+Array = NDArray[np.float64]
+
+RISE: Final = 1.0 / (1.0 - LEAST_GAIN) ** 2 - 1.0
+"""Mean square that an effect must add to a relation's, in floors squared, to be `LEAST_GAIN` of its RMSE."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The least an experiment shows of one effect.
+
+    `size` departs from the healthy value by that much (None: not to be seen inside the bounds), the effect's other
+    parameters at `shape`; `relation` shows it most; `like`: effects that look the same, within the verdict's share.
+    """
+
+    effect: str
+    site: str
+    parameter: str
+    unit: str
+    size: float | None
+    likely: tuple[float, float]
+    shape: Mapping[str, float]
+    relation: str | None
+    like: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an experiment would show; `floors` by relation, in its unit; `samples` that count as independent."""
+
+    limits: tuple[Limit, ...]
+    floors: Mapping[str, float]
+    samples: Mapping[str, float]
+    blind: tuple[str, ...]
+
+    def unit(self, relation: str) -> str:
+        """Return the unit of a relation."""
+        return RELATIONS[relation].unit
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the plan as plain values; what is not to be seen is None."""
+        return {
+            "relations": {name: {"unit": self.unit(name), "floor": floor, "samples": self.samples[name]}
+                          for name, floor in self.floors.items()},
+            "effects": [{"effect": limit.effect, "site": limit.site, "parameter": limit.parameter, "unit": limit.unit,
+                         "smallest": limit.size, "likely": list(limit.likely), "shape": dict(limit.shape),
+                         "relation": limit.relation, "like": list(limit.like)} for limit in self.limits],
+            "blind": list(self.blind)}
+
+
+def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[str, Any] | None = None) -> Plan:
+    """Say what an experiment would show, from a simulated healthy trial of it.
+
+    `healthy`: measured trials that the floors come from, in place of those of like benches.
+    Raises `InputError` where the trial holds no relation or too few laps.
+    """
+    with threadpool_limits(1, user_api="blas"):
+        return _planned(simulated, healthy, calibration)
+
+
+def _planned(simulated: Table, healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Plan:
+    setting = settle([integrity.usable(simulated)], healthy, calibration or simulated.calibration)
+    if not setting.checked or len(setting.folds) < integrity.LEAST_CYCLES:
+        raise InputError(f"{simulated.source}: {len(setting.folds)} laps and {len(setting.checked)} relations to check;"
+                         f" expected at least {integrity.LEAST_CYCLES} and one: give an experiment that moves.")
+    return _Sight(setting, solve(setting.problem, setting.reference.values, setting.reference.nuisance)).plan()
+
+
+def sight(setting: Setting, baseline: Fit) -> tuple[Limit, ...]:
+    """Return every effect's limit on a setting's own trials; `baseline`: what fits them without an effect."""
+    return _Sight(setting, baseline).plan().limits
+
+
+class _Sight:
+    """Residuals of one healthy trial, and how they change."""
+
+    def __init__(self, setting: Setting, baseline: Fit) -> None:
+        self.setting, self.problem, self.fit = setting, setting.problem, baseline
+        self.slopes = np.concatenate(self.fit.slopes, axis=1)
+        self.inverse = np.linalg.pinv(self.fit.curvature, rcond=1e-12)
+        names = [b.relation.name for b in setting.blocks]
+        self.place = np.concatenate([np.full(r.size, names.index(n)) for n, r in zip(
+            names, self.fit.residuals, strict=True)])
+        self.names = names
+
+    def plan(self) -> Plan:
+        """Return every effect's limit, and the effects that no relation of this trial sees."""
+        seen = {c.name: self._best(c) for c in self.setting.offered}
+        limits = tuple(self._limit(c, *seen[c.name], seen) for c in self.setting.offered)
+        blind = tuple(name for name in CATALOGUE if name not in seen)
+        return Plan(limits, {n: self._floor(n) for n in dict.fromkeys(self.names)},
+                    {n: self._independent(n) for n in dict.fromkeys(self.names)}, blind)
+
+    def _best(self, candidate: Candidate) -> tuple[Mapping[str, float], Array, float]:
+        """Return the start along which the least of the effect shows, its Δ⊥ there, and the share that shows."""
+        moving, at = _moving(candidate), self.setting.reference.values
+        tried = [(start, *self._share(self._change(start))) for start in candidate.starts]
+        return min(tried, key=lambda one: one[2] * abs(one[0][moving.name] - at[moving.name]))
+
+    def _change(self, start: Mapping[str, float]) -> Array:
+        values = {**self.fit.values, **start}
+        change = np.concatenate(self.problem.residuals(values)) - np.concatenate(self.fit.residuals)
+        return np.asarray(change - self.slopes.T @ (self.inverse @ (self.slopes @ change)))
+
+    def _share(self, change: Array) -> tuple[Array, float]:
+        """Return Δ⊥ and the share of it that just meets both thresholds; infinite where nothing is left of it."""
+        fall = float(change @ change)
+        by_relation = [float(change[self.place == i] @ change[self.place == i]) / self._independent(name)
+                       for i, name in enumerate(self.names)]
+        if fall <= 0.0 or max(by_relation) <= 0.0:
+            return change, math.inf
+        least = max(LEAST_FALL, STRUCTURE * sum(self._independent(n) for n in dict.fromkeys(self.names)))
+        return change, max(math.sqrt(least / fall), math.sqrt(RISE / max(by_relation)))
+
+    def _limit(self, candidate: Candidate, start: Mapping[str, float], change: Array, share: float,
+               seen: Mapping[str, tuple[Mapping[str, float], Array, float]]) -> Limit:
+        moving = _moving(candidate)
+        size = share * abs(start[moving.name] - self.setting.reference.values[moving.name])
+        loudest = [float(change[self.place == i] @ change[self.place == i]) / self._independent(n)
+                   for i, n in enumerate(self.names)]
+        hidden = not math.isfinite(share) or size > moving.high - moving.low
+        return Limit(
+            candidate.name, candidate.site, moving.name, moving.unit, None if hidden else size, moving.likely,
+            {name: value for name, value in start.items() if name != moving.name},
+            None if hidden else self.names[int(np.argmax(loudest))],
+            () if hidden else tuple(other for other, (_, theirs, their_share) in seen.items()
+                                    if other != candidate.name and math.isfinite(their_share)
+                                    and _alike(change, theirs) >= RIVAL_GAIN))
+
+    def _floor(self, name: str) -> float:
+        """The floor of healthy trials, else of like benches, or what this trial is off by, if that is more."""
+        rests = [r for n, r in zip(self.names, self.fit.residuals, strict=True) if n == name]
+        off = math.sqrt(float(np.mean(np.concatenate(rests) ** 2))) * self.setting.weights[name]
+        return max((self.setting.floors or FLOORS).get(name, 0.0), off)
+
+    def _independent(self, name: str) -> float:
+        """Squares of a relation's residual, in weights, on a healthy trial: its floor over its samples."""
+        return self.setting.samples(name) * (self._floor(name) / self.setting.weights[name]) ** 2
+
+
+def _moving(candidate: Candidate) -> EffectParameter:
+    """The parameter that says how large the effect is; the others shape it."""
+    parameters = CATALOGUE[candidate.name].parameters
+    free = [p for p in parameters if p.name in candidate.slots]
+    return next((p for p in free if p.neutral is not None), free[0])
+
+
+def _alike(one: Array, other: Array) -> float:
+    """Return the share of `one` that `other`, scaled, takes away."""
+    both = float(one @ one) * float(other @ other)
+    return float(one @ other) ** 2 / both if both > 0.0 else 0.0

@@ -1,0 +1,125 @@
+"""What may be said: before and after on unseen cycles, intervals, the class, and the word for it.
+
+The rule of this file: a figure is of cycles or files that the fit that made it has not seen, an interval comes
+from drawing whole cycles again, and what the data do not decide is left undecided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.problem.cross_validation import CycleSquares
+from diagnosis.search.search import Found, Model
+
+Array = NDArray[np.float64]
+
+LEAST_GAIN: Final = 0.08
+"""Share of a relation's RMSE on unseen cycles that an effect must take away."""
+LEAST_FALL: Final = 40.0
+"""χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
+STRUCTURE: Final = 0.04
+"""The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
+MISMATCH: Final = 0.02
+"""Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
+LAW: Final = 0.06
+"""1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
+RIVAL_RMSE: Final = 0.10
+RIVAL_GAIN: Final = 0.85
+WORTH_A_LOOK: Final = 1.5
+"""Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
+SPLIT_RMSE: Final = 0.015
+SPLIT_GAIN: Final = 0.50
+"""The same two where an experiment lies beside the gait: both rivals err by the same laws, so less decides.
+Below it the wrong rival of a hidden class can be the better one."""
+STRANGE: Final = 1.33
+"""RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
+WANTING: Final = 1.2
+"""The same from which, where none of the foremost effects pays, all are fitted."""
+STRANGE_NAMED: Final = 0.225
+"""The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
+STRANGE_SHARE: Final = 0.15
+"""Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
+OPEN: Final = 0.1
+"""Excess of a relation over its healthy χ², in that, from which a further effect is looked for."""
+DRAWS: Final = 400
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One relation, in its unit: RMSE on held-out cycles and on holdout files, gain in % with its 95 % interval."""
+
+    unit: str
+    checked: bool
+    floor: float | None = None
+    rmse_before: float | None = None
+    rmse_after: float | None = None
+    holdout_before: float | None = None
+    holdout_after: float | None = None
+    gain_percent: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[float, float, float]:
+    """Return the gain in RMSE, %, and its 95 % interval from drawing whole cycles again."""
+    a, _ = before.arrays(relation)
+    b, _ = after.arrays(relation)
+    draw = np.random.default_rng(0).integers(0, len(a), (DRAWS, len(a)))
+    gains = 100.0 * (1.0 - np.sqrt(b[draw].sum(axis=1) / a[draw].sum(axis=1)))
+    low, high = np.percentile(gains, [2.5, 97.5])
+    return 100.0 * (1.0 - math.sqrt(b.sum() / a.sum())), float(low), float(high)
+
+
+def cut(lesser: Model, model: Model) -> dict[str, float]:
+    """Return, by relation, the share of RMSE on unseen cycles that `model` takes from `lesser`."""
+    return {name: 1.0 - math.sqrt(max(model.by_relation[name], 0.0) / lesser.by_relation[name])
+            for name in lesser.by_relation if lesser.by_relation[name] > 0.0}
+
+
+def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
+    """Return the effects that could stand in the chosen model, the chosen ones first.
+
+    A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
+    `most_rmse` of the chosen model's RMSE.
+    """
+    best, others = found.best, dict[str, float]()
+    for out in best.effects:
+        left = found.model([c.name for c in best.effects if c is not out])
+        if left is None:
+            continue
+        for model in found.models:
+            strange = set(model.names) - set(best.names)
+            if len(model.names) != len(best.names) or set(best.names) - set(model.names) != {out.name}:
+                continue
+            if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
+                continue
+            share = (left.score - model.score) / max(left.score - best.score, 1e-9)
+            if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
+                others[strange.pop()] = model.rank
+    return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
+
+
+def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, likeness: float, change: float) -> float:
+    """Return the half width of a 95 % interval: what folds and curvature say, like benches, and the law's mismatch.
+
+    `sigma`: from the curvature; `likeness`: 1σ of the healthy value; `change`: what the effect has moved it by.
+    """
+    values = np.array([f[name] for f in fitted])
+    k = len(values)
+    jackknife = math.sqrt((k - 1) / k * float(((values - values.mean()) ** 2).sum())) if k > 1 else 0.0
+    return 1.96 * math.hypot(max(jackknife, sigma), likeness, LAW * change)
+
+
+def curvature_sigma(model: Model, name: str) -> float:
+    """Return 1σ of a slot from the fit's curvature."""
+    scale = np.sqrt(np.maximum(np.diag(model.fit.curvature), 1e-300))
+    even = model.fit.curvature / np.outer(scale, scale)
+    at = [f.name for f in model.fit.free].index(name)
+    covariance = np.linalg.pinv(even, rcond=1e-10) / np.outer(scale, scale)
+    return math.sqrt(max(float(covariance[at, at]), 0.0))

@@ -1,0 +1,196 @@
+"""Which relations the columns allow, on which samples, and how far each is from holding.
+
+The rule of this file: a relation that lacks a column is not checked, and said to be; every sample belongs to
+one whole cycle of one trial, and cycles are never split between what is fitted and what judges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from diagnosis.data.table import Table
+from physics.relations import relation as models
+from physics.relations.measured import Fine, Signals
+from physics.relations.relation import RELATIONS, Relation
+from physics.relations.relation_parameters import LEG
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+SAMPLE_BUDGET: Final = 10_000
+"""Samples of one relation over all trials that a fit looks at; more are thinned, behind a low-pass."""
+RATE_RANGE_HZ: Final = (50.0, 125.0)
+TAUT_N: Final = 5.0
+"""END tension above which rope, knee and stretch are one: below, the rope may be slack."""
+REMEMBERED: Final = 4
+FINE_HZ: Final = 100.0
+"""Cut-off of the rope's motion that the drive's friction sees."""
+RATE_HZ: Final = 25.0
+"""Cut-off of END's rate of change: a bench's drives move no quicker, and a sensor's noise grows with its rate."""
+SETTLE_S: Final = 0.1
+"""What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
+of one side only."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One relation on one trial: `weight` makes a residual floors, `cycle` numbers whole cycles over all trials."""
+
+    relation: Relation
+    signals: Signals
+    keep: NDArray[np.intp]
+    cycle: NDArray[np.intp]
+    uses: frozenset[str]
+    _last: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False, kw_only=True)
+
+    def residual(self, values: Values) -> Array:
+        """Return measured less predicted, in the relation's unit, on the samples that count."""
+        key = tuple([values[name] for name in self.uses])
+        if key not in self._last:
+            predicted = models.predict(self.relation, self.signals, values)
+            if len(self._last) >= REMEMBERED:
+                self._last.pop(next(iter(self._last)))
+            self._last[key] = (self.signals[self.relation.output] - predicted)[self.keep]
+        return self._last[key]
+
+
+def working_rate(tables: Sequence[Table]) -> float:
+    """Return the rate, Hz, at which all trials are looked at: the highest that keeps to the sample budget."""
+    seconds = sum(float(t["time_s"][-1] - t["time_s"][0]) for t in tables)
+    low, high = RATE_RANGE_HZ
+    native = min(1.0 / float(np.median(np.diff(t["time_s"]))) for t in tables)
+    return min(native, max(low, min(high, SAMPLE_BUDGET / seconds)))
+
+
+def signals_of(given: Table, rate_hz: float) -> Signals:
+    """Bring a trial to one working rate behind an anti-alias low-pass, with the derivatives the laws read.
+
+    Rates are taken before the thinning: afterwards they would fall short where the motion is quick.
+    """
+    time = given["time_s"]
+    step = float(np.median(np.diff(time)))
+    stride = max(1, round(1.0 / (step * rate_hz)))
+    gap = np.concatenate(([True], np.diff(time) > 5.0 * step))
+    fine = dict(given.columns)
+    _derive(fine)
+    columns = {name: _thinned(values, stride, name) for name, values in fine.items()}
+    fresh = np.add.reduceat(gap, np.arange(0, len(time), stride)) > 0
+    span = columns["time_s"][-1] - columns["time_s"][0]
+    rope = None
+    if stride > 1 and "rope_m" in fine:
+        slow = _low_passed(fine["rope_m"], FINE_HZ * step)
+        rope = Fine(slow, np.gradient(slow, time), gap, lambda values: _thinned(values, stride, "rope_m"))
+    return Signals(columns, fresh, (columns["time_s"] - columns["time_s"][0]) / span, rope)
+
+
+def _low_passed(values: Array, cutoff: float) -> Array:
+    """Take a sensor's noise off a signal; `cutoff` in cycles per sample."""
+    if np.isnan(values).any() or cutoff >= 0.45:
+        return values
+    return np.asarray(sosfiltfilt(butter(2, 2.0 * cutoff, output="sos"), values))
+
+
+def _thinned(values: Array, stride: int, name: str) -> Array:
+    if stride == 1:
+        return values
+    if name in ("time_s", "cycle", "gait_percent") or name.endswith("_ns") or np.isnan(values).any():
+        return values[::stride]
+    thinned: Array = sosfiltfilt(_anti_alias(stride), values)[::stride]
+    return thinned
+
+
+@cache
+def _anti_alias(stride: int) -> Array:
+    return np.asarray(butter(4, 0.8 / stride, output="sos"))
+
+
+def _derive(columns: dict[str, Array]) -> None:
+    time = columns["time_s"]
+    if "servo_position_m" in columns:
+        columns["rope_m"] = columns["servo_position_m"]
+        columns["rope_m_s"] = np.gradient(columns["rope_m"], time)
+        columns["rope_m_s2"] = np.gradient(columns["rope_m_s"], time)
+        columns["strain_m_s"] = columns["rope_m_s"]
+    if "knee_angle_rad" in columns:
+        speed = np.gradient(columns["knee_angle_rad"], time)
+        columns["knee_acceleration"] = np.gradient(speed, time)
+        if "rope_m" in columns:
+            columns["strain_m_s"] = columns["rope_m_s"] - LEG.moment_arm_m * speed
+    if "tension_end_n" in columns:
+        step = float(np.median(np.diff(time)))
+        columns["end_rate"] = np.gradient(_low_passed(columns["tension_end_n"], RATE_HZ * step), time)
+
+
+def cycles_of(given: Signals) -> NDArray[np.intp]:
+    """Return each sample's cycle from 0: the `cycle` column, else gait percent, else turns of the slowest motion."""
+    if given.has("cycle"):
+        return np.unique(given["cycle"], return_inverse=True)[1].astype(np.intp)
+    if given.has("gait_percent"):
+        wrapped = np.concatenate(([False], np.diff(given["gait_percent"]) < -50.0))
+        return np.cumsum(wrapped).astype(np.intp)
+    return _turns(given)
+
+
+def _turns(given: Signals) -> NDArray[np.intp]:
+    for name in ("knee_angle_rad", "rope_m", "tension_start_n", "servo_force_n"):
+        if given.has(name):
+            values = given[name] - np.median(given[name])
+            band = 0.3 * np.std(values)
+            side = np.where(values > band, 1, np.where(values < -band, -1, 0))
+            held = side[np.maximum.accumulate(np.where(side != 0, np.arange(side.size), 0))]
+            up = np.concatenate(([False], (held[1:] > 0) & (held[:-1] <= 0)))
+            return np.cumsum(up).astype(np.intp)
+    return np.zeros(given["time_s"].size, dtype=np.intp)
+
+
+def allowed(tables: Iterable[Table]) -> dict[str, tuple[str, ...]]:
+    """Return, for each relation of the catalogue, the columns that some trial lacks (empty: it can be checked)."""
+    held = [set(t.columns) for t in tables]
+    return {name: tuple(c for c in (*relation.columns, relation.output) if not all(c in h for h in held))
+            for name, relation in RELATIONS.items()}
+
+
+def blocks_of(tables: Sequence[Table], names: Iterable[str], taut_n: float | None = None) -> list[Block]:
+    """Return the blocks of relations `names` on all trials; `taut_n`: relations of angle only where END pulls more."""
+    rate = working_rate(tables)
+    names = tuple(names)
+    made: list[Block] = []
+    first = 0
+    for given in tables:
+        signals = signals_of(given, rate)
+        cycle = cycles_of(signals)
+        cycle = cycle - cycle[0] + first
+        first = int(cycle[-1]) + 1
+        for name in names:
+            relation = RELATIONS[name]
+            keep = _kept(signals, relation, taut_n)
+            made.append(Block(relation, signals, keep, cycle[keep], models.uses(relation)))
+    return made
+
+
+def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray[np.intp]:
+    time = signals["time_s"]
+    keep = (time >= time[0] + SETTLE_S) & (time <= time[-1] - SETTLE_S)
+    for name in (*relation.columns, relation.output):
+        keep &= np.isfinite(signals[name])
+    if relation.unit == "rad" and taut_n is not None:
+        for name in ("tension_end_n", "tension_start_n"):
+            if signals.has(name):
+                keep &= signals[name] > taut_n
+                break
+    return np.flatnonzero(keep)
+
+
+def rmse(residuals: Iterable[Array]) -> float:
+    """Return the root mean square of all residuals together; NaN of none."""
+    parts = list(residuals)
+    count = sum(r.size for r in parts)
+    return math.sqrt(sum(float(r @ r) for r in parts) / count) if count else math.nan

@@ -1,0 +1,99 @@
+"""The catalogue's effects as the fits see them: which slots each one frees, within what, and from where to start.
+
+The rule of this file: everything comes from the declarations of `physics.effects.catalogue`; no effect is named here.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from diagnosis.problem.fit import Free
+from physics.effects.catalogue import CATALOGUE
+from physics.relations import relation
+from physics.relations.relation import RELATIONS
+from physics.relations.relation_parameters import SLOTS
+
+MAX_STARTS: Final = 8
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect: the slots it frees, and the points its fits start from (at each the effect is at work).
+
+    `likely`: by slot, where its value is expected on such a bench; empty where nothing is known of the rig.
+    """
+
+    name: str
+    site: str
+    frees: tuple[Free, ...]
+    starts: tuple[Mapping[str, float], ...]
+    likely: Mapping[str, tuple[float, float]]
+
+    def unlikely(self, values: Mapping[str, float]) -> int:
+        """Return how many of its slots are outside of where they are expected."""
+        return sum(not low <= values[f.name] <= high for f in self.frees if f.name in self.likely
+                   for low, high in (self.likely[f.name],))
+
+    @property
+    def slots(self) -> frozenset[str]:
+        return frozenset(f.name for f in self.frees)
+
+
+def candidates(
+    checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False
+) -> list[Candidate]:
+    """Return every effect that some slot of the `checked` relations can show and that `nuisance` does not swallow.
+
+    `any_rig`: the bounds are the slots' own, for rigs of any size, and what reads this bench's geometry is left out.
+    """
+    visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))
+    swallowed = {f.name for f in nuisance if math.isinf(f.sigma)}
+    found = []
+    for effect in CATALOGUE.values():
+        if any_rig and any(SLOTS[p.name].bench_only for p in effect.parameters if p.name in SLOTS):
+            continue
+        frees = [_free(p, reference, any_rig) for p in effect.parameters
+                 if p.name in visible and p.name not in swallowed]
+        if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
+            likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}
+            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely))
+    return found
+
+
+def _moves(parameter: Any, effect: Any) -> bool:
+    """A shape parameter (no neutral value, beside one that has one) says nothing alone."""
+    return parameter.neutral is not None or all(p.neutral is None for p in effect.parameters)
+
+
+def _free(parameter: Any, reference: Mapping[str, float], any_rig: bool) -> Free:
+    bounds = SLOTS.get(parameter.name, parameter) if any_rig else parameter
+    low, high = bounds.low, bounds.high
+    at = reference[parameter.name]
+    scale = max(abs(parameter.likely[1] - parameter.likely[0]) / 4.0, 1e-9)
+    return Free(parameter.name, min(low, at), max(high, at), at, math.inf, scale)
+
+
+def _starts(effect: Any, frees: Sequence[Free], reference: Mapping[str, float]) -> tuple[Mapping[str, float], ...]:
+    names = {f.name for f in frees}
+    points = [_points(p, reference[p.name], _moves(p, effect)) for p in effect.parameters if p.name in names]
+    grid = [dict(zip([f.name for f in frees], point, strict=True)) for point in itertools.product(*points)]
+    grid = [g for g in grid if any(g[f.name] != reference[f.name] for f in frees)]
+    step = max(1, math.ceil(len(grid) / MAX_STARTS))
+    return tuple(grid[::step])
+
+
+def _points(parameter: Any, at: float, moves: bool) -> list[float]:
+    low, high = parameter.likely
+    if not moves:
+        if low > 0.0:
+            return [math.exp(math.log(low) + t * math.log(high / low)) for t in (0.1, 0.5, 0.9)]
+        return [low + t * (high - low) for t in (0.125, 0.375, 0.625, 0.875)]
+    if low < at < high:
+        return [at + 0.5 * (low - at), at + 0.5 * (high - at)]
+    if low > 0.0 and high / low > 10.0:
+        return [math.exp(math.log(low) + t * math.log(high / low)) for t in (0.2, 0.6)]
+    return [low + 0.4 * (high - low)]

@@ -1,0 +1,74 @@
+"""Whole cycles that a fit has not seen: the folds, and what fits on the other folds leave on each.
+
+The rule of this file: every figure that a verdict rests on is of a full refit on the other cycles, never of the fit
+that is judged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.problem.blocks import Block
+from diagnosis.problem.fit import Fit, Problem, solve
+
+Array = NDArray[np.float64]
+
+FOLDS: Final = 5
+
+
+def folds_of(cycles: NDArray[np.intp]) -> list[frozenset[int]]:
+    """Deal whole cycles into at most `FOLDS` sets, neighbours apart."""
+    labels = np.unique(cycles)
+    count = min(FOLDS, len(labels))
+    return [frozenset(int(c) for c in labels[k::count]) for k in range(count)]
+
+
+class CycleSquares:
+    """Sums of squared residuals of whole cycles, by relation: what intervals are drawn from.
+
+    `fitted`: the values of each fold's fit.
+    """
+
+    def __init__(self) -> None:
+        self.sums: dict[str, dict[int, tuple[float, int]]] = {}
+        self.fitted: list[dict[str, float]] = []
+
+    def add(self, block: Block, residual: Array, cycles: NDArray[np.intp]) -> None:
+        held = self.sums.setdefault(block.relation.name, {})
+        for c in np.unique(cycles):
+            inside = cycles == c
+            total, count = held.get(int(c), (0.0, 0))
+            part = residual[inside]
+            held[int(c)] = (total + float(part @ part), count + part.size)
+
+    def arrays(self, relation: str) -> tuple[Array, Array]:
+        held = self.sums[relation]
+        return (np.array([held[c][0] for c in sorted(held)]), np.array([held[c][1] for c in sorted(held)], dtype=float))
+
+    def rmse(self, relation: str) -> float:
+        squares, counts = self.arrays(relation)
+        return math.sqrt(squares.sum() / counts.sum())
+
+    def chi_square(self, weights: Mapping[str, float]) -> dict[str, float]:
+        """Return the sums by relation, each in its weight."""
+        return {name: float(self.arrays(name)[0].sum()) / weights[name] ** 2 for name in weights if name in self.sums}
+
+
+def unseen(problem: Problem, folds: Sequence[frozenset[int]], fit: Fit) -> CycleSquares:
+    """Refit in full for each fold on the other cycles; return the squares on the fold's own."""
+    squares = CycleSquares()
+    everything = frozenset().union(*folds)
+    for fold in folds:
+        part = Problem(problem.blocks, problem.weights, (everything - fold) or fold)
+        values = solve(part, fit.values, fit.free, known=fit).values
+        squares.fitted.append(values)
+        for block in problem.blocks:
+            inside = np.isin(block.cycle, list(fold))
+            if inside.any():
+                squares.add(block, block.residual(values)[inside], block.cycle[inside])
+    return squares

@@ -1,0 +1,114 @@
+"""What a diagnosis works on: the relations that can be checked, their blocks, reference, weights and floors.
+
+The rule of this file: everything that is known before the search starts is decided here, from columns,
+calibration and healthy trials alone; the trials under question decide nothing but the scale on an unknown rig.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from diagnosis.data.table import Table
+from diagnosis.problem import blocks as relations
+from diagnosis.problem.blocks import Block
+from diagnosis.problem.candidates import Candidate, candidates
+from diagnosis.problem.cross_validation import folds_of
+from diagnosis.problem.fit import Problem, solve
+from diagnosis.problem.floors import FLOORS, LEAST_FLOOR, LEAST_TIED, TIED
+from diagnosis.problem.healthy_fit import learn
+from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
+from physics.relations.relation import RELATIONS
+
+CORRELATED_S = 0.09
+"""Time over which residuals repeat themselves on a rig that nothing is known of."""
+UNEXPLAINED_SHARE = 0.3
+"""What a search is expected to leave of the baseline's residual on such a rig: it scales the weights, no more."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench."""
+
+    any_rig: bool
+    missing: Mapping[str, tuple[str, ...]]
+    checked: tuple[str, ...]
+    blocks: list[Block]
+    folds: list[frozenset[int]]
+    reference: Reference
+    declared: Mapping[str, float]
+    weights: Mapping[str, float]
+    floors: Mapping[str, float] | None
+    offered: list[Candidate]
+
+    @property
+    def problem(self) -> Problem:
+        return Problem(self.blocks, self.weights)
+
+    @property
+    def taut(self) -> float | None:
+        return None if self.any_rig else relations.TAUT_N
+
+    def samples(self, relation: str) -> int:
+        return sum(b.keep.size for b in self.blocks if b.relation.name == relation)
+
+    def rmse(self, relation: str, chi_square: float) -> float:
+        """Turn a relation's χ² into its RMSE."""
+        return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
+
+
+def settle(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+    """Decide what can be checked on `trials` and against what."""
+    missing = relations.allowed(trials)
+    any_rig = calibration is None and not like_this_bench(trials)
+    checked = tuple(n for n, lacks in missing.items() if not lacks and not (any_rig and RELATIONS[n].bench_only))
+    blocks = relations.blocks_of(trials, checked, None if any_rig else relations.TAUT_N)
+    checked = tuple(n for n in checked if any(b.relation.name == n and b.keep.size for b in blocks))
+    blocks = [b for b in blocks if b.relation.name in checked]
+    folds = folds_of(np.concatenate([b.cycle for b in blocks])) if blocks else []
+    if any_rig:
+        return _unknown(missing, checked, blocks, folds)
+    return _bench(missing, checked, blocks, folds, healthy, calibration)
+
+
+def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
+           folds: list[frozenset[int]], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+    reference = of_bench(calibration)
+    declared = reference.values
+    floors, tied = {n: FLOORS[n] for n in checked}, {n: TIED[n] for n in checked}
+    measured = None
+    if healthy:
+        taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
+                  for t in healthy]
+        lesson = learn(taught, reference, candidates(checked, declared, reference.nuisance), floors, tied)
+        reference = lesson.reference
+        measured = {n: max(lesson.floors[n], LEAST_FLOOR[n]) if n in lesson.floors else floors[n] for n in checked}
+        floors, tied = measured, {**tied, **lesson.tied}
+    weights = {n: floors[n] * math.sqrt(max(tied[n], LEAST_TIED)) for n in checked}
+    return Setting(False, missing, checked, blocks, folds, reference, declared, weights, measured,
+                   candidates(checked, reference.values, reference.nuisance))
+
+
+def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
+             folds: list[frozenset[int]]) -> Setting:
+    first = of_unknown_rig(blocks)
+    even = {n: _deviation(blocks, n) for n in checked}
+    values = solve(Problem(blocks, even), first.values, first.nuisance).values
+    values["pull_sign"] = math.copysign(1.0, values["coulomb"])
+    reference = Reference(first.kind, values, first.nuisance)
+    values = solve(Problem(blocks, even), values, first.nuisance).values
+    step = float(np.median(np.diff(blocks[0].signals["time_s"]))) if blocks else 1.0
+    tied = math.sqrt(max(1.0, CORRELATED_S / step))
+    weights = {n: UNEXPLAINED_SHARE * tied * relations.rmse(b.residual(values) for b in blocks if b.relation.name == n)
+               for n in checked}
+    return Setting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
+                   candidates(checked, reference.values, reference.nuisance, True))
+
+
+def _deviation(blocks: Sequence[Block], name: str) -> float:
+    held = [b.signals[b.relation.output][b.keep] for b in blocks if b.relation.name == name]
+    return float(np.std(np.concatenate(held))) or 1.0

@@ -1,0 +1,114 @@
+"""Cycles that a fit has not seen, from one linearisation: the score of a fit, and every candidate's promise.
+
+The rule of this file: it ranks, and nothing is reported from it; what is reported is fitted in full, fold by fold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.fit import Fit, Problem
+
+Array = NDArray[np.float64]
+
+RIDGE: Final = 1e-6
+ROUNDS: Final = 6
+"""Most rounds in which slots that would leave their bounds are held."""
+
+
+class Screen:
+    """Normal matrices, by fold and relation, of the residual's change by each free slot and by each extra column."""
+
+    def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]],
+                 extra: Sequence[Array] | None = None) -> None:
+        self.known = len(fit.free)
+        self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
+        self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
+        self.prior = np.array([f.stiffness for f in fit.free])
+        self.pull = np.array([f.pull(fit.values[f.name]) / f.sigma for f in fit.free])
+        self.names = sorted(problem.weights)
+        size = self.known + (len(extra[0]) if extra else 0)
+        shape = (len(folds), len(self.names))
+        self.gram, self.slope, self.cost = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
+        for i, block in enumerate(problem.blocks):
+            columns = fit.slopes[i] if extra is None else np.concatenate([fit.slopes[i], extra[i]])
+            self._add(self.names.index(block.relation.name), columns, fit.residuals[i], block.cycle, folds)
+        self.every_gram, self.every_slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
+
+    def _add(self, relation: int, columns: Array, rest: Array, cycle: NDArray[np.intp],
+             folds: Sequence[frozenset[int]]) -> None:
+        at = np.flatnonzero(columns.any(axis=1))
+        for k, fold in enumerate(folds):
+            inside = np.isin(cycle, list(fold))
+            part, r = columns[np.ix_(at, np.flatnonzero(inside))], rest[inside]
+            self.gram[k, relation, at[:, None], at] += part @ part.T
+            self.slope[k, relation, at] += part @ r
+            self.cost[k, relation] += float(r @ r)
+
+    def unseen(self, extra: int | None = None, released: Sequence[int] = ()) -> dict[str, float]:
+        """Return χ² by relation on unseen folds, the free slots (and one extra column) fitted on the others.
+
+        A slot that rests on its bound leaves it only inwards, unless it is `released` from bounds and prior.
+        """
+        at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
+        more = len(at) - self.known
+        prior, pull = np.append(self.prior, np.zeros(more)), np.append(self.pull, np.zeros(more))
+        down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
+        held = list(released)
+        prior[held], pull[held], down[held], up[held] = 0.0, 0.0, -np.inf, np.inf
+        every = self.every_gram[np.ix_(at, at)]
+        ridge = np.diag(prior + RIDGE * np.diag(every) + 1e-12)
+        total = np.zeros(len(self.names))
+        for k in range(len(self.gram)):
+            mine = self.gram[k][:, at[:, None], at]
+            gram, slope = every + ridge, self.every_slope[at] + pull
+            if len(self.gram) > 1:
+                gram, slope = gram - mine.sum(axis=0), slope - self.slope[k].sum(axis=0)[at]
+            step = _inside(gram, slope, down, up)
+            total += self.cost[k] + 2.0 * self.slope[k][:, at] @ step + step @ mine @ step
+        return dict(zip(self.names, total.tolist(), strict=True))
+
+
+def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
+    """Return the step to the minimum; slots that it would carry out of their bounds stay."""
+    moving = np.ones(slope.size, dtype=np.bool_)
+    step = np.zeros(slope.size)
+    for _ in range(ROUNDS):
+        step = np.zeros(slope.size)
+        step[moving] = -np.linalg.solve(gram[np.ix_(moving, moving)], slope[moving])
+        out = (step < down) | (step > up)
+        if not out.any():
+            break
+        moving &= ~out
+    return step
+
+
+def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]
+             ) -> list[tuple[float, int, int]]:
+    """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first.
+
+    Start −1 is where the fit is, of a candidate whose slots all move there already, inside their bands.
+    """
+    starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
+    extra = []
+    for i, block in enumerate(problem.blocks):
+        rows = np.zeros((len(starts), fit.residuals[i].size))
+        for j, (c, s) in enumerate(starts):
+            if offered[c].slots & block.uses:
+                rows[j] = problem.residual(i, {**fit.values, **offered[c].starts[s]}) - fit.residuals[i]
+        extra.append(rows)
+    screen = Screen(problem, fit, folds, extra)
+    base = sum(screen.unseen().values())
+    falls = [(base - sum(screen.unseen(j).values()), c, s) for j, (c, s) in enumerate(starts)]
+    place = {f.name: j for j, f in enumerate(fit.free)}
+    for c, candidate in enumerate(offered):
+        if candidate.slots <= place.keys():
+            released = [place[name] for name in candidate.slots]
+            falls.append((base - sum(screen.unseen(released=released).values()), c, -1))
+    return sorted(falls, reverse=True)

@@ -1,0 +1,88 @@
+"""A diagnosis as one HTML page: the verdict in words, measured against simulated, residuals, what was rejected.
+
+The rule of this file: it shows what the diagnosis found and decides nothing; every figure has its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from diagnosis.data.table import Table
+from diagnosis.finder import Diagnosis
+from diagnosis.report import plots, tables, tracking
+from diagnosis.report.plots import AFTER, BEFORE
+from diagnosis.report.remaining import where
+from diagnosis.report.residuals import Compared, compared
+from diagnosis.report.words import interval, paragraph
+from physics.effects.catalogue import CATALOGUE
+from trial.report.page import Page, Tile, number
+
+KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplained": "bad", "refused": "bad"}
+
+
+def write(
+    found: Diagnosis, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
+    tracked: tuple[str | Path, str | Path] | None = None, *, overwrite: bool = True,
+) -> int:
+    """Write the report of a diagnosis of `trials` as one HTML file; returns its bytes.  Raises `InputError`.
+
+    `tracked`: trials of the closed loop before and after the controller was told.
+    """
+    return build(found, trials, holdout, tracked).write(path, overwrite=overwrite)
+
+
+def build(
+    found: Diagnosis, trials: Sequence[Table], holdout: Sequence[Table],
+    tracked: tuple[str | Path, str | Path] | None = None,
+) -> Page:
+    """Return the page of a diagnosis; tables as they were read."""
+    more = f" and {len(trials) - 1} more" if len(trials) > 1 else ""
+    names = f"{Path(trials[0].source).name}{more}"
+    stated = f" · every signal low-passed at {found.lowpass_hz:g} Hz, no phase" if found.lowpass_hz is not None else ""
+    page = Page(f"Diagnosis of {names}", f"against {_against(found)}{stated}",
+                badge=(found.verdict, KINDS.get(found.verdict, "plain")))
+    sides = compared(found, trials)
+    _summary(page, found, sides)
+    plots.measured(page, sides, "Measured against simulated", "time_s")
+    plots.residuals(page, sides)
+    if holdout:
+        plots.measured(page, compared(found, holdout), "Held-out trials", "held-out time_s")
+    if tracked is not None:
+        tracking.section(page, *tracked, (BEFORE, AFTER))
+    tables.ranking(page, found)
+    tables.limits(page, found)
+    _said(page, found)
+    return page
+
+
+def _against(found: Diagnosis) -> str:
+    if found.found is None and found.causes:
+        return "what a sound wire and converter give"
+    return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
+            "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
+
+
+def _summary(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> None:
+    page.section("Summary")
+    page.text(paragraph(found))
+    if found.verdict == "unexplained" and (left := where(found, sides)):
+        page.text(left)
+    if found.causes:
+        page.tiles([Tile(c["effect"], "", c["site"],
+                         f"takes {number(c['gain_percent'], 3)} % of the residual that it mends most")
+                    for c in found.causes])
+        page.table(("cause", "value", "law", "how it shows"), [
+            (c["effect"], f"{name} = {interval(one)}", CATALOGUE[c["effect"]].law, CATALOGUE[c["effect"]].signature)
+            for c in found.causes for name, one in c["parameters"].items()])
+    tables.relations(page, found)
+    tables.rivals(page, found)
+
+
+def _said(page: Page, found: Diagnosis) -> None:
+    page.section("What to keep in mind")
+    for warning in found.warnings:
+        page.text(warning, "warning")
+    if not found.warnings:
+        page.text("No warning.", "note")

@@ -1,0 +1,124 @@
+"""What a diagnosis' page draws: measured against simulated, and residuals from every side.
+
+The rule of this file: a line never goes on where nothing was compared; bands and means are of all trials together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from diagnosis.report.residuals import Compared, binned, bins_of, directions, joined, rms
+from trial.report.packing import broken
+from trial.report.page import Page, Series
+
+BEFORE, AFTER, MEASURED = "#c2410c", "#2563eb", "#6b7280"
+SIDES: Final = (
+    ("gait_percent", "phase", "gait_percent (%)"), ("tension_start_n", "load", "tension_start_n (N)"),
+    ("knee_angle_rad", "knee angle", "knee_angle_rad (rad)"), ("servo_position_m", "rope", "servo_position_m (m)"),
+    ("time_s", "time", "time_s (s)"),
+)
+"""What residuals are looked at against: signal, word, axis."""
+MEANING: Final = {
+    "friction": "START from END over the rope's motion", "elasticity": "START from rope and knee position",
+    "kinematics": "the knee's angle from rope and tension", "servo": "the rope from its target",
+    "drive_force": "the servo's force from motion and START", "knee": "the knee's angle from its target",
+    "start_sensor": "START against itself", "end_sensor": "END against itself", "bus": "stamps, ages and sequence"}
+"""What each relation predicts, in words."""
+GAP: Final = 1.5
+"""Steps of time without a sample from which a line is broken."""
+
+
+def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str) -> None:
+    """Draw each relation of the first trial whole, and the one cycle that the simulation misses most."""
+    page.section(title)
+    parts_of = {name: parts for name, parts in sides.items() if parts}
+    if not parts_of:
+        page.text("No relation was searched.", "note")
+        return
+    many = max(len(parts) for parts in parts_of.values()) > 1
+    page.text("Each relation predicts one signal from others: before, as the simulation was; after, with what was "
+              "found in it." + (" The first trial is drawn; the figures are of all." if many else ""), "note")
+    for name, (first, *_) in parts_of.items():
+        page.heading(f"{name}: {MEANING.get(name, first.block.relation.output)}")
+        whole = np.ones(first.time.size, dtype=np.bool_)
+        _drawn(page, f"{name}: {first.block.relation.output}", first, whole, linked)
+        _drawn(page, f"{name}: the cycle that is missed most", first, _worst(first), f"{linked}, one cycle of {name}")
+
+
+def _worst(one: Compared) -> np.ndarray[Any, Any]:
+    """Return a mask of the cycle whose residual is the largest before."""
+    cycle = one.block.cycle
+    squares, counts = np.bincount(cycle, one.before**2), np.bincount(cycle)
+    return np.asarray(cycle == int(np.argmax(squares / np.maximum(counts, 1))))
+
+
+def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], linked: str) -> None:
+    columns = [one.measured, one.measured - one.before, one.measured - one.after]
+    gap = GAP * float(np.median(np.diff(one.time)))
+    time, lines = broken(one.time[shown], [column[shown] for column in columns], gap)
+    page.plot(title, time, [
+        Series("measured", lines[0], MEASURED, width=2.2),
+        Series("simulated before", lines[1], BEFORE, width=1.0, dash=True),
+        Series("simulated after", lines[2], AFTER, width=1.0)],
+        "time_s (s)", one.block.relation.unit, linked=linked, height=220)
+
+
+def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
+    """Draw the residuals of every relation against every signal that is known."""
+    page.section("Residuals")
+    if not any(sides.values()):
+        page.text("No relation was searched.", "note")
+        return
+    page.text("Measured less simulated. Lines are the mean in each bin, bands its root mean square either side of "
+              "zero; what is left after follows no axis where the model has everything.", "note")
+    for name, parts in sides.items():
+        page.heading(name)
+        _by_direction(page, parts)
+        unit = parts[0].block.relation.unit
+        for signal, word, axis in SIDES:
+            along, before, after = joined(parts, signal)
+            if along.size and float(np.ptp(along)) > 0.0:
+                centres = binned(along, before, bins_of(along.size))[0]
+                page.plot(f"{name} by {word}", centres, _banded(along, before, after), axis, unit,
+                          linked=f"{signal} bins", height=190)
+        _loops(page, name, parts)
+
+
+def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np.ndarray[Any, Any]) -> list[Series]:
+    series = []
+    for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+        _, mean, square = binned(along, residual, bins_of(along.size))
+        series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=1.8)]
+    return series
+
+
+def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
+    masks = directions(parts)
+    before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
+    unit = parts[0].block.relation.unit
+    if masks:
+        page.table(("rope", "samples", f"mean before ({unit})", "after", f"rms before ({unit})", "after"), [
+            (word, int(mask.sum()), float(before[mask].mean()), float(after[mask].mean()), rms(before[mask]),
+             rms(after[mask])) for word, mask in masks.items() if mask.any()])
+
+
+def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
+    """Plot the mean residual by load, pulling and paying out apart: friction opens a loop, a gain a slope."""
+    masks = directions(parts)
+    load, before, after = joined(parts, "tension_start_n")
+    if not masks or load.size != sum(p.measured.size for p in parts) or float(np.ptp(load)) <= 0.0:
+        return
+    bins, series = bins_of(load.size), list[Series]()
+    for word, dash in (("pulled", False), ("paid out", True)):
+        if not masks[word].any():
+            continue
+        for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
+            along = np.concatenate([load[masks[word]], [load.min(), load.max()]])
+            mean = binned(along, np.concatenate([residual[masks[word]], [0.0, 0.0]]), bins)[1]
+            series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
+    centres = binned(load, before, bins)[0]
+    page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].block.relation.unit,
+              linked="tension_start_n bins", height=190)

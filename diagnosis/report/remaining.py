@@ -1,0 +1,70 @@
+"""Where what is left after a diagnosis lies: which relation, how large, at what phase, load and direction, how often.
+
+The rule of this file: measures of the residuals in words; no cause is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.finder import Diagnosis
+from diagnosis.report.residuals import Compared, directions, joined, rms
+from trial.report.page import number
+
+SIDES: Final = (("gait_percent", "{} … {} % of gait"), ("tension_start_n", "START at {} … {} N"))
+HALF: Final = 0.5
+BINS: Final = 50
+
+
+def where(found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> str:
+    """Return a sentence or three on what is left; "" where no healthy floor says what is too much."""
+    above = {name: f.rmse_after / f.floor for name, f in found.relations.items()
+             if f.checked and f.floor and f.rmse_after is not None and sides.get(name)}
+    if not above:
+        return ""
+    name = max(above, key=lambda relation: above[relation])
+    figures, parts = found.relations[name], sides[name]
+    unit = figures.unit
+    return (f"What is left is largest in {name}: {number(figures.rmse_after, 3)} {unit} on cycles that no fit has "
+            f"seen, {number(above[name], 2)} times what healthy trials leave ({number(figures.floor, 3)} {unit}). Half "
+            f"of its square lies at {_places(parts)}.{_direction(parts, unit)} {_cycles(parts, unit)}")
+
+
+def _places(parts: Sequence[Compared]) -> str:
+    told = []
+    for signal, words in SIDES:
+        along, _, after = joined(parts, signal)
+        if along.size and float(np.ptp(along)) > 0.0:
+            low, high = concentrated(along, after)
+            told.append(words.format(number(low, 2), number(high, 2)))
+    return " and ".join(told) or "no place that a column tells"
+
+
+def concentrated(along: NDArray[np.float64], residual: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the ends of the narrowest stretch of `along`, in bins, that holds half of the residual's squares."""
+    edges = np.linspace(float(along.min()), float(along.max()), BINS + 1)
+    place = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, BINS - 1)
+    total = np.concatenate(([0.0], np.cumsum(np.bincount(place, residual**2, BINS))))
+    first = np.arange(BINS)
+    last = np.searchsorted(total, total[:-1] + HALF * total[-1])
+    width = np.where(last <= BINS, last - first, BINS + 1)
+    at = int(np.argmin(width))
+    return float(edges[at]), float(edges[min(int(last[at]), BINS)])
+
+
+def _direction(parts: Sequence[Compared], unit: str) -> str:
+    masks: Mapping[str, NDArray[Any]] = directions(parts)
+    after = np.concatenate([p.after for p in parts])
+    if not masks or not all(masks[word].any() for word in ("pulled", "paid out")):
+        return ""
+    pulled, paid = (number(rms(after[masks[word]]), 3) for word in ("pulled", "paid out"))
+    return f" It is {pulled} {unit} while the rope is pulled and {paid} {unit} while it is paid out."
+
+
+def _cycles(parts: Sequence[Compared], unit: str) -> str:
+    each = [rms(p.after[p.block.cycle == c]) for p in parts for c in np.unique(p.block.cycle)]
+    return f"From cycle to cycle it is {number(min(each), 3)} to {number(max(each), 3)} {unit}."

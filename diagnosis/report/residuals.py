@@ -1,0 +1,108 @@
+"""A diagnosis' residuals looked at from every side: measured, simulated before and after, by what they depend on.
+
+The rule of this file: arrays only; what is compared are the baseline and the chosen model on the samples that the
+relation counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.data import integrity, table
+from diagnosis.data.table import Table
+from diagnosis.finder import Diagnosis
+from diagnosis.problem import blocks
+from diagnosis.problem.blocks import Block
+from physics.relations.relation import RELATIONS
+
+Array = NDArray[np.float64]
+
+BINS: Final = 50
+LEAST_IN_BIN: Final = 5
+STILL_M_S: Final = 1e-3
+"""Rope speed below which it counts as still."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One relation on one trial, by sample: what was measured and what both models leave, in the relation's unit."""
+
+    block: Block
+    measured: Array
+    before: Array
+    after: Array
+
+    @property
+    def time(self) -> Array:
+        return self.along("time_s")
+
+    def along(self, name: str) -> Array:
+        """Return a signal on the same samples; NaN where there is none."""
+        signals = self.block.signals
+        return signals[name][self.block.keep] if signals.has(name) else np.full(self.measured.size, np.nan)
+
+
+def compared(found: Diagnosis, trials: Sequence[Table]) -> dict[str, list[Compared]]:
+    """Return, by checked relation, the comparison on each of `trials` (as they were read); {} where nothing was found.
+
+    A trial that lacks a relation's columns is left out of it.
+    """
+    checked = [name for name, figures in found.relations.items() if figures.checked and name in RELATIONS]
+    if found.found is None or not checked:
+        return {}
+    made: dict[str, list[Compared]] = {name: [] for name in checked}
+    taut = blocks.TAUT_N if found.reference != "none" else None
+    for trial in trials:
+        usable = integrity.usable(trial)
+        usable = usable if found.lowpass_hz is None else table.low_passed(usable, found.lowpass_hz)
+        lacking = blocks.allowed([usable])
+        for block in blocks.blocks_of([usable], [n for n in checked if not lacking[n]], taut):
+            if block.keep.size:
+                made[block.relation.name].append(Compared(
+                    block, block.signals[block.relation.output][block.keep],
+                    block.residual(found.found.baseline.fit.values), block.residual(found.found.best.fit.values)))
+    return made
+
+
+def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:
+    """Return a signal of all trials in a row, and both residuals, where the signal is known."""
+    along = np.concatenate([p.along(name) for p in parts])
+    before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
+    known = np.isfinite(along)
+    return along[known], before[known], after[known]
+
+
+def bins_of(samples: int) -> int:
+    """Return into how many bins so many samples go: the fewer samples, the fewer bins."""
+    return max(1, min(BINS, samples // (2 * LEAST_IN_BIN)))
+
+
+def binned(along: Array, residual: Array, bins: int) -> tuple[Array, Array, Array]:
+    """Return centres, mean and root mean square of `residual` in equal bins of `along`; NaN in bins of few samples."""
+    edges = np.linspace(float(along.min()), float(along.max()), bins + 1)
+    place = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins).astype(np.float64)
+    full = count >= LEAST_IN_BIN
+    safe = np.where(full, count, 1.0)
+    mean = np.bincount(place, residual, bins) / safe
+    square = np.bincount(place, residual**2, bins) / safe
+    centres = 0.5 * (edges[:-1] + edges[1:])
+    return centres, np.where(full, mean, np.nan), np.where(full, np.sqrt(square), np.nan)
+
+
+def directions(parts: Sequence[Compared]) -> dict[str, NDArray[np.bool_]]:
+    """Return masks of the samples at which the rope is pulled, paid out, or still; {} where its speed is not known."""
+    if not all(p.block.signals.has("rope_m_s") for p in parts):
+        return {}
+    speed = np.concatenate([p.along("rope_m_s") for p in parts])
+    return {"pulled": speed > STILL_M_S, "paid out": speed < -STILL_M_S, "still": np.abs(speed) <= STILL_M_S}
+
+
+def rms(residual: Array) -> float:
+    """Return the root mean square; NaN of nothing."""
+    return float(np.sqrt(np.mean(residual**2))) if residual.size else float("nan")

@@ -1,0 +1,71 @@
+"""The closed loop before and after the controller was told: two trials of one experiment beside each other.
+
+The rule of this file: END as its sensor recorded it, judged by the trial's own figures; nothing of a plant's truth.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parameters import InputError
+from trial import metrics, read
+from trial.read import Trial
+from trial.report.page import Page, Series
+from trial.report.setting import setting
+
+FIGURES: Final = (
+    ("relative_rmse_percent", "relative RMSE, whole cycles", "%"),
+    ("relative_rmse_window_percent", "relative RMSE, 10…30 % of gait", "%"),
+    ("max_idle_tension_n", "largest END at idle", "N"), ("peak_jump_n", "jump at the peak", "N"))
+BINS: Final = 200
+Floats = NDArray[np.float64]
+
+
+def section(page: Page, before: str | Path, after: str | Path, colours: tuple[str, str]) -> None:
+    """Add the comparison of two trials; raises `InputError` where either is no gait, or they are not of one kind."""
+    trials = [read.open(path) for path in (before, after)]
+    for told in ("peak_n", "period_s", "controller"):
+        if trials[0].metadata.get(told) != trials[1].metadata.get(told):
+            raise InputError(f"{after}: {told} = {trials[1].metadata.get(told)}, but {trials[0].metadata.get(told)} in "
+                             f"{before}; give two trials of bowden verify.")
+    found = [_figures(trial) for trial in trials]
+    page.section("Closed loop")
+    page.text(f"The controller {trials[0].metadata.get('controller', '')}, not told and told of "
+              f"{trials[1].metadata.get('controller_model', 'nothing')}: END by its sensor against what was desired.",
+              "note")
+    page.table(("figure", "unit", "not told", "told"), [
+        (words, unit, found[0][name], found[1][name]) for name, words, unit in FIGURES])
+    _error(page, trials, colours)
+
+
+def _figures(trial: Trial) -> dict[str, float | None]:
+    judged = setting(trial)
+    if judged.peak_n is None or judged.rate_hz is None or judged.cycles < 1:
+        raise InputError(f"{trial.path}: holds no gait cycle; give two trials of bowden verify.")
+    return metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
+                           settle=judged.settle)
+
+
+def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
+    series = []
+    for label, trial, colour in zip(("not told", "told"), trials, colours, strict=True):
+        mean, spread = _by_phase(trial)
+        series += [Series(label, mean - spread, colour, high=mean + spread, width=0.3),
+                   Series(label, mean, colour, width=1.8)]
+    page.plot("END less desired, by phase: mean and standard deviation over the gait cycles",
+              (np.arange(BINS) + 0.5) * 100.0 / BINS, series, "gait_percent (%)", "N", height=260)
+
+
+def _by_phase(trial: Trial) -> tuple[Floats, Floats]:
+    columns, judged = trial.columns, setting(trial)
+    error = columns["tension_end_n"] - columns["desired_force_n"]
+    counted = (columns["cycle"] >= judged.settle) & np.isfinite(error)
+    place = np.clip((columns["gait_percent"][counted] / 100.0 * BINS).astype(np.intp), 0, BINS - 1)
+    count = np.maximum(np.bincount(place, minlength=BINS), 1)
+    mean = np.bincount(place, error[counted], BINS) / count
+    square = np.bincount(place, error[counted] ** 2, BINS) / count
+    return mean, np.sqrt(np.maximum(square - mean**2, 0.0))

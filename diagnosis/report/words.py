@@ -1,0 +1,86 @@
+"""A diagnosis in one paragraph that an engineer can act on.
+
+The rule of this file: it says what the verdict says, in the catalogue's words, with the figures that carry it; it
+adds no judgement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from diagnosis.finder import Diagnosis
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
+from trial.report.page import number
+
+
+def paragraph(found: Diagnosis) -> str:
+    """Return the verdict in words."""
+    opening = {
+        "none": "Nothing was found that the simulation gets wrong: no effect of the catalogue pays on cycles it was "
+                "not fitted on.",
+        "refused": "These data contradict themselves, so nothing is said about the bench.",
+        "unexplained": "The simulation leaves out something that no effect of the catalogue explains.",
+    }.get(found.verdict, "")
+    sentences = [opening, *(_cause(cause) for cause in found.causes), _gain(found), _class(found), _next(found),
+                 _unchecked(found)]
+    return " ".join(sentence for sentence in sentences if sentence)
+
+
+def _cause(cause: Mapping[str, Any]) -> str:
+    effect = CATALOGUE[cause["effect"]]
+    told = ", ".join(f"{name} = {interval(one)}" for name, one in cause["parameters"].items())
+    return f"{effect.words} ({effect.name}, at the {effect.site}: {told}.)"
+
+
+def interval(parameter: Mapping[str, Any]) -> str:
+    """Return a parameter as value, unit and 95 % interval."""
+    unit = f" {parameter['unit']}" if parameter["unit"] else ""
+    return (f"{number(parameter['value'], 3)}{unit} (95 %: {number(parameter['low'], 3)} … "
+            f"{number(parameter['high'], 3)})")
+
+
+def _gain(found: Diagnosis) -> str:
+    gains = [(f.gain_percent, name, f) for name, f in found.relations.items()
+             if f.checked and f.gain_percent is not None and f.low is not None and f.low > 0.0]
+    if not gains or not found.causes:
+        return ""
+    most, name, figures = max(gains, key=lambda one: one[0])
+    text = (f"With {'it' if len(found.causes) == 1 else 'them'} in the model the residual of {name} falls by "
+            f"{number(most, 3)} % (95 %: {number(figures.low, 3)} … {number(figures.high, 3)} %), from "
+            f"{number(figures.rmse_before, 3)} to {number(figures.rmse_after, 3)} {figures.unit} on cycles that the "
+            "fit has not seen")
+    if figures.holdout_before is not None and figures.holdout_after is not None:
+        text += (f", and from {number(figures.holdout_before, 3)} to {number(figures.holdout_after, 3)} "
+                 f"{figures.unit} on the trials held out")
+    return text + "."
+
+
+def _class(found: Diagnosis) -> str:
+    others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
+    if not others:
+        return ""
+    meant = "; ".join(f"{name} ({_clause(CATALOGUE[name].words)})" for name in others)
+    return f"These data cannot tell this from {meant}."
+
+
+def _clause(sentence: str) -> str:
+    acronym = sentence[:2].isupper()
+    return (sentence[0] if acronym else sentence[0].lower()) + sentence[1:].rstrip(".")
+
+
+def _next(found: Diagnosis) -> str:
+    if found.experiment is None or found.experiment not in EXPERIMENTS:
+        return ""
+    chosen = EXPERIMENTS[found.experiment]
+    here = f" (bowden trial --experiment {chosen.name})" if found.reference != "none" else ""
+    by_hand = f"; {chosen.by_hand}" if chosen.by_hand else here
+    return f"To tell them apart: {chosen.motion}{by_hand}. Look at {chosen.reads}."
+
+
+def _unchecked(found: Diagnosis) -> str:
+    if found.found is None and found.causes:
+        return "The bench's own relations were not searched: mend the wire, record again, and diagnose that."
+    blind = [name for name, figures in found.relations.items() if not figures.checked]
+    return f"Not checked, for want of columns: {', '.join(blind)}." if blind else ""

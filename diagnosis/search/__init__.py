@@ -1,0 +1,1 @@
+"""The search for effects that explain what the reference does not."""

@@ -1,0 +1,202 @@
+"""Adds, pairs, swaps and deletions of effects, judged on cycles that the fit has not seen.
+
+The rule of this file: effects mask each other, so no effect is dropped for what it gains alone: the best few
+models are carried on together, each is offered every effect again, and what no longer pays is taken out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.cross_validation import CycleSquares, unseen
+from diagnosis.problem.fit import Fit, Free, Problem, solve
+from diagnosis.problem.screen import promises
+
+Values = Mapping[str, float]
+
+BEAM: Final = 4
+FIRST_REFITS: Final = 8
+PARAMETER: Final = 0.01
+"""Share of the score that a parameter must take away to come before a simpler model."""
+UNLIKELY: Final = 0.02
+"""The same for a value outside the range where the catalogue expects it."""
+LATER_REFITS: Final = 4
+
+
+@dataclass(frozen=True)
+class Model:
+    """A set of effects fitted together, to `problem`, and what it leaves on the cycles of `folds` when refitted."""
+
+    effects: tuple[Candidate, ...]
+    fit: Fit
+    problem: Problem = field(repr=False)
+    folds: Sequence[frozenset[int]] = field(repr=False)
+
+    @cached_property
+    def unseen(self) -> CycleSquares:
+        """Squares on cycles that a fit has not seen: dear, so taken only of models that may be chosen."""
+        return unseen(self.problem, self.folds, self.fit)
+
+    @cached_property
+    def by_relation(self) -> Mapping[str, float]:
+        """χ² of the same."""
+        return self.unseen.chi_square(self.problem.weights)
+
+    @property
+    def score(self) -> float:
+        return sum(self.by_relation.values())
+
+    @property
+    def dear(self) -> float:
+        """Return what a model costs for every parameter that it took and for each where it is not expected."""
+        cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
+        return 1.0 + cost
+
+    @property
+    def rank(self) -> float:
+        return self.score * self.dear
+
+    @property
+    def promise(self) -> float:
+        """Return the rank as far as the fit alone says it."""
+        return self.fit.cost * self.dear
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(sorted(c.name for c in self.effects))
+
+
+Pays = Callable[[Model, Model], bool]
+"""Whether the second model is worth what it has more than the first."""
+Open = Callable[[Model], bool]
+"""Whether a model leaves something that a further effect could take away, or structure that it does not explain."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The baseline, the chosen model, and every model that was fitted in full, best first."""
+
+    baseline: Model
+    best: Model
+    models: tuple[Model, ...]
+
+    def model(self, names: Sequence[str]) -> Model | None:
+        """Return the model of exactly the effects `names`, if it was fitted."""
+        wanted = tuple(sorted(names))
+        return next((m for m in self.models if m.names == wanted), None)
+
+
+class Search:
+    """One search over one problem; `near`: effects are small enough for slopes to outlive one more of them."""
+
+    def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
+                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, wanting: Open, near: bool = True) -> None:
+        self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
+        self.pays, self.leaves, self.wanting, self.near = pays, leaves, wanting, near
+        self.tried: dict[tuple[str, ...], Model] = {}
+        self.grown: set[tuple[tuple[str, ...], str, int]] = set()
+        self.baseline = self.model((), start)
+
+    def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
+        """Return what a model of `effects` may move: their slots in their bounds, the other nuisance in its bands."""
+        own = {f.name: f for c in effects for f in c.frees}
+        return tuple(f for f in self.nuisance if f.name not in own) + tuple(own.values())
+
+    def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None) -> Model:
+        """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
+        known_fit = near.fit if near is not None and self.near else None
+        fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=True)
+        names = tuple(sorted(c.name for c in effects))
+        known = self.tried.get(names)
+        if known is None or fit.cost < known.fit.cost:
+            self.tried[names] = Model(tuple(effects), fit, self.problem, self.folds)
+        return self.tried[names]
+
+    def grow(self, model: Model, most: int) -> list[Model]:
+        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
+        offered = [c for c in self.offered if c.name not in model.names]
+        chosen: dict[int, int] = {}
+        for _, c, s in promises(self.problem, model.fit, self.folds, offered):
+            if len(chosen) == most:
+                break
+            chosen.setdefault(c, s)
+        return [self._grown(model, offered[c], s) for c, s in chosen.items()]
+
+    def grow_all(self, model: Model) -> list[Model]:
+        """Fit `model` with each effect it lacks, from every start."""
+        offered = [c for c in self.offered if c.name not in model.names]
+        return [self._grown(model, c, s) for c in offered for s in range(len(c.starts))]
+
+    def _grown(self, model: Model, candidate: Candidate, start: int) -> Model:
+        step = (model.names, candidate.name, start)
+        if step not in self.grown:
+            self.grown.add(step)
+            begun = candidate.starts[start] if start >= 0 else {}
+            self.model((*model.effects, candidate), {**model.fit.values, **begun}, model)
+        return self.tried[tuple(sorted((*model.names, candidate.name)))]
+
+    def prune(self, model: Model) -> Model:
+        """Take out, one by one, the effects that do not pay for themselves, the least first."""
+        while model.effects:
+            lesser = [self.without(model, out) for out in model.effects]
+            best = min(lesser, key=lambda m: m.score)
+            if self.pays(best, model):
+                break
+            model = best
+        return model
+
+    def without(self, model: Model, out: Candidate) -> Model:
+        """Return `model` less one effect, fitted anew."""
+        left = [c for c in model.effects if c is not out]
+        known = self.tried.get(tuple(sorted(c.name for c in left)))
+        back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
+        return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
+
+    def _ahead(self, grown: Iterable[Model], best: Model) -> tuple[Model, list[Model]]:
+        """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
+        foremost = sorted(_foremost({m.names: m for m in grown}.values()), key=lambda m: m.rank)
+        return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
+
+    def _ordered(self, model: Model) -> Model:
+        """Return `model` with the effect first whose absence would leave most."""
+        left = {c.name: self.without(model, c).score for c in model.effects}
+        return replace(model, effects=tuple(sorted(model.effects, key=lambda c: -left[c.name])))
+
+    def _first(self, most: int) -> Model:
+        """Return the best of all models of at most so many effects that were fitted on the way."""
+        lengths = range(most + 1)
+        return min((m for k in lengths for m in _foremost(m for m in self.tried.values() if len(m.effects) == k)),
+                   key=lambda m: m.rank)
+
+    def run(self, most: int) -> Found:
+        """Search to `most` effects; a level is opened only while something is left and the one before has paid.
+
+        Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
+
+        At the end each chosen effect's place is offered to all others, so that its rivals are known.
+        """
+        level, best = [self.baseline], self.baseline
+        for depth in range(most):
+            if not self.leaves(best):
+                break
+            ahead, grown = self._ahead((m for model in level for m in self.grow(
+                model, LATER_REFITS if depth else FIRST_REFITS)), best)
+            if depth == 0 and self.wanting(ahead):
+                ahead, grown = self._ahead(self.grow_all(self.baseline), best)
+            level = grown
+            if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):
+                break
+            best = ahead
+        for out in best.effects if len(best.effects) > 1 else ():
+            self.grow(self.without(best, out), FIRST_REFITS)
+        best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
+        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.promise)))
+
+
+def _foremost(models: Iterable[Model]) -> list[Model]:
+    """Return the few that promise most, best first."""
+    return sorted(models, key=lambda m: m.promise)[:BEAM]

@@ -1,0 +1,1 @@
+"""Controllers: pure functions from what START, encoders and knee say to targets for both drives."""

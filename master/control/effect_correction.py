@@ -1,0 +1,178 @@
+"""What a controller does better that knows of effects beyond its calibration.
+
+The rule of this file: pure, by the catalogue's own inverses, no effect by name.  A parameter that a calibration has a
+scalar for is put there, before homing, so that the day is measured against it; every other effect becomes a table
+by sample of the gait cycle, around whichever controller runs: rope that it is led by, and what START and the knee
+would read on a bench without the effect.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from master.control.controller_io import Outputs, Seen
+from master.control.gait_table import GaitTable, fabric_exponent, stretch
+from physics import inverse
+from physics.calibration import Calibration
+from physics.effects.catalogue import CATALOGUE, Course, Values, compensate, complete
+from physics.plant.cable import CableParameters
+from physics.plant.fabric import FabricParameters
+from physics.plant.leg import KNEE_AT_FIT
+
+Array = NDArray[np.float64]
+Effects = Mapping[str, Values]
+
+LAPS: Final = 8
+"""Gait cycles after which an effect with a memory is taken to have settled."""
+MIDWAY: Final = 0.5
+"""Where in the trial an effect that drifts is met: its mean; the rest is the feedback's."""
+LEAST_EXPONENT: Final = 1e-3
+SMOOTH_S: Final = 0.02
+"""Tables have no steps: a target must not have any."""
+
+
+def _stretch_linear(calibration: Calibration, values: Values) -> Mapping[str, float]:
+    """(10) by its scale and shape; the rope's own share of it stays what it was."""
+    fabric, scale = FabricParameters(), values.get("stiffness_scale", 1.0)
+    linear = fabric.stretch_b / scale
+    return {"stiffness_a": fabric.stretch_a * (1.0 + values.get("stiffness_shape", 0.0)) / scale,
+            "stiffness_b": linear, "cable_compliance": calibration.cable_compliance * linear / calibration.stiffness_b}
+
+
+_Scalars = Callable[[Calibration, Values], Mapping[str, float]]
+SCALARS: Final[Mapping[str, _Scalars]] = {
+    "mu1": lambda _, v: {"cable_exponent": v["mu1"] * CableParameters().theta1_rad},
+    "mu2": lambda _, v: {"fabric_friction": v["mu2"]},
+    "fabric_wrap": lambda _, v: {"wrap_slope": v["fabric_wrap"]},
+    "presliding": lambda _, v: {"presliding": v["presliding"], "fabric_presliding": v["presliding"]},
+    "stribeck_ratio": lambda _, v: {"breakaway": max(0.0, v["stribeck_ratio"] - 1.0)},
+    "stribeck_speed": lambda _, v: {"breakaway_speed": v["stribeck_speed"]},
+    "stiffness_scale": _stretch_linear,
+    "stiffness_shape": _stretch_linear,
+    "start_offset": lambda _, v: {"start_offset": v["start_offset"]},
+}
+"""Parameters of the catalogue, by slot, that a calibration has scalars for."""
+
+
+def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, dict[str, Values]]:
+    """Return the calibration with what its scalars can say of the effects `found`, and the effects they cannot."""
+    rest: dict[str, Values] = {}
+    for name, given in found.items():
+        values = complete(name, given)
+        slots = [p.name for p in CATALOGUE[name].parameters]
+        if not all(slot in SCALARS for slot in slots):
+            rest[name] = values
+            continue
+        for slot in slots:
+            scalars: dict[str, float] = {**SCALARS[slot](calibration, values)}
+            calibration = dataclasses.replace(calibration, **scalars)  # type: ignore[arg-type]
+    return calibration, rest
+
+
+@dataclass(frozen=True)
+class Correction:
+    """By sample of the gait cycle: rope led ahead, m; knee read too far, rad; START = gain·wanted + more, N.
+
+    `home_gain` is START's gain while homing.
+    """
+
+    rope_m: tuple[float, ...]
+    knee_rad: tuple[float, ...]
+    start_gain: tuple[float, ...]
+    start_more_n: tuple[float, ...]
+    home_gain: float
+
+    def seen(self, seen: Seen, offset_n: float) -> Seen:
+        """Return what would be seen without the effects; `offset_n` is START's reading when slack."""
+        i = seen.sample % len(self.rope_m)
+        start_n = (seen.start_n - offset_n - self.start_more_n[i]) / self.start_gain[i] + offset_n
+        return seen._replace(servo_position_m=seen.servo_position_m - self.rope_m[i], start_n=start_n,
+                             knee_angle_rad=seen.knee_angle_rad - self.knee_rad[i])
+
+    def led(self, outputs: Outputs, sample: int) -> Outputs:
+        """Return the targets with the effects in them, for the `sample` at which they act."""
+        return outputs._replace(servo_target_m=outputs.servo_target_m + self.rope_m[sample % len(self.rope_m)])
+
+
+def correction(calibration: Calibration, gait: GaitTable, rest: Effects, *, adapts: bool) -> Correction | None:
+    """Tabulate what the effects `rest` ask for beyond `calibration`; None where there are none.
+
+    `adapts`: the controller measures friction as homing meets it, so that only what departs from there is left.
+    """
+    if not rest:
+        return None
+    base = _course(calibration, gait)
+    known = {"mu2": calibration.fabric_friction, "fabric_wrap": calibration.wrap_slope}
+    met, home = compensate(base, rest, known), compensate(_homed(calibration), rest, known)
+    if adapts:
+        measured = calibration.cable_exponent + float(fabric_exponent(calibration, KNEE_AT_FIT))
+        share = measured / max(float(home.cable_exponent[0] + home.fabric_exponent[0]), LEAST_EXPONENT)
+        met = met._replace(cable_exponent=share * met.cable_exponent, fabric_exponent=share * met.fabric_exponent)
+    lap = slice(-gait.samples, None)
+    exponent, force = _exponent(base)[lap], base.desired_n[lap]
+    tension = force * np.exp((met.fabric_exponent * met.fabric_slip)[lap])
+    gain = met.start_gain[lap] * np.exp(_exponent(met)[lap] - exponent)
+    true_start = force * np.exp(_exponent(met)[lap]) + met.start_extra_n[lap]
+    rope = (calibration.cable_compliance * (true_start - base.tension_n[lap])
+            + calibration.fabric_share * (_fabric(calibration, tension) - _fabric(
+                calibration, force * np.exp((base.fabric_exponent * base.fabric_slip)[lap])))
+            + (met.stretch_m - base.stretch_m)[lap] + met.rope_extra_m[lap] - home.rope_extra_m[0])
+    late = round(met.lead_s / gait.period_s)
+    more = (met.start_gain * met.start_extra_n + met.start_offset_n)[lap] + gain * (
+        np.roll(base.tension_n[lap], late) - base.tension_n[lap])
+    tables = [_smooth(column, gait.period_s) for column in (rope, met.knee_extra_rad[lap], gain, more)]
+    rope_m, knee_rad, start_gain, start_more_n = (tuple(table.tolist()) for table in tables)
+    return Correction(rope_m, knee_rad, start_gain, start_more_n, float(home.start_gain[0]))
+
+
+def _exponent(course: Course) -> Array:
+    return course.cable_exponent * course.rope_slip + course.fabric_exponent * course.fabric_slip
+
+
+def _fabric(calibration: Calibration, force: Array) -> Array:
+    """Stretch of the fabric alone, m."""
+    whole = stretch(calibration, force) - calibration.stiffness_c
+    return np.asarray(whole - calibration.cable_compliance * force)
+
+
+def _course(calibration: Calibration, gait: GaitTable) -> Course:
+    """The gait as the calibration meets it, over `LAPS` gait cycles."""
+    desired, knee = np.tile(gait.desired, LAPS), np.tile(gait.knee, LAPS)
+    path = inverse.path(inverse.law(calibration, gait.period_s), desired, knee, laps=1)
+    still = np.zeros(desired.size)
+    return Course(
+        progress=still + MIDWAY, desired_n=desired, tension_n=path.start, knee_rad=knee,
+        knee_rad_s=np.gradient(knee, gait.period_s), rope_m=path.position,
+        rope_m_s=np.gradient(path.position, gait.period_s),
+        time_s=np.arange(desired.size, dtype=np.float64) * gait.period_s,
+        rope_slip=path.rope_slip, fabric_slip=path.fabric_slip, cable_exponent=still + calibration.cable_exponent,
+        fabric_exponent=np.asarray(fabric_exponent(calibration, knee)), start_extra_n=still,
+        stretch_m=np.asarray(stretch(calibration, desired)), rope_extra_m=still, knee_extra_rad=still,
+        start_gain=still + 1.0, start_offset_n=still, lead_s=0.0)
+
+
+def _homed(calibration: Calibration) -> Course:
+    """The bench as homing leaves it: what an effect asks of the rope there is in the encoder's zero already."""
+    one, still = np.ones(1), np.zeros(1)
+    force, knee = calibration.home_preload * one, KNEE_AT_FIT * one
+    return Course(
+        progress=still, desired_n=force, tension_n=force, knee_rad=knee, knee_rad_s=still,
+        rope_m=np.asarray(stretch(calibration, force)), rope_m_s=still, time_s=still, rope_slip=still,
+        fabric_slip=still, cable_exponent=calibration.cable_exponent * one,
+        fabric_exponent=np.asarray(fabric_exponent(calibration, knee)), start_extra_n=still,
+        stretch_m=np.asarray(stretch(calibration, force)), rope_extra_m=still, knee_extra_rad=still, start_gain=one,
+        start_offset_n=still, lead_s=0.0)
+
+
+def _smooth(column: Array, period_s: float) -> Array:
+    """A periodic column, averaged with a Hann window of `SMOOTH_S` about each sample."""
+    half = min(max(1, round(0.5 * SMOOTH_S / period_s)), column.size // 2 - 1)
+    window = np.hanning(2 * half + 3)[1:-1]
+    around = np.concatenate([column[-half:], column, column[:half]])
+    return np.asarray(np.convolve(around, window / window.sum(), "valid"))

@@ -1,0 +1,124 @@
+"""The paper's compensations for one gait cycle, computed once, looked up every control cycle.
+
+The rule of this file: everything that depends on the reference alone is a table by sample, built with
+the laws of `physics` before the first control cycle; nothing here sees a measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parameters import InputError
+from physics import laws
+from physics.calibration import Calibration
+
+Array = NDArray[np.float64]
+
+ROPE_STILL_M_S = 1e-3
+STRAIN_STILL_N_S = 2.0
+RAMP_SHARE = 0.06
+
+
+@dataclass(frozen=True)
+class GaitTable:
+    """One gait cycle by sample (`samples` control cycles of `period_s`): floats in SI, knee flexion negative.
+
+    `stretch` is x1 of (10) at the desired END force; `loss` what (4) + (8) add at START, `series_loss` what the
+    two in series add; `slack` the rope paid out while no force is desired; directions are −1, 0, +1.
+    """
+
+    samples: int
+    period_s: float
+    desired: tuple[float, ...]
+    knee: tuple[float, ...]
+    swing: tuple[float, ...]
+    stretch: tuple[float, ...]
+    loss: tuple[float, ...]
+    series_loss: tuple[float, ...]
+    rope_direction: tuple[float, ...]
+    fabric_direction: tuple[float, ...]
+    slack: tuple[float, ...]
+
+
+def samples_of(gait_period_s: float, rate_hz: int) -> int:
+    """Control cycles in one gait cycle; raises `InputError` unless that is a whole number of at least 20."""
+    samples = round(gait_period_s * rate_hz)
+    if samples < 20 or abs(samples - gait_period_s * rate_hz) > 1e-6 * samples:
+        fitting = max(samples, 20) / rate_hz
+        raise InputError(
+            f"period = {gait_period_s:g} s is not a whole number of at least 20 control cycles at {rate_hz} Hz; "
+            f"the nearest that is: {fitting:g} s."
+        )
+    return samples
+
+
+def stretch(calibration: Calibration, force_n: Any) -> Any:
+    """x1 of (10), m, with the calibration's coefficients; beyond the turning point it stays at its top."""
+    force = np.minimum(force_n, calibration.turning_point_n)
+    return (calibration.stiffness_a * force + calibration.stiffness_b) * force + calibration.stiffness_c
+
+
+def slope(calibration: Calibration, force_n: Any) -> Any:
+    """dx1/dF of (10), m/N, with the calibration's coefficients."""
+    return 2.0 * calibration.stiffness_a * force_n + calibration.stiffness_b
+
+
+def swing(calibration: Calibration, knee_rad: Any) -> Any:
+    """k2·(θk − θk(13 %)), m: (11) in the encoder zero of (10)."""
+    return calibration.swing_k * (knee_rad - laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+
+
+def fabric_exponent(calibration: Calibration, knee_rad: Any) -> Any:
+    """μ2·φ with the wrap φ = φ0 + κ·|θk|."""
+    return calibration.fabric_friction * (calibration.wrap_offset + calibration.wrap_slope * np.abs(knee_rad))
+
+
+def directions(speed: Array, still: float) -> Array:
+    """Sign of a periodic speed that turns over only once the other way exceeds `still`; 0 if it never does."""
+    sign = 0.0
+    held = np.zeros_like(speed)
+    for _lap in range(2):
+        for i, value in enumerate(speed):
+            if abs(value) > still:
+                sign = math.copysign(1.0, value)
+            held[i] = sign
+    return held
+
+
+def slack_share(desired: Array, ramp: int) -> Array:
+    """0 while a force is desired, 1 from `ramp` samples away from it, a quarter sine between; periodic.
+
+    The rope comes taut with a speed of its own, as the force that follows wants it: no knee where both meet.
+    """
+    loaded = np.flatnonzero(desired > 0.0)
+    if loaded.size == 0:
+        return np.ones_like(desired)
+    away = np.abs(np.arange(desired.size)[:, None] - loaded[None, :])
+    distance = np.minimum(np.minimum(away, desired.size - away).min(axis=1) / max(ramp, 1), 1.0)
+    return np.asarray(np.sin(0.5 * np.pi * distance), dtype=np.float64)
+
+
+def tabulate(calibration: Calibration, knee: Array, desired: Array, period_s: float, slack_m: float) -> GaitTable:
+    """Build the tables of one gait cycle from knee angle (rad) and desired END force (N) by sample."""
+    stretched, swung = stretch(calibration, desired), swing(calibration, knee)
+    rope = directions(_rate(stretched + swung, period_s), ROPE_STILL_M_S)
+    strain = directions(_rate(desired, period_s), STRAIN_STILL_N_S)
+    fabric = fabric_exponent(calibration, knee)
+    cable = calibration.cable_exponent
+    series = laws.series_input(desired, cable, rope, fabric, strain) - desired
+    columns = {
+        "desired": desired, "knee": knee, "swing": swung, "stretch": stretched, "series_loss": series,
+        "loss": laws.cable_loss(desired, cable, rope) + laws.fabric_loss(desired, fabric, strain),
+        "rope_direction": rope, "fabric_direction": strain,
+        "slack": slack_m * slack_share(desired, round(RAMP_SHARE * desired.size)),
+    }
+    return GaitTable(desired.size, period_s, **{name: tuple(column.tolist()) for name, column in columns.items()})
+
+
+def _rate(column: Array, period_s: float) -> Array:
+    return np.asarray((np.roll(column, -1) - np.roll(column, 1)) / (2.0 * period_s), dtype=np.float64)

@@ -1,0 +1,89 @@
+"""The paper's controllers as one pure function of what was seen.
+
+The rule of this file: `step` has no memory, no clock and no END; what it remembers goes in and comes
+out as `State`, what it explains comes out as `Trace`.
+
+| controller | friction in the feedforward | impedance on the estimated END force |
+|---|---|---|
+| none       | –          | – |
+| friction   | fL + fT    | – |
+| impedance  | –          | 1/(B·s + K) |
+| paper      | fL + fT    | 1/(B·s + K) |
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from master.control.controller_io import Outputs, Seen, Trace
+from master.control.gait_table import GaitTable
+from master.settings import Impedance
+from physics import laws
+from physics.calibration import Calibration
+
+
+class State(NamedTuple):
+    """What a controller remembers: Δx of (15), m."""
+
+    deviation_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Constants of `step`, folded once from calibration, gait and impedance."""
+
+    gait: GaitTable
+    swing_k: float
+    knee_home_rad: float
+    cable_exponent: float
+    fabric_offset: float
+    fabric_slope: float
+    cable_compliance: float
+    start_offset_n: float
+    compensates: bool
+    decay: float
+    gain_m_n: float
+
+
+def configure(name: str, calibration: Calibration, gait: GaitTable, impedance: Impedance) -> Config:
+    """Fold a controller's constants; `name` is none, friction, impedance or paper."""
+    decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
+    listens = name in ("impedance", "paper")
+    return Config(
+        gait=gait,
+        swing_k=calibration.swing_k,
+        knee_home_rad=float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)),
+        cable_exponent=calibration.cable_exponent,
+        fabric_offset=calibration.fabric_friction * calibration.wrap_offset,
+        fabric_slope=calibration.fabric_friction * calibration.wrap_slope,
+        cable_compliance=calibration.cable_compliance,
+        start_offset_n=calibration.start_offset,
+        compensates=name in ("friction", "paper"),
+        decay=decay,
+        gain_m_n=(1.0 - decay) / impedance.stiffness_n_m if listens else 0.0,
+    )
+
+
+def step(seen: Seen, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+    """One control cycle: x = x1(Fd) + (fL + fT)/kc + k2·(θk − θk(13 %)) + Δx − slack.
+
+    Equations (4), (8), (10), (11) feed forward, (3), (7) estimate END from START, (15) turns its error into Δx;
+    kc is the stiffness on the START side of the friction.  While the rope is slack there is no error to act on.
+    """
+    gait = config.gait
+    i = seen.sample % gait.samples
+    desired, slack = gait.desired[i], gait.slack[i]
+    rope, strain, knee = gait.rope_direction[i], gait.fabric_direction[i], seen.knee_angle_rad
+    fabric = config.fabric_offset + config.fabric_slope * abs(knee)
+    ratio = math.exp(config.cable_exponent * rope + fabric * strain)
+    estimated = (seen.start_n - config.start_offset_n) / ratio
+    error = desired - estimated if slack == 0.0 else 0.0
+    deviation = config.decay * state.deviation_m + config.gain_m_n * error
+    feedforward = gait.stretch[i] + config.swing_k * (knee - config.knee_home_rad)
+    if config.compensates:
+        feedforward += config.cable_compliance * gait.loss[i]
+    target = feedforward + deviation - slack
+    trace = Trace(desired, estimated, feedforward, deviation, ratio, rope, strain)
+    return Outputs(target, gait.knee[i]), State(deviation), trace

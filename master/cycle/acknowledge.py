@@ -1,0 +1,47 @@
+"""The operator's release of drives whose emergency stop (STO) was active.
+
+The rule of this file: it is asked for by a person who has looked; it enables nothing, and a drive whose input is still
+active refuses it.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from eds.bench import DRIVES, Wire
+from eds.cia301 import Abort
+from eds.dictionary import key
+from master.cycle.drives import RELEASE
+from master.network.bringup import RefusedError, refuse_rival
+from master.network.link import Link
+from master.network.sdo import SdoError
+
+SIGNATURE: Final = b"rels"
+
+
+class Acknowledged(NamedTuple):
+    """One drive: "released", "nothing to release", "still active" (free the input first) or "no such object"."""
+
+    drive: str
+    became: str
+
+
+def acknowledge(link: Link, wire: Wire) -> list[Acknowledged]:
+    """Release every drive that waits for it; raises `RefusedError` for another master, or a drive that is silent."""
+    refuse_rival(link)
+    return [Acknowledged(wire.nodes[node].name, _release(link, wire, node)) for node in DRIVES]
+
+
+def _release(link: Link, wire: Wire, node: int) -> str:
+    entry = wire.nodes[node]
+    if key(RELEASE) not in entry.dictionary.entries:
+        return "no such object"
+    try:
+        if not any(link.sdo_read(node, RELEASE)):
+            return "nothing to release"
+        link.sdo_write(node, RELEASE, 0, SIGNATURE)
+    except SdoError as error:
+        if f"0x{Abort.DEVICE_STATE:08X}" in str(error):
+            return "still active"
+        raise RefusedError(f"{entry.name} (node {node}): {error}; see bowden doctor.") from None
+    return "released"

@@ -1,0 +1,143 @@
+"""The two drives' state machines, commanded from inside the running cycle.
+
+The rule of this file: which controlword comes next is read from CiA 402's table; targets follow the actual
+positions until a drive is enabled, so that enabling moves nothing.
+"""
+
+from __future__ import annotations
+
+import struct
+
+from eds.bench import KNEE, SERVO
+from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
+from eds.dictionary import key
+from master.cycle.exchange import Exchange, Inputs
+from master.network.bringup import RefusedError
+from master.network.sdo import SdoError
+
+PATIENCE_NS = 2_000_000_000
+RESEND_NS = 20_000_000
+_ERROR_CODE, _MODE, _MODE_SHOWN, _HOME_OFFSET, _HOMING_METHOD = 0x603F, 0x6060, 0x6061, 0x607C, 0x6098
+_OPERATE = 0x000F
+RELEASE = 0x2020
+"""A drive of this bench that had an emergency stop (statusword bit 8) takes the operator's release here."""
+
+
+def enable(exchange: Exchange) -> Inputs:
+    """Bring both drives to OPERATION ENABLED where they stand; raises `RefusedError` with drive and error code."""
+    inputs = _drive_to(exchange, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
+    exchange.guard.enabled = True
+    return inputs
+
+
+def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
+    """Bring one drive to OPERATION ENABLED, the other one to SWITCH ON DISABLED; whoever moves it watches it."""
+    exchange.guard.enabled = False
+    goals = [State.OPERATION_ENABLED if node == node_id else State.SWITCH_ON_DISABLED for node in (SERVO, KNEE)]
+    return _drive_to(exchange, (goals[0], goals[1]))
+
+
+def disable(exchange: Exchange) -> Inputs:
+    """Take both drives to SWITCH ON DISABLED; raises `RefusedError` where one does not follow."""
+    exchange.guard.enabled = False
+    return _drive_to(exchange, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED))
+
+
+def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> Inputs:
+    """Walk both drives along CiA 402's table, resending a word that has no effect for a while."""
+    inputs = exchange.inputs
+    deadline = inputs.sync_ns + PATIENCE_NS
+    sent, resend_ns = (-1, -1), 0
+    while True:
+        states = state_of(inputs.servo_status), state_of(inputs.knee_status)
+        if states == goals:
+            return inputs
+        if inputs.sync_ns >= deadline:
+            raise RefusedError(_not_there(exchange, inputs, goals))
+        words = _word(states[0], goals[0], sent[0]), _word(states[1], goals[1], sent[1])
+        if words != sent or inputs.sync_ns >= resend_ns:
+            exchange.command(*words)
+            sent, resend_ns = words, inputs.sync_ns + RESEND_NS
+        inputs = exchange.advance(*_where(exchange, states))
+
+
+def _word(state: State | None, goal: State, sent: int) -> int:
+    """The next controlword; a fault reset is an edge, so zero goes before it."""
+    if state is None:
+        return 0
+    word = next_controlword(state, goal)
+    return 0 if word & Control.FAULT_RESET and (sent == -1 or sent & Control.FAULT_RESET) else word
+
+
+def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tuple[float, float]:
+    """Actual positions for drives that are off, the last target for those that hold it."""
+    inputs, (servo, knee) = exchange.inputs, exchange.targets
+    if states[0] is not State.OPERATION_ENABLED and not inputs.missing & 1:
+        servo = inputs.servo_position_m
+    if states[1] is not State.OPERATION_ENABLED and not inputs.missing & 2:
+        knee = inputs.knee_angle_rad
+    return servo, knee
+
+
+def _not_there(exchange: Exchange, inputs: Inputs, goals: tuple[State, State]) -> str:
+    texts, remedies = [], []
+    for node, word, goal in ((SERVO, inputs.servo_status, goals[0]), (KNEE, inputs.knee_status, goals[1])):
+        state = state_of(word)
+        if state is goal:
+            continue
+        name = exchange.wire.nodes[node].name
+        texts.append(f"{name} is in {state.title if state else 'no known state'} "
+                     f"(0x603F = {_error_code(exchange, node)}), not in {goal.title}")
+        if word & Status.STO_ACTIVE and key(RELEASE) in exchange.wire.nodes[node].dictionary.entries:
+            remedies.append(f"free {name}'s emergency stop (STO) and say: bowden acknowledge")
+    remedy = ", ".join(remedies) or "clear its cause"
+    return f"{' and '.join(texts)}; {remedy}, and start again."
+
+
+def _error_code(exchange: Exchange, node: int) -> str:
+    try:
+        return f"0x{int.from_bytes(exchange.link.sdo_read(node, _ERROR_CODE), 'little'):04X}"
+    except SdoError as error:
+        return str(error)
+
+
+def quick_stop(exchange: Exchange) -> None:
+    """Quick stop for the servo (0x605A = 2 by its set-up); the knee drive holds."""
+    exchange.command(0x0002, _OPERATE)
+
+
+def release(exchange: Exchange) -> None:
+    """The servo's torque off at once; the knee drive holds."""
+    exchange.command(0x0000, _OPERATE)
+
+
+def set_home(exchange: Exchange, position_um: int) -> Inputs:
+    """Give the servo's present place the position `position_um` by homing method 37; the rope must be slack.
+
+    Raises `RefusedError` where the drive does not report homing attained.
+    """
+    link = exchange.link
+    link.sdo_write(SERVO, _HOME_OFFSET, 0, struct.pack("<i", position_um))
+    link.sdo_write(SERVO, _HOMING_METHOD, 0, struct.pack("<b", HomingMethod.CURRENT_POSITION_37))
+    _set_mode(exchange, Mode.HOMING)
+    exchange.command(_OPERATE | Control.HOMING_START, _OPERATE)
+    deadline = exchange.inputs.sync_ns + PATIENCE_NS
+    while not exchange.inputs.servo_status & Status.HOMING_ATTAINED:
+        exchange.hold()
+        if exchange.inputs.sync_ns >= deadline or exchange.inputs.servo_status & Status.HOMING_ERROR:
+            raise RefusedError(f"{exchange.wire.nodes[SERVO].name} did not attain home "
+                          f"(statusword 0x{exchange.inputs.servo_status:04X}).")
+    inputs = exchange.hold()
+    exchange.advance(inputs.servo_position_m, exchange.targets[1])
+    exchange.command(_OPERATE, _OPERATE)
+    _set_mode(exchange, Mode.CSP)
+    return exchange.inputs
+
+
+def _set_mode(exchange: Exchange, mode: Mode) -> None:
+    link = exchange.link
+    link.sdo_write(SERVO, _MODE, 0, bytes([mode]))
+    deadline = exchange.inputs.sync_ns + PATIENCE_NS
+    while link.sdo_read(SERVO, _MODE_SHOWN) != bytes([mode]):
+        if exchange.inputs.sync_ns >= deadline:
+            raise RefusedError(f"{exchange.wire.nodes[SERVO].name} does not show mode {mode.name} (0x6061).")

@@ -1,0 +1,227 @@
+"""One control cycle: SYNC → inputs → (whoever calls steps) → targets → SYNC.
+
+The rule of this file: `Exchange.advance` is the only way from one SYNC to the next; in every cycle it sends
+targets, records, and checks what safety checks.  An input that this SYNC did not latch never comes out unmarked.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import can
+
+from eds.bench import END, KNEE, SERVO, START, Wire, tpdo_cob_id
+from eds.cia301 import SYNC_COB_ID
+from eds.scales import drum_radius_m
+from master.cycle.guard import Guard
+from master.cycle.log import Log
+from master.cycle.safety import Condition, StopError
+from master.network.link import Link, stamp_ns
+from trial.signals import TRACE
+
+NAN = math.nan
+ORDER = (SERVO, KNEE, START, END)
+"""Bit i of `missing` and the PDO columns of a row stand for ORDER[i]."""
+FIRST_SENSOR = 2
+NO_VALUE = -32767.5
+"""Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
+UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
+NEEDED = 0b0111
+"""Without these a cycle holds its targets; END is verification only and moves nothing."""
+
+
+class Inputs(NamedTuple):
+    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it."""
+
+    sync_ns: int
+    servo_status: int
+    servo_position_m: float
+    servo_force_n: float
+    knee_status: int
+    knee_angle_rad: float
+    start_n: float
+    end_n: float
+    missing: int
+
+
+class Explained(NamedTuple):
+    """Columns of a row that only a controller knows: NaN elsewhere; `cycle` −1 outside the gait."""
+
+    gait_percent: float = NAN
+    desired_force_n: float = NAN
+    estimated_end_force_n: float = NAN
+    cycle: float = -1.0
+    held: float = 0.0
+    trace: tuple[float, ...] = (NAN,) * len(TRACE)
+
+
+NOTHING = Explained()
+
+
+class Exchange:
+    """The running cycle over a link; SYNC must have been started.
+
+    `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
+    a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
+    `explained` is what a row says of whoever steps, where `advance` is not told.
+    `kept`, where it is a list, gets (target, position, knee, START, END) of each whole cycle.
+    """
+
+    def __init__(self, link: Link, wire: Wire, log: Log, guard: Guard, budget_ns: int) -> None:
+        self.link, self.wire, self.log, self.guard = link, wire, log, guard
+        self.missed_cycles = self.stale_inputs = 0
+        self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, 0b1111)
+        self.targets = (0.0, 0.0)
+        self.explained = NOTHING
+        self.kept: list[tuple[float, float, float, float, float]] | None = None
+        self._budget_ns = budget_ns
+        plans = [wire.tpdo[tpdo_cob_id(node)] for node in ORDER]
+        self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
+        self._unpack = [plan.unpack_si for plan in plans]
+        self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
+        self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
+        self._pack_targets = wire.targets.pack_si
+        self._values: list[tuple[float, ...]] = [(0.0, NAN, NAN), (0.0, NAN), (NAN,), (NAN,)]
+        self._latched_ns = [0, 0, 0, 0]
+        self._arrival_ns = [NAN, NAN, NAN, NAN]
+        self._late_in_row = [0, 0, 0, 0]
+        self._first_ns = self._velocity_ns = self._early_ns = -1
+        self._count = 0
+        self._told = False
+        self._velocity = self._position = NAN
+        self._patience_ns = guard.limits.stale_cycles * wire.period_ns
+
+    def begin(self) -> Inputs:
+        """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
+        sync_ns = self._await_sync()
+        if sync_ns < 0:
+            self.link.sync_pace(self.wire.period_ns)
+            self.log.event(self.link.clock(), "warning", "master", UNSEEN)
+            sync_ns = self._await_sync()
+        self._first_ns = sync_ns
+        self.log.drain()
+        self.link.pump = lambda _deadline_ns: self.hold()
+        return self._latch(sync_ns)
+
+    def end(self) -> None:
+        """Leave the cycle: SDOs wait by receiving again."""
+        self.link.pump = self.link.receive
+        self.log.drain()
+
+    def hold(self) -> Inputs:
+        """One cycle with the targets of the last one."""
+        return self.advance(*self.targets)
+
+    def command(self, servo_word: int, knee_word: int) -> None:
+        """Send both controlwords, event-driven: they act when they arrive."""
+        plan = self.wire.controlwords
+        self.link.send(plan.cob_id, plan.pack(servo_word, knee_word))
+
+    def advance(self, servo_m: float, knee_rad: float, explained: Explained | None = None) -> Inputs:
+        """Send the targets that answer `inputs`, and return the inputs of the next SYNC.
+
+        Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
+        """
+        self.targets = (servo_m, knee_rad)
+        inputs = self.inputs
+        if self.kept is not None and not inputs.missing:
+            self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
+        sent = self.link.try_send(can.Message(
+            arbitration_id=self.wire.targets.cob_id, data=self._pack_targets(servo_m, knee_rad), is_extended_id=False
+        ))
+        sync_ns = self._await_sync()
+        self.log.drain()
+        if self.log.taps and sent:
+            sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
+        if not sent or self.inputs.missing:
+            self._note_miss(sent)
+        if not self._told:
+            self.log.row(self.inputs.sync_ns, self._row(explained or self.explained, sent))
+        self._told = sync_ns < 0
+        if self._told:
+            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
+        return self._latch(sync_ns)
+
+    def _await_sync(self) -> int:
+        """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
+        early, self._early_ns = self._early_ns, -1
+        if early >= 0:
+            return early
+        receive, slots = self.link.receive, self._slots
+        deadline = self.link.clock() + self._patience_ns
+        while (message := receive(deadline)) is not None:
+            can_id = message.arbitration_id
+            if can_id == SYNC_COB_ID:
+                return stamp_ns(message)
+            if can_id in slots:
+                self._take(message, self.inputs.sync_ns)
+        return -1
+
+    def _take(self, message: can.Message, sync_ns: int) -> int:
+        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is shorter than the plan or says "no value"."""
+        i, size = self._slots[message.arbitration_id]
+        if len(message.data) < size:
+            return 0
+        values = self._unpack[i](bytes(message.data))
+        if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
+            return 0
+        self._values[i] = values
+        self._latched_ns[i] = sync_ns
+        self._arrival_ns[i] = stamp_ns(message) - sync_ns
+        return 1 << i
+
+    def _latch(self, sync_ns: int) -> Inputs:
+        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
+        self._arrival_ns = [NAN, NAN, NAN, NAN]
+        deadline = sync_ns + self._budget_ns
+        receive, slots, missing = self.link.receive, self._slots, 0b1111
+        while missing and (message := receive(deadline)) is not None:
+            can_id = message.arbitration_id
+            if can_id in slots:
+                missing &= ~self._take(message, sync_ns)
+            elif can_id == SYNC_COB_ID:
+                self._early_ns = stamp_ns(message)
+                break
+        servo, knee, start, end = self._values
+        self.inputs = inputs = Inputs(
+            sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
+        )
+        self._derive(inputs)
+        late = self._late_in_row
+        if missing or any(late):
+            self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
+        self.guard.check(inputs, self._late_in_row)
+        return inputs
+
+    def _derive(self, inputs: Inputs) -> None:
+        if inputs.missing & 1:
+            self._velocity = NAN
+            return
+        if self._velocity_ns >= 0:
+            self._velocity = (inputs.servo_position_m - self._position) * 1e9 / (inputs.sync_ns - self._velocity_ns)
+        self._position, self._velocity_ns = inputs.servo_position_m, inputs.sync_ns
+
+    def _note_miss(self, sent: bool) -> None:
+        inputs = self.inputs
+        self.missed_cycles += 1
+        if not inputs.missing & NEEDED:
+            self.stale_inputs += inputs.missing.bit_count()
+        names = [self.wire.nodes[ORDER[i]].name for i in range(4) if inputs.missing >> i & 1]
+        text = " and ".join([*(f"no inputs of {name}" for name in names), *([] if sent else ["targets too late"])])
+        self.log.event(inputs.sync_ns, "miss", "master", f"{text}.")
+
+    def _row(self, explained: Explained, sent: bool) -> tuple[float, ...]:
+        """One row in the order of `trial.signals.SIGNALS`."""
+        inputs, latched, arrival = self.inputs, self._latched_ns, self._arrival_ns
+        sync_ns, missing = inputs.sync_ns, inputs.missing
+        percent, desired, estimated, cycle, held, trace = explained
+        count, self._count = self._count, self._count + 1
+        return (
+            (sync_ns - self._first_ns) * 1e-9, percent, self.targets[0], inputs.servo_position_m, self._velocity,
+            inputs.servo_force_n, self.targets[1], inputs.knee_angle_rad, inputs.start_n, inputs.end_n, desired,
+            estimated, cycle,
+            sync_ns - latched[0], sync_ns - latched[1], sync_ns - latched[2], sync_ns - latched[3], *arrival,
+            inputs.servo_status, inputs.knee_status, missing.bit_count(), 0.0 if sent else 1.0, held,
+            sync_ns - self._first_ns - count * self.wire.period_ns, NAN, *trace,
+        )

@@ -1,0 +1,107 @@
+"""What the master tells the recorder: every frame of the bus, one row a cycle, and events.
+
+The rule of this file: the recorder hears the bus on a socket of its own, unfiltered, drained between the
+SYNC and the first answer to it, when the master has nothing else to do; a recorder that fails stops the trial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from typing import Protocol
+
+import can
+
+from master.cycle.safety import Condition, StopError
+from master.network.link import LinkError, stamp_ns
+from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
+from trial.record import RecordingError
+
+_FAILURES = (RecordingError, OSError)
+
+
+class Sink(Protocol):
+    """The part of `trial.record.Recorder` that the master uses."""
+
+    def frame(
+        self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
+    ) -> None: ...
+
+    def cycle(self, time_ns: int, values: Sequence[float]) -> None: ...
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None: ...
+
+
+Row = tuple[int, int, bytes, int, bool]
+"""A frame for the recorder: time stamp, ns, identifier, data (zeros for a remote frame), flags, sent from here."""
+
+
+def _rows(tap: can.BusABC | None) -> Iterator[Row]:
+    """Every frame that waits at a bus which has no `rows` of its own."""
+    while tap is not None and (message := tap.recv(0)) is not None:
+        flags, data = 0, bytes(message.data)
+        if message.is_remote_frame or message.is_extended_id or message.is_error_frame:
+            flags = REMOTE * message.is_remote_frame | EXTENDED * message.is_extended_id
+            flags |= ERROR * message.is_error_frame
+            data = bytes(message.dlc) if message.is_remote_frame else data
+        yield stamp_ns(message), message.arbitration_id, data, flags, not message.is_rx
+
+
+class Log:
+    """The recorder and its tap; both may be absent.
+
+    `target_stamp_ns` is when the last frame `targets_cob_id` was on the bus, −1 before any.  After the recorder
+    has failed, which raises `StopError` once unless `quiet`, frames are still drained and nothing is recorded.
+    """
+
+    def __init__(self, tap: can.BusABC | None, recorder: Sink | None, targets_cob_id: int) -> None:
+        self._tap = tap
+        self._recorder = recorder
+        self._targets_cob_id = targets_cob_id
+        self.taps = tap is not None
+        self._waiting: Callable[[], Iterable[Row]] = getattr(tap, "rows", None) or partial(_rows, tap)
+        self.target_stamp_ns = -1
+        self.quiet = False
+
+    def drain(self) -> None:
+        """Record every frame that waits at the tap; raises `StopError` or `LinkError`."""
+        if not self.taps:
+            return
+        recorder, targets = self._recorder, self._targets_cob_id
+        try:
+            for time_ns, can_id, data, flags, sent in self._waiting():
+                if can_id == targets:
+                    self.target_stamp_ns = time_ns
+                if recorder is not None:
+                    recorder.frame(time_ns, can_id, data, flags, 0, sent)
+        except can.CanError as error:
+            raise LinkError(f"the recorder's tap failed: {error}") from error
+        except _FAILURES as error:
+            self._give_up(error)
+
+    def tell_lost(self, time_ns: int) -> None:
+        """Say how many frames found the tap's receive queue full, where it counts them and there were any."""
+        lost = getattr(self._tap, "lost", 0)
+        if lost:
+            self.event(time_ns, "lost", "recorder", f"{lost} frames found the recorder's receive queue full.")
+
+    def row(self, time_ns: int, values: Sequence[float]) -> None:
+        """Record one control cycle, in the order of `trial.signals.SIGNALS`; raises `StopError`."""
+        if self._recorder is not None:
+            try:
+                self._recorder.cycle(time_ns, values)
+            except _FAILURES as error:
+                self._give_up(error)
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Record what happened, to whom, in one sentence; raises `StopError`."""
+        if self._recorder is not None:
+            try:
+                self._recorder.event(time_ns, kind, source, text)
+            except _FAILURES as error:
+                self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        self._recorder = None
+        if not self.quiet:
+            raise StopError(Condition.RECORDING, str(error)) from error

@@ -1,0 +1,232 @@
+"""From recorded experiments to a calibration: the paper's two fits, and the friction loop between them.
+
+The rule of this file: pure, columns in and scalars with evidence out; it does not know a bus.  END is used here,
+where a bench is measured, and nowhere in a control loop.
+
+(10) and (11) are fitted as the paper does, for its R².  Their coefficients, the friction's exponents, the share of
+the stretch and the pre-sliding travels come from one robust fit of the transfer model to all loops, since the loop
+biases (10): what it stretches by lies behind the friction.  Only μ2·φ0 and μ2·κ can be told apart by START, END and
+the knee's angle; κ is taken as the calibration at hand has it, and says so by having no evidence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.signal import lfilter
+
+from master.control.homing_fit import smoothed
+from master.identification.jackknife import Line, Measured, half_width
+from parameters import InputError
+from physics import inverse
+from physics.calibration import Calibration, Evidence
+
+Array = NDArray[np.float64]
+
+POINT_M = 0.4e-3
+"""Rope travel averaged into one point of the joint fit."""
+TAUT_N = 3.0
+ROBUST_N = 0.5
+STRETCH_N_M = 5000.0
+"""Weighs a residual in rope position against one in END tension: the stiffness at 20–40 N."""
+DRIVE_TICKS = 3
+"""Control cycles of pure delay: two until a target is reached, and one for what lies below the position loop.
+
+The controller undoes the rest by a derivative, which cannot undo a delay; counting it as lag makes it lead too far.
+"""
+
+
+class Segment(NamedTuple):
+    """One experiment: its kind (rest, stiffness, ramp, swing) and columns by control cycle; m, rad, N."""
+
+    kind: str
+    period_s: float
+    target: Array
+    position: Array
+    knee: Array
+    start: Array
+    end: Array
+
+
+LAPS = 10
+"""Parts that a swing and a rest are cut into, where an interval wants laps to leave out."""
+
+
+class Rest(NamedTuple):
+    """What the sensors say of a slack rope, N."""
+
+    start_offset: float
+    end_offset: float
+    start_noise: float
+
+
+class _Unknown(NamedTuple):
+    """One unknown of the joint fit: a scalar of the calibration, its scale and bounds."""
+
+    name: str
+    scale: float
+    low: float
+    high: float
+
+
+_UNKNOWNS = (
+    _Unknown("stiffness_a", 1e-7, -8e-6, -1e-8), _Unknown("stiffness_b", 1e-5, 5e-5, 2e-3),
+    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
+    _Unknown("fabric_share", 0.1, 0.02, 0.98), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
+    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
+    _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
+    _Unknown("swing_k", 1e-3, 0.005, 0.2),
+)
+
+
+def rest(segments: Sequence[Segment]) -> Rest:
+    """Offsets and START's noise from the segments at rest; raises `InputError` where there is none."""
+    still = _of(segments, "rest")
+    return Rest(_mean([s.start for s in still]), _mean([s.end for s in still]), _noise([s.start for s in still]))
+
+
+def start_at_rest(segments: Sequence[Segment]) -> dict[str, Measured]:
+    """START's offset and noise, N, by the calibration's names, with their intervals."""
+    still, parts = rest(segments), [
+        part for s in _of(segments, "rest") for part in np.array_split(s.start, LAPS)]
+    return {"start_offset": Measured(still.start_offset, float(half_width(parts, _mean))),
+            "start_noise": Measured(still.start_noise, float(half_width(parts, _noise)))}
+
+
+def _mean(parts: Sequence[Array]) -> float:
+    return float(np.concatenate(parts).mean())
+
+
+def _noise(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean([np.var(part) for part in parts])))
+
+
+def stiffness(segments: Sequence[Segment], offset_n: float) -> Line:
+    """(10) as the paper fits it: rope position over START tension, quadratic, through pulls and releases."""
+    return _line([(s.start - offset_n, s.position) for s in _of(segments, "stiffness")], 2)
+
+
+def swing(segments: Sequence[Segment]) -> Line:
+    """(11) as the paper fits it: rope position over knee angle at a constant START tension, linear."""
+    laps = [zip(np.array_split(s.knee, LAPS), np.array_split(s.position, LAPS), strict=True)
+            for s in _of(segments, "swing")]
+    return _line([lap for swings in laps for lap in swings], 1)
+
+
+def bandwidth(segments: Sequence[Segment]) -> Measured:
+    """Bandwidth, Hz, of the first-order lag from the delayed target to rope position."""
+    moving = [segment for segment in segments if segment.kind in ("stiffness", "ramp")]
+    if not moving:
+        raise InputError("identification: no loop among the recorded experiments; run identify stiffness or friction.")
+    return Measured(_bandwidth(moving), float(half_width(moving, _bandwidth)))
+
+
+def _bandwidth(moving: Sequence[Segment]) -> float:
+    def misses(log_lag: float) -> float:
+        return sum(_lag_error(segment, math.exp(log_lag)) for segment in moving)
+
+    found = minimize_scalar(misses, bounds=(math.log(5e-4), math.log(0.1)), method="bounded")
+    return 1.0 / (2.0 * math.pi * math.exp(found.x))
+
+
+def _lag_error(segment: Segment, lag_s: float) -> float:
+    decay = math.exp(-segment.period_s / lag_s)
+    delayed = segment.target[:-DRIVE_TICKS]
+    followed, _ = lfilter([1.0 - decay], [1.0, -decay], delayed, zi=[decay * delayed[0]])
+    return float(np.sum((followed - segment.position[DRIVE_TICKS:]) ** 2))
+
+
+def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tuple[Calibration, Mapping[str, Evidence]]:
+    """The joint fit of the transfer model to every loop and swing; returns scalars and their intervals.
+
+    Intervals are 95 %, from leaving out one segment at a time (jackknife, linearised at the solution).
+    """
+    data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
+    start = np.array([getattr(guess, unknown.name) for unknown in _UNKNOWNS])
+    low, high = (np.array([getattr(unknown, side) for unknown in _UNKNOWNS]) for side in ("low", "high"))
+
+    def residual(point: Array) -> Array:
+        made = _with(guess, point)
+        return np.concatenate([_residual(made, segment) for segment in data])
+
+    found = least_squares(
+        residual, np.clip(start, low, high), bounds=(low, high), x_scale=[u.scale for u in _UNKNOWNS],
+        loss="soft_l1", f_scale=ROBUST_N)
+    sizes = [len(_residual(guess, segment)) for segment in data]
+    fun = np.asarray(found.fun)
+    robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
+    errors = _jackknife(np.asarray(found.jac), fun * robust, sizes)
+    evidence = {u.name: Evidence(float(value - 1.96 * error), float(value + 1.96 * error))
+                for u, value, error in zip(_UNKNOWNS, found.x, errors, strict=True)}
+    return _with(guess, found.x), evidence
+
+
+def _with(guess: Calibration, point: Array) -> Calibration:
+    values: dict[str, Any] = {u.name: float(value) for u, value in zip(_UNKNOWNS, point, strict=True)}
+    return dataclasses.replace(guess, **values)
+
+
+def _averaged(segment: Segment, offsets: Rest) -> Segment:
+    """Points of about `POINT_M` of rope travel, at least one control cycle, each a mean; offsets taken off."""
+    travel = float(np.median(np.abs(np.diff(segment.target)))) or POINT_M
+    points = int(np.clip(round(POINT_M / travel), 1, 25))
+    columns = [smoothed(column, points) for column in segment[2:]]
+    return Segment(segment.kind, segment.period_s * points, columns[0], columns[1], columns[2],
+                   columns[3] - offsets.start_offset, columns[4] - offsets.end_offset)
+
+
+def _residual(calibration: Calibration, segment: Segment) -> Array:
+    """END and rope position that the model puts behind START, less the measured ones, N; each segment weighs alike.
+
+    While the knee swings under a constant START, END tells of the fabric's slip on a turning knee, which the model
+    lumps: there only the position counts.
+    """
+    law = inverse.law(calibration, segment.period_s)
+    end, position = inverse.behind(law, segment.position, segment.start, segment.knee)
+    taut = segment.start > TAUT_N
+    weight = 20.0 / math.sqrt(max(1, int(np.count_nonzero(taut))))
+    moved = STRETCH_N_M * (position - segment.position)[taut]
+    if segment.kind == "swing":
+        return weight * moved
+    return weight * np.concatenate([(end - segment.end)[taut], moved])
+
+
+def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int]) -> Array:
+    """Standard errors of the unknowns when one segment at a time is left out."""
+    scale = np.sqrt(np.maximum((slopes**2).sum(axis=0), 1e-300))
+    scaled, edges = slopes / scale, np.cumsum([0, *sizes])
+    whole = scaled.T @ scaled
+    shifts = []
+    for first, last in itertools.pairwise(edges):
+        part = scaled[first:last]
+        left = whole - part.T @ part + 1e-9 * np.eye(len(whole))
+        shifts.append(np.linalg.solve(left, part.T @ residuals[first:last]))
+    count = len(shifts)
+    spread = np.array(shifts) - np.mean(shifts, axis=0)
+    return np.asarray(np.sqrt((count - 1) / count * (spread**2).sum(axis=0)) / scale)
+
+
+def _line(laps: Sequence[tuple[Array, Array]], degree: int) -> Line:
+    def fitted(chosen: Sequence[tuple[Array, Array]]) -> Array:
+        over, values = (np.concatenate(columns) for columns in zip(*chosen, strict=True))
+        return np.polyfit(over, values, degree)
+
+    coefficients = fitted(laps)
+    values = np.concatenate([lap[1] for lap in laps])
+    left = values - np.polyval(coefficients, np.concatenate([lap[0] for lap in laps]))
+    return Line(tuple(coefficients.tolist()), float(1.0 - np.var(left) / np.var(values)),
+                tuple(half_width(laps, fitted).tolist()))
+
+
+def _of(segments: Sequence[Segment], kind: str) -> list[Segment]:
+    found = [segment for segment in segments if segment.kind == kind]
+    if not found:
+        raise InputError(f"identification: no {kind} experiment among those recorded; run identify {kind} or all.")
+    return found

@@ -1,0 +1,240 @@
+"""The experiments that a calibration is measured by, over the bus, in the paper's own words where it has any.
+
+The rule of this file: motions only; what they tell is `fits`' business, and the desired-force curve is never run.
+
+| kind | what is done | what it tells |
+|---|---|---|
+| rest | the rope slack, one second | offsets, noise |
+| stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
+| swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
+| ramp | pulls and releases from slack to 60 N and to 35 N at three knee angles, 0.06 m/s | friction, pre-sliding |
+
+The ramps are ours, the paper gives none for friction.  Pulling and releasing slide rope and fabric both ways, so
+START by END force is e^(±(μ1θ + μ2φ)); three knee angles tell the part that grows with the wrap from the part that
+does not; the turn at the top, and at half the load, is the pre-sliding.  The speed is the paper's: slower, a rope
+with breakaway sticks and slips, and the friction that is measured is none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import can
+import numpy as np
+
+from eds.bench import Network
+from master.cycle import drives
+from master.cycle.exchange import Exchange, Inputs
+from master.cycle.log import Sink
+from master.cycle.run_safely import Outcome, conduct
+from master.identification import calibration_fit
+from master.identification.calibration_fit import Segment
+from master.identification.jackknife import Line
+from master.motion import moves
+from master.motion.home import home, swing_to
+from master.network.link import Link
+from master.settings import Homing, Limits
+from parameters import InputError
+from physics import inverse, laws
+from physics.calibration import Calibration, Evidence, nominal
+from trial.read import Trial
+
+KINDS = ("rest", "stiffness", "swing", "ramp")
+PROCEDURES: Mapping[str, tuple[str, ...]] = {
+    "sensors": ("rest",), "stiffness": ("rest", "stiffness"), "swing": ("rest", "swing"),
+    "friction": ("rest", "stiffness", "ramp"), "all": KINDS,
+}
+LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
+SLACK_N = 3.0
+RAMP_FORCES_N = (60.0, -SLACK_N, 60.0, -SLACK_N, 35.0, -SLACK_N)
+RAMP_KNEES_RAD = (math.radians(-6.0), float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)), math.radians(-60.0))
+SWINGS, SWING_S = 10, 4.0
+SWING_FROM_RAD, SWING_TO_RAD = math.radians(-5.0), math.radians(-65.0)
+REST_S, REACH_M, SLACK_M = 1.0, 0.12, 4e-3
+HOLD_GAIN_M_S_N = 3e-3
+"""Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
+HOLD_FILTER_S = 5e-3
+
+COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
+"""Columns of a segment, in a trial."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What is to be identified: a procedure's name, the calibration to start from, and the bench."""
+
+    what: str = "all"
+    guess: Calibration = field(default_factory=nominal)
+    network: Network = field(default_factory=Network)
+    limits: Limits = field(default_factory=Limits)
+    homing: Homing = field(default_factory=Homing)
+
+
+def run(
+    link: Link, tap: can.BusABC | None, recorder: Sink | None, identification: Identification,
+    progress: Progress = lambda what, share: None,
+) -> tuple[Outcome, list[Segment]]:
+    """Run the experiments of a procedure; returns how it ended and what was recorded."""
+    procedure(identification.what)
+    inverse.prepare()
+    bench = _Experiments(identification, progress)
+    outcome = conduct(link, tap, recorder, identification.network, identification.limits, bench.perform)
+    return outcome, bench.segments
+
+
+def procedure(what: str) -> tuple[str, ...]:
+    """The experiments that identify `what`; raises `InputError` where it is none of the procedures."""
+    if what not in PROCEDURES:
+        raise InputError(f"identify {what}: expected one of {', '.join(PROCEDURES)}.")
+    return PROCEDURES[what]
+
+
+def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, bench: str, date: str,
+              trial: str) -> Calibration:
+    """The calibration that the segments of a procedure give; scalars it does not tell of stay as in `guess`."""
+    told: dict[str, tuple[float, Evidence]] = {}
+    still = calibration_fit.rest(segments)
+    told |= {name: (seen.value, seen.evidence) for name, seen in calibration_fit.start_at_rest(segments).items()}
+    kinds = procedure(what)
+    if "stiffness" in kinds:
+        told |= _named(("stiffness_a", "stiffness_b", "stiffness_c"), calibration_fit.stiffness(segments, still.start_offset))
+        drive = calibration_fit.bandwidth(segments)
+        told["drive_bandwidth"] = drive.value, drive.evidence
+    if "swing" in kinds:
+        told |= _named(("swing_k", "swing_p"), calibration_fit.swing(segments))
+    if "ramp" in kinds:
+        fitted, intervals = calibration_fit.loops(segments, _replaced(guess, told), still)
+        for name, interval in intervals.items():
+            if name == "swing_k" and "swing" not in kinds:
+                continue
+            r_squared = told[name][1].r_squared if name in told else math.nan
+            told[name] = getattr(fitted, name), dataclasses.replace(interval, r_squared=r_squared)
+    evidence = dict(guess.evidence) | {
+        name: dataclasses.replace(proof, date=date, trial=trial) for name, (_, proof) in told.items()}
+    return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
+
+
+def _named(names: tuple[str, ...], line: Line) -> dict[str, tuple[float, Evidence]]:
+    return dict(zip(names, zip(line.coefficients, line.evidence, strict=True), strict=True))
+
+
+def _replaced(guess: Calibration, told: Mapping[str, tuple[float, Evidence]]) -> Calibration:
+    values: dict[str, float] = {name: value for name, (value, _) in told.items()}
+    return dataclasses.replace(guess, **values)  # type: ignore[arg-type]
+
+
+def recorded(trial: Trial) -> list[Segment]:
+    """The experiments that a trial recorded, from its events and its columns; cycles with a lost input are left out.
+
+    Raises `InputError` where the trial holds none.
+    """
+    segments: list[Segment] = []
+    begun: dict[str, int] = {}
+    time_ns, columns = trial.time_ns, trial.columns
+    whole = columns["missed_inputs"] == 0
+    period_s = float(np.median(np.diff(time_ns))) * 1e-9
+    for event in trial.events:
+        if event.kind != "identify":
+            continue
+        edge, kind = event.text.split()
+        if edge == "begin":
+            begun[kind] = event.time_ns
+        elif kind in begun:
+            rows = whole & (time_ns >= begun[kind]) & (time_ns < event.time_ns)
+            segments.append(Segment(kind, period_s, *(columns[name][rows] for name in COLUMNS)))
+    if not segments:
+        raise InputError(f"{trial.path}: records no experiment of an identification; give a trial of bowden identify.")
+    return segments
+
+
+class _Experiments:
+    """The experiments of one procedure, in order; what they record is in `segments`."""
+
+    def __init__(self, identification: Identification, progress: Progress) -> None:
+        self.identification = identification
+        self.segments: list[Segment] = []
+        self._progress = progress
+        self._steps = {"rest": self._rest, "stiffness": self._stiffness, "swing": self._swing, "ramp": self._ramp}
+
+    def perform(self, exchange: Exchange) -> None:
+        """Enable, home, and run what the procedure asks for."""
+        given = self.identification
+        drives.enable(exchange)
+        home(exchange, given.guess, given.homing, SLACK_M)
+        kinds = PROCEDURES[given.what]
+        for i, kind in enumerate(kinds):
+            self._progress(kind, i / len(kinds))
+            self._steps[kind](exchange)
+            self._slacken(exchange)
+        self._progress("done", 1.0)
+
+    def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:
+        kept: list[tuple[float, float, float, float, float]] = []
+        exchange.kept = kept
+        exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"begin {kind}")
+        try:
+            motion()
+        finally:
+            exchange.kept = None
+            exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"end {kind}")
+        columns = np.array(kept).T
+        self.segments.append(Segment(kind, exchange.wire.period_ns * 1e-9, *columns))
+
+    def _slacken(self, exchange: Exchange) -> None:
+        moves.reel(exchange, -SPEED_M_S, lambda inputs: inputs.start_n < 1.0, REACH_M, "the rope does not go slack")
+        servo, knee = exchange.targets
+        moves.move(exchange, servo - SLACK_M, knee, SPEED_M_S, self.identification.homing.knee_rad_s)
+
+    def _rest(self, exchange: Exchange) -> None:
+        self._record(exchange, "rest", lambda: moves.settle(exchange, REST_S))
+
+    def _stiffness(self, exchange: Exchange) -> None:
+        swing_to(exchange, RAMP_KNEES_RAD[1], self.identification.guess, self.identification.homing)
+        self._reel(exchange, LOW_N)
+        for _ in range(PULLS):
+            self._record(exchange, "stiffness", lambda: self._reel(exchange, HIGH_N, -LOW_N))
+
+    def _ramp(self, exchange: Exchange) -> None:
+        for knee in RAMP_KNEES_RAD:
+            swing_to(exchange, knee, self.identification.guess, self.identification.homing)
+            self._record(exchange, "ramp", lambda: self._reel(exchange, *RAMP_FORCES_N))
+            self._slacken(exchange)
+
+    def _swing(self, exchange: Exchange) -> None:
+        swing_to(exchange, SWING_FROM_RAD, self.identification.guess, self.identification.homing)
+        self._reel(exchange, LOW_N)
+        self._record(exchange, "swing", lambda: self._swing_held(exchange))
+
+    def _reel(self, exchange: Exchange, *forces_n: float) -> None:
+        """Pull to each force in turn; negative: release to it."""
+        for force in forces_n:
+            if force > 0.0:
+                moves.reel(exchange, SPEED_M_S, _above(force), REACH_M, "the rope does not tighten")
+            else:
+                moves.reel(exchange, -SPEED_M_S, _below(-force), REACH_M, "the rope does not go slack")
+
+    def _swing_held(self, exchange: Exchange) -> None:
+        """Swing the knee while START is held at `LOW_N` by an integral of what it lacks."""
+        period_s = exchange.wire.period_ns * 1e-9
+        servo, knee = exchange.targets
+        held, tension = servo, LOW_N
+        share = min(1.0, period_s / HOLD_FILTER_S)
+        for step in range(round(SWINGS * SWING_S / period_s)):
+            phase = 2.0 * math.pi * step * period_s / SWING_S
+            angle = knee + 0.5 * (SWING_TO_RAD - SWING_FROM_RAD) * (1.0 - math.cos(phase))
+            tension += share * (exchange.inputs.start_n - tension)
+            held += HOLD_GAIN_M_S_N * (LOW_N - tension) * period_s
+            exchange.advance(held + self.identification.guess.swing_k * (angle - knee), angle)
+
+
+def _above(force_n: float) -> Callable[[Inputs], bool]:
+    return lambda inputs: inputs.start_n > force_n
+
+
+def _below(force_n: float) -> Callable[[Inputs], bool]:
+    return lambda inputs: inputs.start_n < force_n

@@ -1,0 +1,1 @@
+"""Motions of the bench: homing, jogging, the gait and the scripted experiments."""

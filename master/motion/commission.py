@@ -1,0 +1,144 @@
+"""What is done to a bench before and between trials: home it, zero a sensor, move one axis, take the tension off.
+
+The rule of this file: each is one procedure inside the control cycle, with the trial's own limits and safe stop;
+it moves slowly, it enables no drive that it does not move, and it says what it found.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+
+from eds.bench import END, KNEE, SERVO, START
+from eds.cia301 import SIGNATURE_ZERO
+from eds.cia402 import State, state_of
+from eds.dictionary import key
+from master.cycle import drives
+from master.cycle.exchange import ORDER, Exchange, Inputs
+from master.motion import moves
+from master.motion.home import home as find_home
+from master.network.bringup import RefusedError
+from master.settings import Homing, Limits
+from parameters import InputError
+from physics.calibration import Calibration
+
+Procedure = Callable[[Exchange], Mapping[str, float]]
+"""Runs inside the cycle; what it found, by name with its unit."""
+
+AXES: Final = {"servo": SERVO, "knee": KNEE}
+SENSORS: Final = {"start": START, "end": END}
+REST_S: Final = 0.5
+TARE_LIMIT_N: Final = 5.0
+"""A slack rope's offset is below this; a reading above it is tension, and zeroing it would hide it."""
+REACH_M: Final = 0.2
+_OFFSET, _AUTO_ZERO = 0x6124, 0x6125
+
+
+def home(calibration: Calibration, homing: Homing, slack_m: float) -> Procedure:
+    """Find the encoder zero at the preload and leave the rope slack."""
+
+    def procedure(exchange: Exchange) -> Mapping[str, float]:
+        drives.enable(exchange)
+        found = find_home(exchange, calibration, homing, slack_m)
+        inputs = exchange.inputs
+        return {"friction_half_width_m": found.half_width_m, "servo_position_m": inputs.servo_position_m,
+                "tension_start_n": inputs.start_n}
+
+    return procedure
+
+
+def tare(sensor: str) -> Procedure:
+    """Zero one sensor where it stands; no drive is enabled.  Raises `InputError` for an unknown sensor."""
+    node = _one_of(sensor, SENSORS, "sensor")
+
+    def procedure(exchange: Exchange) -> Mapping[str, float]:
+        before = _mean(exchange, node)
+        name = exchange.wire.nodes[node].name
+        if not abs(before) < TARE_LIMIT_N:
+            raise RefusedError(f"{name} reads {before:.2f} N; zeroing would hide a tension: release the rope, or check "
+                               "the sensor")
+        _zero(exchange, node, before)
+        return {"before_n": before, "after_n": _mean(exchange, node)}
+
+    return procedure
+
+
+def jog(axis: str, distance: float, speed: float) -> Procedure:
+    """Move one axis alone by `distance` at no more than `speed`, m or rad; the other drive stays off.
+
+    Raises `InputError` for an unknown axis or a speed that is none.
+    """
+    node = _one_of(axis, AXES, "axis")
+    if not (speed > 0.0 and math.isfinite(distance)):
+        raise InputError(f"jog {axis}: {distance:g} at {speed:g} a second is no motion; give a distance and a speed "
+                         "above 0.")
+
+    def procedure(exchange: Exchange) -> Mapping[str, float]:
+        drives.enable_alone(exchange, node)
+        start = exchange.targets[ORDER.index(node)]
+        steps = max(1, round(moves.PEAK_TO_MEAN * abs(distance) / speed * 1e9 / exchange.wire.period_ns))
+        for step in range(1, steps + 1):
+            _lead(exchange, node, start + distance * moves.smooth(step / steps))
+        moves.settle(exchange, REST_S)
+        inputs = exchange.inputs
+        return {"servo_position_m": inputs.servo_position_m, "knee_angle_rad": inputs.knee_angle_rad,
+                "tension_start_n": inputs.start_n, "tension_end_n": inputs.end_n}
+
+    return procedure
+
+
+def release(homing: Homing, limits: Limits) -> Procedure:
+    """Pay the rope out, the servo alone, until START is below its unwound limit."""
+
+    def procedure(exchange: Exchange) -> Mapping[str, float]:
+        inputs = drives.enable_alone(exchange, SERVO)
+        before, at = inputs.start_n, exchange.targets[0]
+        step = homing.rope_m_s * exchange.wire.period_ns * 1e-9
+        while exchange.inputs.start_n >= limits.unwound_n:
+            if at - exchange.targets[0] >= REACH_M:
+                raise RefusedError(f"{REACH_M * 1e3:.0f} mm of rope paid out and START is at "
+                                   f"{exchange.inputs.start_n:.1f} N; tare START or free the rope")
+            _lead(exchange, SERVO, exchange.targets[0] - step)
+        return {"before_n": before, "after_n": exchange.inputs.start_n, "paid_out_m": at - exchange.targets[0]}
+
+    return procedure
+
+
+def _zero(exchange: Exchange, node: int, reading_n: float) -> None:
+    """Take the mean reading off the offset (0x6124); a device without one zeroes its present value (0x6125)."""
+    link = exchange.link
+    if key(_OFFSET, 1) in exchange.wire.nodes[node].dictionary.entries:
+        offset = struct.unpack("<f", link.sdo_read(node, _OFFSET, 1))[0]
+        link.sdo_write(node, _OFFSET, 1, struct.pack("<f", offset - reading_n))
+    else:
+        link.sdo_write(node, _AUTO_ZERO, 1, SIGNATURE_ZERO.to_bytes(4, "little"))
+
+
+def _one_of(name: str, known: Mapping[str, int], what: str) -> int:
+    if name not in known:
+        raise InputError(f"{name!r} is no {what} of the bench; expected one of {', '.join(known)}.")
+    return known[name]
+
+
+def _mean(exchange: Exchange, node: int) -> float:
+    """Mean reading, N, of a sensor over a rest."""
+    bit, readings = 1 << ORDER.index(node), []
+    for _ in range(max(1, round(REST_S * 1e9 / exchange.wire.period_ns))):
+        inputs = exchange.hold()
+        if not inputs.missing & bit:
+            readings.append(inputs.start_n if node == START else inputs.end_n)
+    return float(np.mean(readings)) if readings else math.nan
+
+
+def _lead(exchange: Exchange, node: int, target: float) -> Inputs:
+    """One cycle with one axis led; the other one's target stays.  Raises `RefusedError` where its drive went off."""
+    servo, knee = exchange.targets
+    inputs = exchange.advance(*((target, knee) if node == SERVO else (servo, target)))
+    status = inputs.servo_status if node == SERVO else inputs.knee_status
+    if state_of(status) is not State.OPERATION_ENABLED:
+        raise RefusedError(f"{exchange.wire.nodes[node].name} left OPERATION ENABLED, statusword 0x{status:04X}")
+    return inputs

@@ -1,0 +1,179 @@
+"""One experiment from a silent bus to disabled drives: bring-up, home, gait, return, safe end.
+
+The rule of this file: everything that can be computed or refused is, before the first frame is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+
+from eds.bench import Network
+from master import settings
+from master.control import controller
+from master.control.controller_io import Seen
+from master.control.effect_correction import Effects, calibrated, correction
+from master.control.gait_table import GaitTable, samples_of, tabulate
+from master.control.homing_fit import Day
+from master.control.stability import derated
+from master.cycle import drives
+from master.cycle.exchange import Exchange
+from master.cycle.log import Sink
+from master.cycle.run_safely import Outcome, conduct
+from master.motion import gait, moves
+from master.motion.home import Homed, home
+from master.network.link import Link
+from physics import inverse
+from physics.calibration import Calibration, nominal, refuse_beyond_validity
+from physics.reference import Reference
+
+LEADING = 2.0 / 3.0
+"""Share of the idle slack that a controller needs which undoes the drive's lag: the rope then follows the knee."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is to be run: declared sections, a reference and a calibration; `dry_run` never enables a drive.
+
+    `motion`, where it is given, is what the knee really does: the controller still expects `reference`.
+    `known`: effects beyond the calibration that the controller knows of, name → values.
+    """
+
+    reference: Reference
+    network: Network = field(default_factory=Network)
+    gait: settings.Gait = field(default_factory=settings.Gait)
+    impedance: settings.Impedance = field(default_factory=settings.Impedance)
+    limits: settings.Limits = field(default_factory=settings.Limits)
+    homing: settings.Homing = field(default_factory=settings.Homing)
+    calibration: Calibration = field(default_factory=nominal)
+    dry_run: bool = False
+    motion: Reference | None = None
+    known: Effects = field(default_factory=dict)
+    record: settings.Record = field(default_factory=settings.Record)
+
+
+@dataclass(frozen=True)
+class Result:
+    """How it ended: "completed", or "stopped" with the reason; counts over every control cycle; the bus's time.
+
+    `day` is what homing found of it: with the trial's inputs it makes every step of the controller again.
+    `warning` says where the experiment was run otherwise than asked for.
+    """
+
+    outcome: str
+    stop_reason: str | None
+    missed_cycles: int
+    stale_inputs: int
+    duration_s: float
+    friction_half_width_m: float | None
+    day: Day | None = None
+    warning: str | None = None
+
+
+def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment) -> Result:
+    """Run an experiment on the bus of `link`; the recorder hears the bus through `tap`.
+
+    Raises `InputError` before anything is sent where the experiment cannot be run at all; whatever happens on the
+    bus ends in a `Result`.
+    """
+    trial = Planned(experiment)
+    return result_of(conduct(link, tap, recorder, experiment.network, experiment.limits, trial.perform), trial)
+
+
+def result_of(outcome: Outcome, trial: Planned) -> Result:
+    """Say how a planned experiment ended."""
+    return Result(
+        outcome="completed" if outcome.reason is None else "stopped",
+        stop_reason=outcome.reason,
+        missed_cycles=outcome.missed_cycles,
+        stale_inputs=outcome.stale_inputs,
+        duration_s=outcome.duration_s,
+        friction_half_width_m=trial.homed.half_width_m if trial.homed else None,
+        day=trial.homed.day if trial.homed else None,
+        warning=trial.warning,
+    )
+
+
+class Planned:
+    """An experiment with its tables made, and what homing found once it has run (`homed`).
+
+    Whatever takes longer than a part of a control cycle is done here: nothing waits for it once SYNC runs.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        chosen, rate_hz = experiment.gait, experiment.network.rate_hz
+        calibration, rest = calibrated(experiment.calibration, experiment.known)
+        settings.checked_controller(chosen.controller, where="gait")
+        refuse_beyond_validity(calibration, experiment.reference.peak_n)
+        knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
+        self.experiment, self.calibration = experiment, calibration
+        slack_m = chosen.idle_slack_m * (LEADING if chosen.controller == "extended" else 1.0)
+        self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m)
+        self.rising = [tabulate(calibration, knee, desired * (i + 1) / (chosen.soft_start + 1), 1.0 / rate_hz, slack_m)
+                       for i in range(chosen.soft_start)]
+        self.idle = gait.idle_table(self.table, calibration)
+        samples = self.table.samples
+        self.first = gait.run_in_sample(self.table)
+        self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
+        adapts = chosen.controller == "extended"
+        self.undone = {id(table): correction(calibration, table, rest, adapts=adapts)
+                       for table in (self.table, self.idle, *self.rising)}
+        self.homed: Homed | None = None
+        self.impedance, self.warning = derated(
+            calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
+        inverse.prepare()
+        rehearsed = self.control(self.table)
+        controller.step(Seen(0, 0.0, 0.0, 0.0, 0.0), controller.initial(rehearsed), rehearsed)
+
+    def control(self, table: GaitTable) -> controller.Config:
+        """The chosen controller over a gait table, on the day that homing found."""
+        chosen, day = self.experiment, self.homed.day if self.homed else Day()
+        return controller.configure(
+            chosen.gait.controller, self.calibration, table, self.impedance, day, self.undone[id(table)])
+
+    def perform(self, exchange: Exchange) -> None:
+        """Enable, home and walk; with `dry_run` only the walk, on drives that are off."""
+        experiment, table = self.experiment, self.table
+        if self.warning is not None:
+            exchange.log.event(exchange.inputs.sync_ns, "warning", "master", self.warning)
+        if not experiment.dry_run:
+            drives.enable(exchange)
+            undone = self.undone[id(table)]
+            self.homed = home(exchange, self.calibration, experiment.homing, experiment.gait.idle_slack_m,
+                              1.0 if undone is None else undone.home_gain)
+            gait.approach(exchange, table, self.first, experiment.homing)
+        self.walk(exchange)
+
+    def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
+        """Run in, start softly, walk and run out: every step that the controller makes in a trial.
+
+        `before` cycles were walked.  Cycles of the soft start are numbered −1, as the run-in is.
+        """
+        samples = self.table.samples
+        last = self.experiment.gait.cycles * samples
+        begin = self.first - (1 + len(self.rising)) * samples
+
+        def number(sample: int) -> float:
+            return float(before + sample // samples) if sample >= 0 else -1.0
+
+        for i, table in enumerate(self.rising, 1 - len(self.rising)):
+            gait.run(exchange, self.control(table), begin, i * samples, number, self._led())
+            begin = i * samples
+        gait.run(exchange, self.control(self.table), begin, last, number, self._led())
+        gait.run(exchange, self.control(self.idle), last, last + self.rest, lambda sample: -1.0)
+
+    def _led(self) -> Callable[[int], float] | None:
+        """The knee's target by sample where its motion departs from the reference, eased in over the run-in."""
+        motion, table = self.experiment.motion, self.table
+        if motion is None:
+            return None
+        per_sample = table.period_s / motion.period_s
+
+        def led(sample: int) -> float:
+            share = moves.smooth(min(1.0, max(0.0, 1.0 + sample / (0.1 * table.samples))))
+            own = table.knee[sample % table.samples]
+            return own + share * (motion.knee_angle(sample * per_sample) - own)
+
+        return led

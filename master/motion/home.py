@@ -1,0 +1,113 @@
+"""Where the encoder zero is, and what the day is like: on the bench, at 13 % of gait, from a pull and a release.
+
+The rule of this file: after homing x = x1(F) + k2·(θk − θk(13 %)) holds.  (10) is a fit through pulling and
+releasing, so the zero comes from the middle of a friction loop, never from one side of it: pulled through the
+preload, on to where the release slides again, and back through the preload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from master.control.gait_table import stretch
+from master.control.homing_fit import Day, adapt
+from master.cycle import drives
+from master.cycle.exchange import NEEDED, Exchange, Inputs
+from master.motion import moves
+from master.network.bringup import RefusedError
+from master.settings import Homing
+from physics import laws
+from physics.calibration import Calibration
+
+SLACK_N = 1.0
+REST_S = 0.2
+AROUND = 0.2
+"""The crossing is a straight line through START readings within this share of the preload."""
+BRISK = 4.0
+"""Without tension the rope is led this much faster than it is reeled."""
+
+
+class Homed(NamedTuple):
+    """What homing found: the half-width, m, of the friction loop at the preload, and the day."""
+
+    half_width_m: float
+    day: Day
+
+
+Row = tuple[float, float, float]
+"""START tension, N, rope position, m, knee angle, rad."""
+
+
+def home(
+    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0
+) -> Homed:
+    """Home the servo and leave the rope `slack_m` beyond where it lost its tension.
+
+    Both drives must be enabled; `start_gain` is what START is known to read of 1 N.
+    Raises `RefusedError` where the rope does not tighten, or the loop has no crossing.
+    """
+    knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+    swing_to(exchange, knee_home, calibration, homing)
+    reading = slack_reading(exchange)
+    pulled, released = _loop(exchange, homing)
+    at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
+    shift = float(stretch(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
+    moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
+    inputs = moves.settle(exchange, REST_S)
+    drives.set_home(exchange, round((inputs.servo_position_m + shift) * 1e6))
+    loop = np.array(pulled + released) / (start_gain, 1.0, 1.0)
+    period_s = exchange.wire.period_ns * 1e-9
+    day = moves.hold_while(
+        exchange, adapt(calibration, period_s, loop[:, 1] + shift, loop[:, 0], loop[:, 2], reading / start_gain))
+    return Homed(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
+
+
+def swing_to(exchange: Exchange, knee_rad: float, calibration: Calibration, homing: Homing) -> None:
+    """Bring the knee there with the rope loose: paid out first, then led along with the knee."""
+    moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
+               "the rope does not go slack; release it by hand or tare START")
+    servo, knee = exchange.targets
+    led = servo + calibration.swing_k * (knee_rad - knee)
+    moves.move(exchange, led, knee_rad, BRISK * homing.rope_m_s, homing.knee_rad_s)
+    moves.settle(exchange, REST_S)
+
+
+def slack_reading(exchange: Exchange) -> float:
+    """START's mean reading, N, over a rest with the rope slack."""
+    readings = []
+    for _ in range(round(REST_S * 1e9 / exchange.wire.period_ns)):
+        inputs = exchange.hold()
+        if not inputs.missing & NEEDED:
+            readings.append(inputs.start_n)
+    return float(np.mean(readings)) if readings else 0.0
+
+
+def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
+    """Pull to the top and release to slack; what was seen on the way."""
+    pulled: list[Row] = []
+    released: list[Row] = []
+    moves.reel(exchange, homing.rope_m_s, lambda inputs: inputs.start_n > homing.top_n, homing.reach_m,
+               "the rope does not tighten; take up its slack by hand", _into(pulled))
+    moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
+               "the rope does not go slack; tare START", _into(released))
+    return pulled, released
+
+
+def _into(rows: list[Row]) -> Callable[[Inputs], None]:
+    def keep(inputs: Inputs) -> None:
+        if not inputs.missing & NEEDED:
+            rows.append((inputs.start_n, inputs.servo_position_m, inputs.knee_angle_rad))
+
+    return keep
+
+
+def crossing(rows: list[Row], preload_n: float) -> float:
+    """Rope position, m, of the straight line through (START, position) near the preload, at the preload."""
+    table = np.array([row[:2] for row in rows if abs(row[0] - preload_n) <= AROUND * preload_n])
+    if len(table) < 3:
+        raise RefusedError(f"homing: START was near {preload_n:g} N in {len(table)} cycles only; home more slowly.")
+    _slope, offset = np.polyfit(table[:, 0] - preload_n, table[:, 1], 1)
+    return float(offset)

@@ -1,0 +1,272 @@
+"""The master's one connection to the bus: one thread, and waiting is receiving.
+
+The rule of this file: time passes only inside `bus.recv`; whoever waits for something pumps every other
+service meanwhile (own heartbeat, heartbeats and emergencies of the nodes, SDO responses).
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import can
+
+from eds.cia301 import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    TPDO_BASE,
+    NmtCommand,
+)
+from master.network.sdo import Sdo
+
+NS = 1_000_000_000
+NEVER = 1 << 62
+SEND_RETRY_NS = 1_000_000
+SEND_RETRIES = 20
+_TRANSIENT = (errno.ENOBUFS, errno.EAGAIN)
+FAILURES = (can.CanError, OSError)
+"""What python-can's interfaces raise when they, or what they are connected by, fail."""
+BUS_OFF = 0x040
+"""Class of an error frame (linux/can/error.h)."""
+_NODE_MASK = 0x7F
+_SERVICE = 0x780
+WANTED = [
+    {"can_id": can_id, "can_mask": mask, "extended": False}
+    for can_id, mask in ((NMT_COB_ID, 0x7FF), (SYNC_COB_ID, _SERVICE), (TPDO_BASE, _SERVICE),
+                         (SDO_RESPONSE_BASE, _SERVICE), (HEARTBEAT_BASE, _SERVICE))
+]
+"""Filters for the master's socket: NMT of others, SYNC and EMCY, the nodes' first TPDOs, SDO answers, heartbeats."""
+
+
+class LinkError(Exception):
+    """The bus itself failed (interface down or gone, queue full for good); the text says how."""
+
+
+class Emergency(NamedTuple):
+    """One EMCY: error code and register as CiA 301 has them; a frame shorter than 3 bytes reads as 0x1000, 0x01."""
+
+    time_ns: int
+    node_id: int
+    code: int
+    register: int
+    vendor: bytes
+
+
+class Beat(NamedTuple):
+    """A node's last sign of life: its NMT state byte."""
+
+    time_ns: int
+    state: int
+
+
+class Link:
+    """The master on a python-can bus; `clock` gives ns on the scale of the bus's time stamps.
+
+    `beats` holds every node's last heartbeat, `emergencies` what EMCYs came and were not taken yet, `boots` the
+    nodes that booted meanwhile, `errors` the error frames seen, `rivals` the time stamps of another master's NMT.
+    `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
+    `pump(deadline_ns)` is how an SDO waits: by receiving, or by whole control cycles once they run.
+    """
+
+    def __init__(
+        self, bus: can.BusABC, clock: Callable[[], int], *, node_id: int = 127, heartbeat_ms: int | None = 100
+    ) -> None:
+        self.bus = bus
+        self.clock = clock
+        self.beats: dict[int, Beat] = {}
+        self.emergencies: deque[Emergency] = deque()
+        self.boots: deque[int] = deque()
+        self.rivals: deque[int] = deque()
+        self.responses: dict[int, bytes] = {}
+        self.pump: Callable[[int], object] = self.receive
+        self.errors = 0
+        self.send_failures = 0
+        self._heartbeat = can.Message(
+            arbitration_id=HEARTBEAT_BASE + node_id, data=b"\x05", is_extended_id=False
+        )
+        self._heartbeat_ns = None if heartbeat_ms is None else heartbeat_ms * 1_000_000
+        self._beat_due_ns = NEVER if heartbeat_ms is None else clock()
+        self._sync: Any = None
+        self._pace_ns = self._sync_due_ns = 0
+        self._due_ns = self._beat_due_ns
+        self._clients: dict[int, Sdo] = {}
+
+    def receive(self, deadline_ns: int) -> can.Message | None:
+        """The next data frame, or None at `deadline_ns`; a deadline that has passed takes only what is there.
+
+        Raises `LinkError` when the interface is down or gone.
+        """
+        clock = self.clock
+        while True:
+            now = clock()
+            if now >= self._due_ns and (paced := self._serve(now)) is not None:
+                return paced
+            until = min(deadline_ns, self._due_ns)
+            try:
+                message = self.bus.recv((until - now) / NS if until > now else 0.0)
+            except FAILURES as error:
+                raise LinkError(f"receiving failed: {error}") from error
+            if message is None:
+                if clock() >= deadline_ns:
+                    return None
+            elif message.is_error_frame:
+                self._notice_error(message)
+            elif not (message.is_extended_id or message.is_remote_frame):
+                self._notice(message)
+                return message
+
+    def _serve(self, now_ns: int) -> can.Message | None:
+        """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
+        paced = None
+        if self._heartbeat_ns is not None and now_ns >= self._beat_due_ns:
+            self._beat_due_ns = now_ns + self._heartbeat_ns
+            self.try_send(self._heartbeat)
+        if self._pace_ns and now_ns >= self._sync_due_ns:
+            self._sync_due_ns += self._pace_ns * max(1, (now_ns - self._sync_due_ns) // self._pace_ns + 1)
+            paced = can.Message(now_ns / NS, SYNC_COB_ID, is_extended_id=False)
+            self.try_send(paced)
+        self._due_ns = min(self._beat_due_ns, self._sync_due_ns) if self._pace_ns else self._beat_due_ns
+        return paced
+
+    def _notice_error(self, message: can.Message) -> None:
+        self.errors += 1
+        if message.arbitration_id & BUS_OFF:
+            raise LinkError("the CAN controller is bus-off; check termination, wiring and bit rate, then restart it")
+
+    def _notice(self, message: can.Message) -> None:
+        can_id = message.arbitration_id
+        if can_id > EMCY_BASE + _NODE_MASK and can_id < SDO_RESPONSE_BASE:
+            return
+        if can_id >= HEARTBEAT_BASE:
+            if message.dlc and can_id > HEARTBEAT_BASE:
+                node, state = can_id - HEARTBEAT_BASE, message.data[0] & _NODE_MASK
+                self.beats[node] = Beat(stamp_ns(message), state)
+                if state == 0:
+                    self.boots.append(node)
+        elif can_id >= SDO_RESPONSE_BASE:
+            self.responses[can_id] = bytes(message.data)
+        elif can_id > SYNC_COB_ID:
+            self._notice_emergency(message, can_id - EMCY_BASE)
+        elif can_id == NMT_COB_ID and message.is_rx:
+            self.rivals.append(stamp_ns(message))
+
+    def _notice_emergency(self, message: can.Message, node: int) -> None:
+        data = bytes(message.data)
+        code, register = (int.from_bytes(data[:2], "little"), data[2]) if len(data) >= 3 else (0x1000, 0x01)
+        self.emergencies.append(Emergency(stamp_ns(message), node, code, register, data[3:]))
+
+    def try_send(self, message: can.Message) -> bool:
+        """Send once, without waiting; False (and counted) where the bus did not take it."""
+        try:
+            self.bus.send(message)
+        except FAILURES:
+            self.send_failures += 1
+            return False
+        return True
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame, waiting for a full queue by receiving; raises `LinkError` when the bus takes none."""
+        message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+        for _attempt in range(SEND_RETRIES):
+            try:
+                return self.bus.send(message)
+            except FAILURES as error:
+                failure = error
+                if getattr(error, "error_code", None) not in (None, *_TRANSIENT):
+                    break
+                self.wait(SEND_RETRY_NS)
+        raise LinkError(f"sending failed: {failure}") from failure
+
+    def wait(self, duration_ns: int) -> None:
+        """Pump the bus for `duration_ns`; what comes is noticed and otherwise dropped."""
+        deadline = self.clock() + duration_ns
+        while self.receive(deadline) is not None:
+            pass
+
+    def listen(self, duration_ns: int) -> Iterator[can.Message]:
+        """Every data frame for a while, without a word sent, not even a heartbeat."""
+        deadline = self.clock() + duration_ns
+        if self._heartbeat_ns is not None:
+            self._beat_due_ns = self._due_ns = deadline
+        while (message := self.receive(deadline)) is not None:
+            yield message
+
+    def forget_response(self, can_id: int) -> None:
+        """Drop an SDO response that came before it was asked for."""
+        self.responses.pop(can_id, None)
+
+    def await_response(self, can_id: int, timeout_ns: int) -> bytes | None:
+        """Data of an SDO response, or None after `timeout_ns`; `pump` keeps whatever else runs running."""
+        deadline = self.clock() + timeout_ns
+        while can_id not in self.responses:
+            if self.clock() >= deadline:
+                return None
+            self.pump(deadline)
+        return self.responses.pop(can_id)
+
+    def await_state(self, node_id: int, state: int, timeout_ns: int) -> bool:
+        """Whether a heartbeat with `state` comes from the node within `timeout_ns`."""
+        deadline = self.clock() + timeout_ns
+        since = self.clock()
+        while True:
+            beat = self.beats.get(node_id)
+            if beat is not None and beat.time_ns >= since and beat.state == state:
+                return True
+            if self.receive(deadline) is None:
+                return False
+
+    def nmt(self, command: NmtCommand, node_id: int) -> None:
+        """Send an NMT command to one node (0: all)."""
+        self.send(NMT_COB_ID, bytes((command, node_id)))
+
+    def sync_start(self, period_ns: int) -> None:
+        """Let the bus send SYNC every `period_ns` (the kernel's broadcast manager on SocketCAN).
+
+        Raises `LinkError` when the interface is down or gone.
+        """
+        self.sync_stop()
+        message = can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False)
+        try:
+            self._sync = self.bus.send_periodic(message, period_ns / NS)
+        except FAILURES as error:
+            raise LinkError(f"SYNC cannot be started: {error}") from error
+
+    def sync_pace(self, period_ns: int) -> None:
+        """Send SYNC from `receive` itself, for a bus that does not show its periodic messages to their sender."""
+        self.sync_stop()
+        self._pace_ns, self._sync_due_ns = period_ns, self.clock()
+        self._due_ns = min(self._due_ns, self._sync_due_ns)
+
+    def sync_stop(self) -> None:
+        """Stop SYNC; harmless when none runs, or when it ended with its interface."""
+        self._pace_ns = 0
+        task, self._sync = self._sync, None
+        if task is not None:
+            with suppress(*FAILURES):
+                task.stop()
+
+    def sdo_read(self, node_id: int, index: int, subindex: int = 0) -> bytes:
+        """Upload an object; raises `SdoError` with node, object and reason."""
+        return self._client(node_id).read(index, subindex)
+
+    def sdo_write(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Download an object; raises `SdoError` with node, object and reason."""
+        self._client(node_id).write(index, subindex, data)
+
+    def _client(self, node_id: int) -> Sdo:
+        client = self._clients.get(node_id)
+        if client is None:
+            client = self._clients[node_id] = Sdo(self, node_id)
+        return client
+
+
+def stamp_ns(message: can.Message) -> int:
+    """Time stamp of a message, ns: exact where the bus gives `time_ns`, else its float seconds rounded."""
+    exact: int | None = getattr(message, "time_ns", None)
+    return round(message.timestamp * NS) if exact is None else exact

@@ -1,0 +1,185 @@
+"""The kernel's CAN, as a master needs it: python-can's SocketCAN bus with the per-frame path made short.
+
+The rule of this file: what the kernel knows comes out: exact time stamps, which frames are this computer's own,
+and how many frames found the receive queue full (`SO_RXQ_OVFL`).  One call fetches every frame that waits
+(recvmmsg), and keeps the interpreter meanwhile: it never blocks.  SYNC stays with the broadcast manager.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import socket
+import struct
+from collections import deque
+from collections.abc import Iterator
+from typing import Any, Final
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
+
+NS: Final = 1_000_000_000
+RECEIVE_BUFFER: Final = 8 << 20
+"""Bytes that are asked for; the kernel charges about 770 for a waiting frame, so a second of a full bus fits."""
+BATCH: Final = 32
+
+_SO_TIMESTAMPNS, _SO_RCVBUFFORCE, _SO_RXQ_OVFL = 35, 33, 40
+_EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
+_OWN, _NOW = socket.MSG_DONTROUTE, socket.MSG_DONTWAIT
+_EAGAIN: Final = 11
+_FRAME = struct.Struct("=IB3x8s")
+_VECTOR = struct.Struct("@QQ")
+_HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
+"""struct mmsghdr: name, its length, vector, its length, control, its length, flags; bytes received."""
+_HEADER_END = struct.Struct("@Qi")
+_TOLD = struct.Struct("@16xqq16xI4x")
+"""Ancillary data: a time stamp, then the count of lost frames once there are any."""
+_ANCILLARY = 64
+_PLAIN = 32
+"""Ancillary bytes of a message that tells its time stamp alone."""
+
+_recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
+
+
+Row = tuple[int, int, bytes, int, bool]
+
+
+class KernelMessage(can.Message):
+    """A message with the kernel's time stamp as it is, ns."""
+
+    __slots__ = ("time_ns",)
+    time_ns: int
+
+
+class KernelBus(SocketcanBus):
+    """One CAN_RAW socket; `lost` counts the frames that found its receive queue full.
+
+    `timeout` of `send` is ignored: a full transmit queue is `can.CanOperationError` with ENOBUFS at once.
+    """
+
+    def __init__(self, channel: str = "", *, receive_buffer: int = RECEIVE_BUFFER, **options: Any) -> None:
+        super().__init__(channel, **options)
+        self.lost = 0
+        self._readers = [self.socket]
+        self._number = self.socket.fileno()
+        self._waiting: deque[KernelMessage] = deque()
+        self._frames, self._ancillary = bytearray(BATCH * _FRAME.size), bytearray(BATCH * _ANCILLARY)
+        self._vectors, self._headers = bytearray(BATCH * _VECTOR.size), bytearray(BATCH * _HEADER.size)
+        self._template = self._laid_out()
+        self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+        try:
+            self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
+        except PermissionError:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+
+    def _laid_out(self) -> bytes:
+        """Point every header at its own frame and ancillary bytes; what the kernel overwrites is copied back."""
+        frames, ancillary, vectors, first = (
+            ctypes.addressof(ctypes.c_char.from_buffer(memory))
+            for memory in (self._frames, self._ancillary, self._vectors, self._headers))
+        for i in range(BATCH):
+            _VECTOR.pack_into(self._vectors, i * _VECTOR.size, frames + i * _FRAME.size, _FRAME.size)
+            _HEADER.pack_into(self._headers, i * _HEADER.size, 0, 0, vectors + i * _VECTOR.size, 1,
+                              ancillary + i * _ANCILLARY, _ANCILLARY, 0, 0)
+        self._address = ctypes.c_void_p(first)
+        return bytes(self._headers)
+
+    @property
+    def receive_buffer(self) -> int:
+        """Bytes of the receive queue as the kernel granted them."""
+        return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+    def recv(self, timeout: float | None = None) -> KernelMessage | None:
+        """The next message within `timeout` s; 0 takes only what is there, without waiting for anything.
+
+        Raises `can.CanOperationError` with the kernel's errno where the interface is down (once) or gone.
+        """
+        waiting = self._waiting
+        if waiting:
+            return waiting.popleft()
+        if timeout != 0.0:
+            try:
+                if not select.select(self._readers, (), (), timeout)[0]:
+                    return None
+            except OSError as error:
+                raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
+        for i in range(self._fetch()):
+            waiting.append(self._message(i))
+        return waiting.popleft() if waiting else None
+
+    def rows(self) -> Iterator[Row]:
+        """Every frame that waits, as `master.cycle.log` wants them, without a message made of each."""
+        while True:
+            count = self._fetch()
+            for i in range(count):
+                can_id, size, payload, time_ns, sent = self._frame(i)
+                flags = 0
+                if can_id > 0x7FF:
+                    flags = REMOTE * (can_id & _RTR != 0) | EXTENDED * (can_id & _EFF != 0)
+                    flags |= ERROR * (can_id & _ERR != 0)
+                    can_id &= 0x1FFFFFFF
+                    payload = bytes(8) if flags & REMOTE else payload
+                yield time_ns, can_id, payload[:size], flags, sent
+            if count < BATCH:
+                return
+
+    def _fetch(self) -> int:
+        """Take what waits into memory, at most `BATCH` frames; returns how many."""
+        self._headers[:] = self._template
+        count: int = _recvmmsg(self._number, self._address, BATCH, _NOW, None)
+        if count >= 0:
+            return count
+        code = ctypes.get_errno()
+        if code != _EAGAIN:
+            raise can.CanOperationError(f"{self.channel}: {os.strerror(code)}", code)
+        return 0
+
+    def _frame(self, i: int) -> tuple[int, int, bytes, int, bool]:
+        """Frame `i` of those taken: identifier with the kernel's flags, size, eight bytes, time stamp, own."""
+        can_id, size, payload = _FRAME.unpack_from(self._frames, i * _FRAME.size)
+        told, flags = _HEADER_END.unpack_from(self._headers, i * _HEADER.size + 40)
+        seconds, nanoseconds, lost = _TOLD.unpack_from(self._ancillary, i * _ANCILLARY)
+        if told > _PLAIN:
+            self.lost = lost
+        return can_id, size, payload, seconds * NS + nanoseconds, flags & _OWN != 0
+
+    def _message(self, i: int) -> KernelMessage:
+        can_id, size, payload, time_ns, own = self._frame(i)
+        message = KernelMessage.__new__(KernelMessage)
+        message.time_ns = time_ns
+        message.timestamp = time_ns / NS
+        message.is_rx = not own
+        message.channel = self.channel
+        message.dlc = size
+        message.is_fd = message.bitrate_switch = message.error_state_indicator = False
+        if can_id <= 0x7FF:
+            message.arbitration_id = can_id
+            message.is_extended_id = message.is_remote_frame = message.is_error_frame = False
+            message.data = bytearray(payload[:size])
+        else:
+            self._unusual(message, can_id, payload)
+        return message
+
+    @staticmethod
+    def _unusual(message: KernelMessage, can_id: int, payload: bytes) -> None:
+        """Extended, remote and error frames."""
+        message.is_extended_id, message.is_remote_frame = can_id & _EFF != 0, can_id & _RTR != 0
+        message.is_error_frame = can_id & _ERR != 0
+        message.arbitration_id = can_id & 0x1FFFFFFF
+        message.data = bytearray() if message.is_remote_frame else bytearray(payload[:message.dlc])
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Hand a classical frame to the kernel; raises `can.CanOperationError` with the kernel's errno."""
+        can_id = msg.arbitration_id | _EFF * msg.is_extended_id | _RTR * msg.is_remote_frame | _ERR * msg.is_error_frame
+        try:
+            self.socket.send(_FRAME.pack(can_id, msg.dlc, bytes(msg.data)))
+        except OSError as error:
+            raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
+
+    def shutdown(self) -> None:
+        """Close every socket: the broadcast manager ends what it sends for one, if its interface has not done so."""
+        self._periodic_tasks.clear()
+        super().shutdown()

@@ -1,0 +1,111 @@
+"""The catalogue of effects: everything that plant, compensation, diagnosis, report and `docs/effects.md` know of them.
+
+The rule of this file: an effect is declared once, in `physics/effects_*.py` or at run time by `register`;
+whoever reads the catalogue names no effect in its own code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Final
+
+from parameters import InputError
+from physics.converter import SensorParameters
+from physics.effects import drive_effects, friction_effects, path_effects, sensor_effects
+from physics.effects.effect import Course, Effect, EffectParameter, Values, takes, unchanged
+from physics.plant.state_layout import PlantParameters
+
+__all__ = ["CATALOGUE", "Course", "Effect", "EffectParameter", "Values", "apply", "compensate", "register",
+           "registered", "takes", "unchanged"]
+
+BUS: Final = frozenset({"late_s", "late_share", "lost_share"})
+TABLES: Final[Mapping[str, frozenset[str]]] = {
+    "plant": frozenset(f.name for f in fields(PlantParameters)),
+    "start_sensor": frozenset(f.name for f in fields(SensorParameters)),
+    "end_sensor": frozenset(f.name for f in fields(SensorParameters)),
+    "bus": BUS,
+}
+"""What a forward law may set, by table of a plant model."""
+
+_effects: Final[dict[str, Effect]] = {}
+CATALOGUE: Final[Mapping[str, Effect]] = MappingProxyType(_effects)
+"""Every effect by name, in the order of declaration; grows with `register`."""
+
+
+def register(effect: Effect) -> None:
+    """Add an effect to the catalogue; raises `ValueError` when its name is taken or its forward sets nothing known."""
+    if effect.name in _effects:
+        raise ValueError(f"the catalogue already has an effect {effect.name}")
+    for target in effect.forward:
+        table, _, key = target.partition(".")
+        if key not in TABLES.get(table, frozenset()):
+            raise ValueError(f"{effect.name}: forward sets {target}, which no table of a plant model has")
+    for p in effect.parameters:
+        if not p.low <= p.likely[0] <= p.likely[1] <= p.high:
+            raise ValueError(f"{effect.name}: {p.name} is likely in {p.likely}, outside {p.low} … {p.high}")
+    _effects[effect.name] = effect
+
+
+@contextmanager
+def registered(effect: Effect) -> Iterator[Effect]:
+    """Have `effect` in the catalogue for as long as the context lasts."""
+    register(effect)
+    try:
+        yield effect
+    finally:
+        del _effects[effect.name]
+
+
+def apply(found: Mapping[str, Values]) -> dict[str, dict[str, float]]:
+    """Return the plant model, table → parameter → value, that has the effects of `found` (name → values) at work.
+
+    A value that is left out takes its neutral or, without one, the middle of its likely range.  `trial_s` beside the
+    values says how long the trial is, for effects that are relative to it.  Raises `InputError` for an unknown name.
+    """
+    tables: dict[str, dict[str, float]] = {}
+    for name, given in found.items():
+        values = complete(name, given)
+        for target, law in _effects[name].forward.items():
+            table, _, key = target.partition(".")
+            tables.setdefault(table, {})[key] = law(values)
+    return tables
+
+
+def compensate(course: Course, found: Mapping[str, Values], calibrated: Values = MappingProxyType({})) -> Course:
+    """Return `course` as a controller should meet it that knows of the effects of `found`.
+
+    Laws that two effects share see the values of both, then those `calibrated`, by slot; what sets an exponent comes
+    before what scales it, as in the catalogue.
+    """
+    own = {name: complete(name, given) for name, given in found.items()}
+    values = {**calibrated, **{key: value for each in own.values() for key, value in each.items()}}
+    for name in sorted(own, key=list(_effects).index):
+        course = _effects[name].inverse(course, values)
+    return course
+
+
+def complete(name: str, given: Values) -> dict[str, float]:
+    """Return all values of the effect `name`, those not `given` neutral; raises `InputError` for what it has not."""
+    if name not in _effects:
+        raise InputError(f"effects: {name} is not in the catalogue; expected one of {', '.join(sorted(_effects))}.")
+    known = {p.name: p for p in _effects[name].parameters}
+    for key, value in given.items():
+        if key == "trial_s":
+            continue
+        if key not in known:
+            raise InputError(f"effects: {name} has no parameter {key}; expected one of {', '.join(known)}.")
+        if not known[key].low <= value <= known[key].high:
+            raise InputError(
+                f"effects: {name}.{key} = {value:g} is outside {known[key].low:g} … {known[key].high:g}"
+                f" {known[key].unit}".rstrip() + "; give a value within."
+            )
+    absent = {p.name: sum(p.likely) / 2.0 if p.neutral is None else p.neutral for p in known.values()}
+    return {**absent, **given}
+
+
+for _module in (friction_effects, path_effects, sensor_effects, drive_effects):
+    for _effect in _module.EFFECTS:
+        register(_effect)

@@ -1,0 +1,106 @@
+"""What an effect is: the one declaration that plant, compensation, diagnosis and report read.
+
+The rule of this file: types only.  A value is known by its slot, the name under which `physics.relations.relation`
+reads it; all values are SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from physics.laws import Array
+from physics.relations.sampling_laws import Staleness
+
+Values = Mapping[str, float]
+Law = Callable[[Values], float]
+
+
+class EffectParameter(NamedTuple):
+    """One number of an effect: hard bounds low…high, the range where it is likely, the value at which it is absent.
+
+    `neutral` None: no value means absence; the healthy one is the calibration's (or it only shapes the others).
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    likely: tuple[float, float]
+    neutral: float | None
+    text: str
+
+
+class Course(NamedTuple):
+    """What one run asks of the transmission, by sample, and how an extended controller will meet it.
+
+    The first block is given; an inverse returns a copy with some of the second block changed.  Arrays of one
+    length, SI; slips −1…1; exponents are μθ as positive numbers, turned by the slips.
+    """
+
+    progress: Array
+    desired_n: Array
+    tension_n: Array
+    knee_rad: Array
+    knee_rad_s: Array
+    rope_m: Array
+    rope_m_s: Array
+    time_s: Array
+
+    rope_slip: Array
+    fabric_slip: Array
+    cable_exponent: Array
+    fabric_exponent: Array
+    start_extra_n: Array
+    stretch_m: Array
+    rope_extra_m: Array
+    knee_extra_rad: Array
+    start_gain: Array
+    start_offset_n: Array
+    lead_s: float
+
+
+Inverse = Callable[[Course, Values], Course]
+Measured = Callable[[Mapping[str, Array], Array, Values], Array]
+
+
+def unchanged(course: Course, values: Values) -> Course:
+    """Return `course`: nothing that a controller could do by START, rope and knee undoes this effect."""
+    del values
+    return course
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical cause, declared once.
+
+    `site`: where on the bench. `law`, `source`: formula and origin. `forward`: "table.parameter" → law of the
+    values, for the tables plant, start_sensor, end_sensor and bus of a plant model. `inverse`: compensation.
+    `relations`: the relations between signals that it disturbs. `signature`: how it shows; `words`: the sentence
+    for a report; `rivals`: effects it is confused with; `experiment`: the one that splits them, by its name in
+    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for an effect that the
+    laws of `physics.relations.relation` do not read themselves. `stale`: of an effect of the wire, what it does to the values'
+    ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
+    """
+
+    name: str
+    site: str
+    law: str
+    source: str
+    parameters: tuple[EffectParameter, ...]
+    forward: Mapping[str, Law]
+    relations: tuple[str, ...]
+    signature: str
+    words: str
+    rivals: tuple[str, ...]
+    experiment: str
+    inverse: Inverse = unchanged
+    measured: Mapping[str, Measured] = field(default_factory=dict)
+    stale: Callable[[Values, float], Staleness] | None = None
+    grid: Law | None = None
+
+
+def takes(name: str) -> Law:
+    """Return the law that hands the value `name` on as it is."""
+    return lambda values: values[name]

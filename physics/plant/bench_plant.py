@@ -1,0 +1,125 @@
+"""The plant behind the nodes: what a bench's devices can feel, and the simulated bench that answers.
+
+The rule of this file: torques in, positions, speeds, knee angle and both tensions out, times in integer
+nanoseconds; anything that keeps `Plant` can stand behind the same nodes (entry-point group `bowden.plants`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+
+from parameters import from_table
+from physics.laws import Array
+from physics.plant import step
+from physics.plant.derived import derive, settle
+from physics.plant.state_layout import CABLE_NODES, NODES, SIZE, SLOT, PlantParameters
+from physics.plant.step import STEP_NS
+
+__all__ = ["STEP_NS", "BowdenPlant", "Outputs", "Plant", "PlantParameters", "create", "prepare"]
+
+
+class Outputs(NamedTuple):
+    """What the bench's devices can feel, at one instant."""
+
+    servo_position_m: float
+    servo_velocity_m_s: float
+    knee_motor_rad: float
+    knee_motor_rad_s: float
+    knee_angle_rad: float
+    start_n: float
+    end_n: float
+
+
+class Plant(Protocol):
+    """What stands behind the nodes; made by a factory `(parameters, seed) -> Plant`."""
+
+    def reset(self, time_ns: int) -> Outputs:
+        """Return to the state at power-on, at `time_ns`."""
+        ...
+
+    def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
+        """Hold both torque demands, N·m (the knee's at the knee), up to `until_ns`, and say what is felt then."""
+        ...
+
+    def truth(self) -> Mapping[str, float]:
+        """Return what no device can feel, by name with its unit; for the truth file only."""
+        ...
+
+
+class BowdenPlant:
+    """The simulated bench: `physics.plant.step` over one flat array."""
+
+    __slots__ = ("_memory", "_now_ns", "_out", "parameters")
+
+    def __init__(self, parameters: PlantParameters) -> None:
+        self.parameters = parameters
+        self._memory: Array = np.zeros(SIZE)
+        self._out = self._memory[SLOT.out_servo_x : SLOT.out_servo_x + len(Outputs._fields)]
+        derive(self._memory, parameters)
+        self.reset(0)
+
+    def reset(self, time_ns: int) -> Outputs:
+        """Return to rest at power-on: knee at `start_knee_rad`, rope slack by `start_slack_m`."""
+        self._now_ns = time_ns
+        settle(self._memory, self.parameters)
+        return self.advance(time_ns, 0.0, 0.0)
+
+    def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
+        """Run to the last whole step of 10 µs not after `until_ns` under held demands, N·m."""
+        steps = (until_ns - self._now_ns) // STEP_NS
+        if steps < 0:
+            raise ValueError(f"the plant is at {self._now_ns} ns and cannot go back to {until_ns} ns")
+        if not isfinite(servo_torque_nm + knee_torque_nm):
+            raise ValueError(f"torque demands {servo_torque_nm} and {knee_torque_nm} N·m are not finite numbers")
+        self._now_ns += steps * STEP_NS
+        step.advance(self._memory, steps, servo_torque_nm, knee_torque_nm)
+        return Outputs._make(self._out.tolist())
+
+    def truth(self) -> Mapping[str, float]:
+        """Return the true tensions, the slip states and what else no device feels."""
+        m = self._memory.tolist()
+        cable = m[SLOT.s + 1 : SLOT.s + CABLE_NODES + 1]
+        fabric = m[SLOT.s + CABLE_NODES + 1 : SLOT.s + NODES + 1]
+        return {
+            "true_start_n": m[SLOT.tension],
+            "true_cable_end_n": m[SLOT.tension + CABLE_NODES],
+            "true_end_n": m[SLOT.tension + NODES],
+            "true_knee_angle_rad": m[SLOT.leg_q],
+            "true_knee_velocity_rad_s": m[SLOT.leg_w],
+            "true_knee_motor_rad": m[SLOT.motor_q],
+            "true_servo_position_m": m[SLOT.servo_x] + self.parameters.encoder_zero_m,
+            "true_servo_velocity_m_s": m[SLOT.servo_v],
+            "true_current_a": m[SLOT.current],
+            "true_supply_v": m[SLOT.bus_v],
+            "true_cable_slip": sum(cable) / len(cable),
+            "true_fabric_slip": sum(fabric) / len(fabric),
+            "true_creep_m": m[SLOT.creep],
+        }
+
+    @property
+    def memory(self) -> Array:
+        """A copy of the whole state, by `physics.plant.state_layout.SLOT`."""
+        return self._memory.copy()
+
+
+def create(parameters: dict[str, float], seed: int) -> BowdenPlant:
+    """Make the simulated bench from a table of `PlantParameters`; raises `InputError` for what is not one.
+
+    It draws nothing, so `seed` changes nothing: what scatters from bench to bench comes in `parameters`.
+    """
+    del seed
+    return BowdenPlant(from_table(PlantParameters, parameters, where="plant"))
+
+
+def prepare() -> bool:
+    """Compile the step, or load it from numba's cache; return whether it had to be compiled."""
+    before = sum(step.advance.stats.cache_misses.values())
+    BowdenPlant(PlantParameters())
+    return bool(sum(step.advance.stats.cache_misses.values()) > before)
+
+
+NOMINAL: Final = PlantParameters()

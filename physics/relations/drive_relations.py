@@ -1,0 +1,101 @@
+"""Relations of the drives: `drive_force`, `servo` and `knee` between measured signals.
+
+The rule of this file: a drive is what its target and its force say of it; forces in N and motion in m at the rope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from physics.relations import memory_laws as states
+from physics.relations.measured import Signals, start_tension
+from physics.relations.relation_parameters import SERVO
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Values = Mapping[str, float]
+
+FORCE_PER_AMPERE: Final = SERVO.torque_constant / SERVO.drum_radius_m
+SUBSTEPS: Final = 8
+
+
+def drive_force(signals: Signals, p: Values) -> Array:
+    """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
+    slip, square = signals.remember("drive", p, ("drive_presliding", "drive_calm"), lambda: _turned(signals, p))
+    force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
+    force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
+    if signals.has("tension_start_n"):
+        force = force + signals.later(start_tension(signals, p), p["timestamp_skew"])
+    return np.asarray(force)
+
+
+def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
+    """Return the state −1…1 of the drive's friction and its square: it turns over within milliseconds."""
+    if signals.fine is None:
+        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, p)
+        return slip, slip**2
+    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, p)
+    return signals.fine.thinned(slip), signals.fine.thinned(slip**2)
+
+
+def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
+    slip = states.presliding(position, fresh, p["drive_presliding"])
+    return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
+
+
+@njit(cache=True)
+def tracked(
+    target: Array, load: Array, time: Array, fresh: Mask, bandwidth: float, damping: float, mass: float,
+    coulomb: float, viscous: float, force: float, sag: float, volts: float, ohm: float, constant: float,
+) -> Array:
+    """Return the position that follows `target` by a second-order loop whose force is limited.
+
+    `force`: limit by current, N; `constant`: N per ampere (and V per m/s); the voltage left by the sag limits too.
+    """
+    out = np.empty(target.size)
+    limited = force < np.inf or sag > 0.0
+    w = 2.0 * np.pi * bandwidth
+    x, v, bus = 0.0, 0.0, volts
+    for k in range(target.size):
+        if fresh[k]:
+            x, v = target[k], 0.0
+        else:
+            dt = (time[k] - time[k - 1]) / SUBSTEPS
+            for i in range(SUBSTEPS):
+                part = (i + 1) / SUBSTEPS
+                aim = target[k - 1] + part * (target[k] - target[k - 1])
+                wanted = w * w * (aim - x) - 2.0 * damping * w * v
+                if limited:
+                    resisting = load[k] + viscous * v + coulomb * min(1.0, max(-1.0, v / 1e-3))
+                    most = min(force, max(0.0, (bus - constant * abs(v)) / ohm * constant))
+                    given = min(most, max(-most, mass * wanted + resisting))
+                    bus = max(0.2 * volts, volts - sag * max(0.0, given * v + ohm * (given / constant) ** 2) / volts)
+                    wanted = (given - resisting) / mass
+                v += dt * wanted
+                x += dt * v
+        out[k] = x
+    return out
+
+
+def servo(signals: Signals, p: Values) -> Array:
+    """Predict the rope's position, m, from its target: delay, second-order loop, limits of current and voltage."""
+    aim = signals.later(signals["servo_target_m"], -p["servo_delay"])
+    load = signals["tension_start_n"] if signals.has("tension_start_n") else np.zeros(aim.size)
+    return np.asarray(tracked(
+        aim, load, signals["time_s"], signals.fresh, p["servo_bandwidth"], p["servo_damping"],
+        max(p["drive_inertia"], 1e-3), p["drive_coulomb"], p["drive_viscous"], p["current_limit"] * FORCE_PER_AMPERE,
+        p["supply_ohm"], SERVO.supply_v, SERVO.winding_ohm, FORCE_PER_AMPERE))
+
+
+def knee(signals: Signals, p: Values) -> Array:
+    """Predict the knee angle, rad, from its target: delay and second-order loop."""
+    aim = signals.later(signals["knee_target_rad"], -p["knee_delay"])
+    still = np.zeros(aim.size)
+    return np.asarray(tracked(
+        aim, still, signals["time_s"], signals.fresh, p["knee_bandwidth"], p["knee_damping"], 1.0, 0.0, 0.0,
+        np.inf, 0.0, 1e9, 1.0, 1.0))

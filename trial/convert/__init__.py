@@ -1,0 +1,1 @@
+"""Conversion between trials and other formats: CSV, Parquet, CAN logs, foreign MCAP, python-can."""

@@ -1,0 +1,118 @@
+"""A trial written for other programs: `/cycle` as CSV or Parquet, `/can/frames` as a CAN log.
+
+The rule of this file: a file appears under its name only when it is whole; a column that is unknown throughout is
+left out, an unknown value is an empty cell, and every number reads back as the same float.
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from parameters import InputError
+from trial.assemble import Progress, silent
+from trial.convert import candump
+from trial.read import Trial
+
+ROWS_AT_ONCE = 4096
+Writer = Callable[[Trial, Path, Progress], int]
+PYTHON_CAN = (".asc", ".blf", ".trc")
+
+
+def export(trial: Trial, target: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> int:
+    """Write `trial` in the format that the ending of `target` names; returns the rows or frames written.
+
+    .csv, .csv.gz and .parquet hold cycles; .log (candump), .asc, .blf and .trc frames; `progress` is told the share
+    done, 0 … 1.  Raises `InputError`.
+    """
+    target = Path(target)
+    write = _writer(target)
+    if target.exists() and not overwrite:
+        raise InputError(f"{target}: the file exists; give another name or --overwrite.")
+    part = target.with_name(f".part-{target.name}")
+    try:
+        count = write(trial, part, progress)
+        part.replace(target)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written ({error.strerror}); give a writable path.") from None
+    finally:
+        part.unlink(missing_ok=True)
+    return count
+
+
+def _writer(target: Path) -> Writer:
+    name = target.name.lower()
+    for endings, write in (
+        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".log",), _candump),
+        (PYTHON_CAN, _can_log),
+    ):
+        if name.endswith(endings):
+            return write
+    raise InputError(f"{target}: the ending {target.suffix or 'is missing and'} names no format; expected .csv, "
+                     f".csv.gz, .parquet, .log, {', '.join(PYTHON_CAN)}.")
+
+
+def known_columns(trial: Trial) -> list[str]:
+    """Return the names of the columns that are not unknown throughout; raises `InputError` without any."""
+    names = [name for name, column in trial.columns.items() if not np.isnan(column).all()]
+    if not names:
+        raise InputError(f"{trial.path}: has no cycles to write; export its frames to a .log, .asc, .blf or .trc file.")
+    return names
+
+
+def csv_lines(trial: Trial, progress: Progress = silent) -> Iterator[str]:
+    """Write the header and the rows."""
+    names = known_columns(trial)
+    yield ",".join(names) + "\n"
+    columns = [trial.columns[name] for name in names]
+    for at in range(0, len(trial.time_ns), ROWS_AT_ONCE):
+        for row in np.array([column[at:at + ROWS_AT_ONCE] for column in columns]).T.tolist():
+            yield ",".join([_cell(value) for value in row]) + "\n"
+        progress(min(1.0, (at + ROWS_AT_ONCE) / len(trial.time_ns)))
+
+
+def _cell(value: float) -> str:
+    return "" if value != value else repr(value).removesuffix(".0")
+
+
+def _csv(trial: Trial, part: Path, progress: Progress) -> int:
+    lines = csv_lines(trial, progress)
+    with part.open("w", encoding="utf-8") as file:
+        file.writelines(lines)
+    return len(trial.time_ns)
+
+
+def _csv_gz(trial: Trial, part: Path, progress: Progress) -> int:
+    with part.open("wb") as raw, gzip.GzipFile("", "wb", 6, raw, mtime=0) as file:  # no name, no time: repeatable
+        file.writelines(line.encode() for line in csv_lines(trial, progress))
+    return len(trial.time_ns)
+
+
+def _parquet(trial: Trial, part: Path, progress: Progress) -> int:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise InputError(f"{trial.path}: Parquet needs pyarrow; say pip install bowden-bench[parquet].") from None
+    fields, arrays = [], []
+    for name in known_columns(trial):
+        fields.append(pa.field(name, pa.float64(), metadata={"unit": trial.units[name]}))
+        arrays.append(pa.array(trial.columns[name], from_pandas=True))  # an unknown value becomes null
+    parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), part)
+    progress(1.0)
+    return len(trial.time_ns)
+
+
+def _candump(trial: Trial, part: Path, progress: Progress) -> int:
+    candump.write(part, trial.frames, progress)
+    return len(trial.frames)
+
+
+def _can_log(trial: Trial, part: Path, progress: Progress) -> int:
+    from trial.convert.python_can import write_log
+
+    write_log(part, trial.frames, progress)
+    return len(trial.frames)

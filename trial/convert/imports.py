@@ -1,0 +1,218 @@
+"""Files of others made into trials: tables, CAN logs and foreign MCAP.
+
+The rule of this file: nothing is dropped or changed without a count, and the counts go into the trial's result
+and back to whoever asked.  What may be mended and what is refused is the table in docs/trials.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eds.bench import Network, Wire
+from eds.bench import wire as wire_of
+from parameters import InputError
+from trial import assemble, decode
+from trial.assemble import Content, Progress, silent
+from trial.convert import candump, clock, csv_table, foreign_mcap
+from trial.convert.csv_table import UNPACKED_FLOOR, UNPACKED_RATIO, Source
+from trial.convert.frames import Frames, oddities
+from trial.mcap_file import cdr
+from trial.signals import UNITS
+
+Floats = NDArray[np.float64]
+PYTHON_CAN = (".asc", ".blf", ".trc")
+LONGEST_LINE = 1 << 16  # characters; what is longer is no line of a log
+LINES_TOLD = 1 << 14  # between two words of progress
+READING = 0.7  # of the share: of a CAN log the reading takes longer than the writing
+
+
+@dataclass
+class Imported:
+    """What an import made of a file: counts by name (zeros left out), and what was left out, by name."""
+
+    source: Path
+    counts: dict[str, int] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    channels: dict[str, int] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, object]:
+        """Return the report as the trial's result keeps it."""
+        counts = {name: count for name, count in self.counts.items() if count}
+        return {"imported_from": self.source.name, "counts": counts, "left_out": self.left_out,
+                "channels": self.channels}
+
+
+class Asked(NamedTuple):
+    """What an import is told: where columns come from, what CAN frames mean, and who hears how much is read."""
+
+    mapped: Mapping[str, Source] | None
+    wire: Wire
+    progress: Progress
+
+
+def import_file(
+    source: str | Path, target: str | Path, *, mapped: Mapping[str, Source] | None = None, wire: Wire | None = None,
+    overwrite: bool = False, progress: Progress = silent,
+) -> Imported:
+    """Make a trial of `source`: .csv, .csv.gz, candump .log, .asc, .blf, .trc or .mcap; raises `InputError`.
+
+    `mapped` (see `csv_table.read_map`) names columns of tables; `wire` decodes CAN frames, this bench's by default;
+    `progress` is told the share done, 0 … 1.
+    """
+    source = Path(source)
+    report = Imported(source)
+    reader = _reader(source)
+    if mapped is not None and reader is not _from_csv and reader is not _from_mcap:
+        raise InputError(f"{source}: is a CAN log, which a map does not apply to; leave out --map.")
+    asked = Asked(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
+    content = reader(source, report, asked)
+    assemble.write(target, content, metadata={"imported_from": source.name}, result=report.as_json(),
+                   overwrite=overwrite, progress=lambda share: progress(READING + (1 - READING) * share))
+    return report
+
+
+Reader = Callable[[Path, Imported, Asked], Content]
+
+
+def _reader(source: Path) -> Reader:
+    suffixes = [suffix.lower() for suffix in source.suffixes]
+    ending = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else "".join(suffixes[-1:])
+    if ending == ".csv":
+        return _from_csv
+    if ending == ".log":
+        return _from_candump
+    if ending in PYTHON_CAN and suffixes[-1] != ".gz":
+        return _from_python_can
+    if ending == ".mcap":
+        return _from_mcap
+    raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected .csv or .log "
+                     f"(also .gz), {', '.join(PYTHON_CAN)} or .mcap.")
+
+
+def _from_csv(source: Path, report: Imported, asked: Asked) -> Content:
+    table = csv_table.read(source, asked.mapped)
+    report.counts |= table.counts
+    report.left_out = table.left_out
+    times, columns = _ordered(source, table.columns, report)
+    return Content(times, columns, np.empty(0, cdr.FRAME_ROW), [])
+
+
+def _ordered(source: Path, columns: dict[str, Floats], report: Imported) -> tuple[NDArray[np.int64], dict[str, Floats]]:
+    """Return times ≥ 0 and the columns, rows that repeat the one before left out; time that falls is refused."""
+    seconds = columns["time_s"]
+    unknown = np.flatnonzero(np.isnan(seconds))
+    if len(unknown):
+        raise InputError(f"{source}: row {unknown[0] + 2} has no time; every row needs its time_s.")
+    if np.abs(seconds).max() > 9e9:
+        raise InputError(f"{source}: time_s reaches {np.abs(seconds).max():g} s; is it in another unit? Give --map.")
+    rows = np.array(list(columns.values()))
+    same = np.append(False, ((rows[:, 1:] == rows[:, :-1]) | (np.isnan(rows[:, 1:]) & np.isnan(rows[:, :-1]))).all(0))
+    report.counts["repeated_rows"] = int(same.sum())
+    kept = np.flatnonzero(~same)
+    falls = np.flatnonzero(np.diff(seconds[kept]) <= 0)
+    if len(falls):
+        row = kept[falls[0] + 1]
+        raise InputError(f"{source}: row {row + 2}: time_s = {seconds[row]:g} does not rise; sort or cut the file.")
+    times = np.rint(seconds[kept] * 1e9).astype(np.int64)
+    mended = clock.mend(times)
+    report.counts["shifted_ns"] = mended.shift_ns
+    return mended.times, {name: column[kept] for name, column in columns.items()}
+
+
+def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
+    import gzip
+    import io
+
+    try:
+        with source.open("rb") as raw:
+            unpacked = gzip.GzipFile(fileobj=raw) if source.suffix == ".gz" else raw
+            lines = io.TextIOWrapper(unpacked, encoding="ascii", errors="replace")
+            frames = candump.read(_followed(lines, raw, source, asked.progress))
+    except FileNotFoundError:
+        raise InputError(f"{source}: no such file; give the path of a CAN log.") from None
+    except InputError:
+        raise
+    except (OSError, EOFError, ValueError) as error:
+        raise InputError(f"{source}: cannot be read ({error}); give a candump -L log.") from None
+    if frames.counts["malformed_lines"] > len(frames.rows):
+        raise InputError(f"{source}: {frames.counts['malformed_lines']} lines are not as candump -L writes them; "
+                         "give such a log.")
+    return _from_log(source, frames, report, asked.wire)
+
+
+def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) -> Iterator[str]:
+    """Yield `lines`, cut where they are endless, and tell how much of the file `raw` that took."""
+    size, unpacked = os.fstat(raw.fileno()).st_size, 0
+    limit = max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
+    for number, line in enumerate(iter(lambda: lines.readline(LONGEST_LINE), ""), start=1):
+        unpacked += len(line)
+        if unpacked > limit:
+            raise InputError(f"{source}: unpacks to more than {limit} bytes; it is no measured log, do not open it.")
+        if not number % LINES_TOLD:
+            progress(min(1.0, raw.tell() / size))
+        yield line
+
+
+def _from_log(source: Path, frames: Frames, report: Imported, wire: Wire) -> Content:
+    if not len(frames.rows):
+        raise InputError(f"{source}: holds no CAN frame; give a log in the format that its ending names.")
+    return _from_frames(frames, report, wire)
+
+
+def _from_python_can(source: Path, report: Imported, asked: Asked) -> Content:
+    from trial.convert.python_can import read_log
+
+    return _from_log(source, read_log(source, asked.progress), report, asked.wire)
+
+
+def _from_mcap(source: Path, report: Imported, asked: Asked) -> Content:
+    found = foreign_mcap.read(source)
+    report.left_out = found.left_out
+    content = _from_frames(found.frames, report, asked.wire)
+    if found.columns:
+        columns = _mapped_columns(source, found, asked.mapped, report)
+        content.columns = columns
+        content.times, coarse = clock.rising(clock.mend(found.times).times)
+        report.counts["coarse_stamps"] = coarse
+        report.counts["cycles"] = len(content.times)
+    elif asked.mapped:
+        raise InputError(f"{source}: has no table that a map applies to; leave out --map.")
+    if not len(content.frames) and not content.columns:
+        topics = ", ".join(found.left_out) or "none"
+        raise InputError(f"{source}: no topic that can be read (it has {topics}); expected {cdr.FRAME_SCHEMA_NAME} "
+                         "or a stamp and float64 columns, in CDR.")
+    return content
+
+
+def _mapped_columns(
+    source: Path, found: foreign_mcap.Found, mapped: Mapping[str, Source] | None, report: Imported
+) -> dict[str, Floats]:
+    columns = {}
+    for name, unit in found.units.items():
+        if name in UNITS:
+            columns[name] = found.columns[name] * Source(column=name, unit=unit).factor(name, f"{source}: {name}")
+    for name, given in (mapped or {}).items():
+        if given.column not in found.columns:
+            raise InputError(f"{source}: the map takes {name} from {given.column!r}, which is no column of the file.")
+        columns[name] = found.columns[given.column] * given.factor(name, str(source)) + given.offset
+    taken = {given.column for given in (mapped or {}).values()}
+    report.left_out += [name for name in found.columns if name not in columns and name not in taken]
+    return columns
+
+
+def _from_frames(frames: Frames, report: Imported, wire: Wire) -> Content:
+    mended = clock.mend(frames.rows["time_ns"])
+    frames.rows["time_ns"] = mended.times
+    report.counts |= frames.counts | oddities(frames.rows)
+    report.counts |= {"frames": len(frames.rows), "clock_steps": mended.steps, "shifted_ns": mended.shift_ns}
+    report.channels = frames.channels
+    events, found = decode.decoded_events_and_cycles(frames.rows, wire)
+    report.counts |= found.counts
+    return Content(found.time_ns, found.columns, frames.rows, events)

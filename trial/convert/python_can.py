@@ -1,0 +1,196 @@
+"""`.mcap` in python-can: `can.LogReader`, `can.Logger`, `can.logconvert` and `can.player` read and write trials.
+
+The rule of this file: the only one of the room that imports `can`; python-can loads it by entry point, the room
+itself only where a CAN log of python-can's formats is asked for.  Times stay integers as long as they can: a
+message read from a trial carries `time_ns` beside python-can's seconds.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import can
+import numpy as np
+from can.io.generic import BinaryIOMessageReader, SizedMessageWriter, TextIOMessageReader
+from can.io.player import MESSAGE_READERS
+from numpy.typing import NDArray
+
+from parameters import InputError
+from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
+from trial.mcap_file import cdr
+from trial.read import frames_of
+from trial.record import Recorder
+
+ROWS_AT_ONCE = 4096
+UNPACKED_LIMIT = 1 << 30  # of a gzipped trial, bytes
+CONTAINER_LIMIT = 64 << 20  # of a BLF container, bytes; loggers write some 128 KiB
+_OBJECT, _CONTAINER, _DEFLATED = struct.Struct("<4sHHLL"), 10, b"\x02"  # as can.io.blf reads them
+
+
+class TrialMessage(can.Message):
+    """A message with its exact time: `timestamp` is `time_ns` in seconds, as near as a float comes."""
+
+    __slots__ = ("time_ns",)
+
+    def __init__(self, time_ns: int, **fields: Any) -> None:
+        super().__init__(timestamp=time_ns / 1e9, **fields)
+        self.time_ns = time_ns
+
+
+def messages(rows: NDArray[np.void]) -> Iterator[TrialMessage]:
+    """Turn `cdr.FRAME_ROW`s into messages; channels are `can0`, `can1` … as the trial names them."""
+    parts = (rows[at:at + ROWS_AT_ONCE].tolist() for at in range(0, len(rows), ROWS_AT_ONCE))
+    for time_ns, can_id, flags, dlc, channel, sent, data in chain.from_iterable(parts):
+        remote = bool(flags & cdr.REMOTE)
+        yield TrialMessage(
+            time_ns, arbitration_id=can_id, is_extended_id=bool(flags & cdr.EXTENDED), is_remote_frame=remote,
+            is_error_frame=bool(flags & cdr.ERROR), channel=f"can{channel}", dlc=dlc,
+            data=None if remote else bytes(data[:dlc]), is_rx=not sent,
+        )
+
+
+def time_ns_of(message: can.Message) -> int:
+    """Return a message's time: exact where it carries it, else to the microsecond that its format has."""
+    exact = getattr(message, "time_ns", None)
+    return exact if isinstance(exact, int) else round(message.timestamp * 1e6) * 1000
+
+
+def flags_of(message: can.Message) -> int:
+    """Return the flags of `cdr`."""
+    return (message.is_remote_frame * cdr.REMOTE | message.is_extended_id * cdr.EXTENDED
+            | message.is_error_frame * cdr.ERROR)
+
+
+def payload_of(message: can.Message) -> bytes:
+    """Return the bytes to record: of a remote frame as many zeros as its DLC says."""
+    return bytes(min(message.dlc, 8)) if message.is_remote_frame else bytes(message.data)
+
+
+class McapReader(BinaryIOMessageReader):
+    """Iterates over the CAN frames of a trial, in order of recording."""
+
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO, **_options: Any) -> None:
+        super().__init__(file)
+        self._where = str(getattr(file, "name", file))
+
+    def __iter__(self) -> Iterator[can.Message]:
+        with self.file:
+            data = self.file.read(UNPACKED_LIMIT + 1)
+        if len(data) > UNPACKED_LIMIT:
+            raise InputError(f"{self._where}: larger than {UNPACKED_LIMIT} bytes; unpack it first.")
+        yield from messages(frames_of(data, self._where))
+
+
+class McapWriter(SizedMessageWriter):
+    """Writes CAN messages as a trial without cycles, from a thread of its own; an existing file is replaced.
+
+    CAN FD frames do not fit `can_msgs/msg/Frame` and are left out, counted in the result as `fd_frames`.
+    """
+
+    def __init__(self, file: str | os.PathLike[str], append: bool = False, **_options: Any) -> None:
+        if append:
+            raise InputError(f"{file}: a trial cannot be appended to; give a new name.")
+        self._path = Path(file)
+        self._recorder = Recorder(self._path, metadata={"source": "python-can"}, attachments={}, overwrite=True,
+                                  signals=())
+        self._channels = ChannelNumbers()
+        self._fd_frames = 0
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Record one message."""
+        if msg.is_fd:
+            self._fd_frames += 1
+            return
+        self._recorder.frame(time_ns_of(msg), msg.arbitration_id, payload_of(msg), flags_of(msg),
+                             self._channels.number(msg.channel), not msg.is_rx)
+
+    def stop(self) -> None:
+        """Write what is waiting and close the file."""
+        self._recorder.close({"fd_frames": self._fd_frames, "channels": self._channels.names})
+
+    def file_size(self) -> int:
+        """Return the size of the file now, in bytes."""
+        return self._path.stat().st_size
+
+
+def _refuse_bomb(path: Path) -> None:
+    """Raise `InputError` for a BLF container that no logger wrote; python-can unpacks each whole, however large."""
+    with path.open("rb") as file:
+        file.seek(int.from_bytes(file.read(8)[4:], "little"))
+        while len(head := file.read(_OBJECT.size)) == _OBJECT.size:
+            signature, _, _, size, kind = _OBJECT.unpack(head)
+            if signature != b"LOBJ" or size < _OBJECT.size:
+                return  # python-can says what is wrong
+            body = file.read(size - _OBJECT.size)
+            file.read(size % 4)
+            if kind == _CONTAINER and body[:1] == _DEFLATED:
+                unpacked = zlib.decompressobj().decompress(body[16:], CONTAINER_LIMIT + 1)
+                if len(unpacked) > CONTAINER_LIMIT:
+                    raise InputError(f"{path}: a container unpacks to more than {CONTAINER_LIMIT} bytes; "
+                                     "it is no measured log, do not open it.")
+
+
+def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> Frames:
+    """Read a log that python-can knows (.asc, .blf, .trc …); raises `InputError` where it makes no sense.
+
+    `counts` tells CAN FD frames, which a trial cannot hold, and frames that are none; `progress` is told the share
+    read, 0 … 1.
+    """
+    rows = Gathered()
+    channels = ChannelNumbers()
+    counts = {"fd_frames": 0, "malformed_frames": 0}
+    try:
+        if path.suffix.lower() == ".blf":
+            _refuse_bomb(path)
+        reader_type: Any = MESSAGE_READERS[path.suffix.lower()]
+        text = issubclass(reader_type, TextIOMessageReader)
+        with path.open("r" if text else "rb", encoding="utf-8" if text else None) as file, reader_type(file) as reader:
+            raw: Any = getattr(file, "buffer", file)
+            for number, message in enumerate(reader, start=1):
+                if number % ROWS_AT_ONCE == 0:
+                    progress(min(1.0, raw.tell() / path.stat().st_size))
+                if message.is_fd:
+                    counts["fd_frames"] += 1
+                elif len(payload_of(message)) > 8 or not math.isfinite(message.timestamp):
+                    counts["malformed_frames"] += 1
+                else:
+                    rows.add(_row(message, channels))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; give the path of a CAN log.") from None
+    except InputError:
+        raise
+    except Exception as error:  # python-can's readers raise whatever their parsing meets
+        reason = str(error) or type(error).__name__
+        raise InputError(f"{path}: after {len(rows)} frames: {reason}; mend the file or cut it there.") from None
+    return Frames(rows.rows(), channels.names, counts)
+
+
+def _row(message: can.Message, channels: ChannelNumbers) -> Row:
+    data = payload_of(message)
+    return (time_ns_of(message), message.arbitration_id, flags_of(message), len(data),
+            channels.number(message.channel), not message.is_rx, data)
+
+
+def write_log(path: Path, rows: NDArray[np.void], progress: Callable[[float], None] = lambda share: None) -> None:
+    """Write frames in the format that the file's ending names (.asc, .blf, .log, .trc …).
+
+    `progress` is told the share done, 0 … 1.
+    """
+    try:
+        with can.Logger(path) as writer:
+            for done, message in enumerate(messages(rows), start=1):
+                writer.on_message_received(message)
+                if done % ROWS_AT_ONCE == 0 or done == len(rows):
+                    progress(done / len(rows))
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be written ({error}); give another name.") from None
+
+
+__all__ = ["McapReader", "McapWriter", "TrialMessage", "messages", "read_log", "write_log"]

@@ -1,0 +1,1 @@
+"""The report of a trial: one HTML page that needs no network."""

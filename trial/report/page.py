@@ -1,0 +1,222 @@
+"""One HTML file that needs no network: text, tables and plots that zoom together.
+
+The rule of this file: every text that comes in is escaped, every number arrives in bulk, and the page forbids
+itself to load anything.  What it says is its caller's; trials and diagnoses are both told on it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from parameters import InputError
+from trial.report.packing import Pool
+
+Cell = str | int | float | None
+POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
+ROWS_SHOWN = 5000
+UNKNOWN = "–"
+
+
+class Series(NamedTuple):
+    """A line: `values` along the plot's x, NaN where unknown; with `high` the band between the two, filled.
+
+    Series of one label share a legend entry.  `steps` holds each value to the next; `points` draws no line.
+    """
+
+    label: str
+    values: ArrayLike
+    colour: str
+    high: ArrayLike | None = None
+    width: float = 1.3
+    dash: bool = False
+    steps: bool = False
+    points: bool = False
+
+
+class Tile(NamedTuple):
+    """A figure in large type: text of its value, unit, what it is, and what to hold it against."""
+
+    value: str
+    unit: str
+    label: str
+    remark: str = ""
+
+
+class Page:
+    """A page under construction; what is added appears in that order, under the last `section`."""
+
+    def __init__(self, title: str, subtitle: str = "", *, badge: tuple[str, str] | None = None) -> None:
+        """`badge` is a word beside the title and its kind: good, bad, warn or plain."""
+        self.title = title
+        word = "" if badge is None else f'<span class="badge {_kind(badge[1])}">{_text(badge[0])}</span>'
+        below = f'<p class="subtitle">{_text(subtitle)}</p>' if subtitle else ""
+        self._head = f"<h1>{_text(title)}{word}</h1>{below}"
+        self._sections: list[tuple[str, list[str]]] = []
+        self._pool = Pool()
+        self._plots: list[dict[str, Any]] = []
+
+    def section(self, title: str) -> None:
+        """Begin a section; the page's navigation lists it."""
+        self._sections.append((title, []))
+
+    def text(self, text: str, kind: str = "") -> None:
+        """Add a paragraph; `kind` is empty, note (small) or warning."""
+        self._add(f'<p class="{_kind(kind)}">{_text(text)}</p>')
+
+    def heading(self, text: str) -> None:
+        """Add a heading inside the section."""
+        self._add(f"<h3>{_text(text)}</h3>")
+
+    def tiles(self, tiles: Sequence[Tile]) -> None:
+        """Add figures in large type."""
+        self._add('<div class="tiles">' + "".join(
+            f'<div class="tile"><div class="value">{_text(one.value)} <span class="unit">{_text(one.unit)}</span></div>'
+            f'<div class="label">{_text(one.label)}</div><div class="remark">{_text(one.remark)}</div></div>'
+            for one in tiles) + "</div>")
+
+    def facts(self, facts: Mapping[str, Cell]) -> None:
+        """Add names with one value each, in columns."""
+        self._add("<dl>" + "".join(
+            f"<div{_long(value)}><dt>{_text(name)}</dt><dd>{_text(_cell(value))}</dd></div>"
+            for name, value in facts.items()) + "</dl>")
+
+    def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], *, tall: bool = False) -> None:
+        """Add a table; columns of numbers (None: unknown) stand to the right.  `tall` scrolls in a box of its own.
+
+        More than 5000 rows are cut, and the table says so.
+        """
+        figure = [bool(rows) and all(not isinstance(row[place], str) or row[place] == UNKNOWN for row in rows)
+                  for place in range(len(header))]
+        kinds = [' class="figure"' if right else "" for right in figure]
+        head = "".join(f"<th{kind}>{_text(name)}</th>" for kind, name in zip(kinds, header, strict=True))
+        body = "".join("<tr>" + "".join(f"<td{kind}>{_text(_cell(value))}</td>"
+                                        for kind, value in zip(kinds, row, strict=True)) + "</tr>"
+                       for row in rows[:ROWS_SHOWN])
+        self._add(f'<div class="{"tall" if tall else "wide"}"><table><thead><tr>{head}</tr></thead>'
+                  f"<tbody>{body}</tbody></table></div>")
+        if len(rows) > ROWS_SHOWN:
+            self.text(f"The first {ROWS_SHOWN} of {len(rows)} rows.", "note")
+
+    def attachment(self, name: str, text: str) -> None:
+        """Add a file's text, folded up under its name."""
+        self._add(f"<details><summary>{_text(name)}</summary><pre>{_text(text)}</pre></details>")
+
+    def plot(
+        self, title: str, x: ArrayLike, series: Sequence[Series], x_label: str, y_label: str, *,
+        linked: str | None = None, marks: Sequence[float] = (), height: int = 240,
+    ) -> None:
+        """Add a plot of `series` along `x`, which must not fall.  Plots with the same `linked` zoom together.
+
+        Drag zooms, a double click shows all.  `marks` are places on x with a dashed line; `height` is in CSS pixels.
+        ValueError where x falls or is unknown somewhere, or a series has another length.
+        """
+        along, drawn = _floats(x), [one for one in series if np.isfinite(_floats(one.values)).any()]
+        if not np.isfinite(along).all() or (np.diff(along) < 0).any():
+            raise ValueError(f"plot {title!r}: x must be known and must not fall")
+        lengths = {len(_floats(one)) for each in series for one in (each.values, each.high) if one is not None}
+        if lengths - {len(along)}:
+            raise ValueError(f"plot {title!r}: {len(along)} values of x, but series of {sorted(lengths)}")
+        if not drawn:
+            self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="plot empty">Nothing was recorded '
+                      "for this plot.</div></figure>")
+            return
+        number = f"plot-{len(self._plots)}"
+        self._plots.append({
+            "id": number, "x": self._pool.abscissa(along), "x_label": x_label, "y_label": y_label, "height": height,
+            "linked": linked, "marks": [float(mark) for mark in marks], "series": [self._packed(one) for one in drawn]})
+        self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="legend"></div>'
+                  f'<div class="plot" id="{number}" role="img" aria-label="{_text(title)}"></div></figure>')
+
+    def _packed(self, one: Series) -> dict[str, Any]:
+        high = None if one.high is None else self._pool.ordinate(_floats(one.high))
+        style = {name: value for name, value in one._asdict().items() if name != "values"}
+        return style | {"y": self._pool.ordinate(_floats(one.values)), "high": high}
+
+    def _add(self, html: str) -> None:
+        if not self._sections:
+            self.section("Summary")
+        self._sections[-1][1].append(html)
+
+    def html(self) -> str:
+        """Return the whole page."""
+        data = json.dumps({"arrays": self._pool.packed, "plots": self._plots}, ensure_ascii=True, allow_nan=False)
+        links = "".join(f'<a href="#section-{number}">{_text(title)}</a>'
+                        for number, (title, _) in enumerate(self._sections))
+        content = "".join(f'<section id="section-{number}"><h2>{_text(title)}</h2>{"".join(parts)}</section>'
+                          for number, (title, parts) in enumerate(self._sections))
+        return (
+            f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{_text(self.title)}</title>\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<!-- With uPlot:\n{asset('uPlot.LICENSE')}-->\n"
+            f"<style>{asset('uPlot.min.css')}</style>\n<style>{asset('page.css')}</style>\n</head>\n<body>\n"
+            f"<header>{self._head}<noscript><p>The plots need JavaScript; the tables do not.</p></noscript></header>\n"
+            f"<nav><div>{links}</div></nav>\n<main>{content}</main>\n"
+            "<footer>Drag across a plot to zoom, double-click to show all; plots over the same axis move together. "
+            "Click a name above a plot to hide or show it.</footer>\n"
+            '<div class="window" hidden><span></span><button type="button">show all</button></div>\n'
+            f'<script type="application/json" id="page-data">{data.replace("<", chr(92) + "u003c")}</script>\n'
+            f"<script>{asset('uPlot.iife.min.js')}</script>\n<script>{asset('page.js')}</script>\n</body>\n</html>\n")
+
+    def write(self, path: str | Path, *, overwrite: bool = False) -> int:
+        """Write the page and return its bytes; the file appears whole or not at all.  Raises `InputError`."""
+        path = Path(path)
+        if path.exists() and not overwrite:
+            raise InputError(f"{path}: the file exists; give another name or --overwrite.")
+        content = self.html().encode(errors="backslashreplace")
+        part = path.with_name(f".part-{path.name}")
+        try:
+            part.write_bytes(content)
+            part.replace(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}); give a writable path.") from None
+        finally:
+            part.unlink(missing_ok=True)
+        return len(content)
+
+
+def asset(name: str) -> str:
+    """Return the text of a file that every page carries."""
+    return resources.files("trial").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number with `digits` significant digits, the minus typographic; a dash where it is unknown."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def _cell(value: Cell) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, bool | int):
+        return str(value)
+    return number(value)
+
+
+def _long(value: Cell) -> str:
+    return ' class="long"' if isinstance(value, str) and len(value) > 32 else ""
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, np.float64)
+
+
+def _kind(word: str) -> str:
+    if word not in ("", "note", "warning", "good", "bad", "warn", "plain"):
+        raise ValueError(f"{word!r} is no kind of text or badge")
+    return word
+
+
+def _text(text: str) -> str:
+    return escape(text, quote=True).replace("\0", "␀")

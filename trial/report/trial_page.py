@@ -1,0 +1,161 @@
+"""A trial as one HTML page: who and what, figures, force, motion, timing, bus, events, what it carried.
+
+The rule of this file: the report says what was recorded and judges by `metrics` alone; what is missing is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from trial import metrics
+from trial.read import Trial
+from trial.report import bus_section, force_section
+from trial.report.bus_section import FrameBits
+from trial.report.page import UNKNOWN, Cell, Page, Tile, number
+from trial.report.setting import Setting, known, setting, unknown
+
+FIGURES = (
+    ("relative_rmse_percent", "%", "relative RMSE of END, whole gait cycles, by the peak"),
+    ("relative_rmse_window_percent", "%", "the same within 10…30 % of gait"),
+    ("max_idle_tension_n", "N", "largest END tension while none is wanted"),
+    ("peak_jump_n", "N", "largest jump of END over 20 ms at the peak"),
+)
+NEEDED = ("gait_percent", "cycle", "desired_force_n", "tension_end_n")
+SAID = ("outcome", "stop_reason", "warning")  # of the result, said above the others
+FOLDED = ("bench.toml", "calibration.toml", "packages.txt")  # attachments in this order, then the others
+
+
+def write(
+    trial: Trial, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
+    bound_percent: float | None = None, overwrite: bool = False, progress: Callable[[float], None] = lambda share: None,
+) -> int:
+    """Write the report of `trial` as one HTML file; returns its bytes.  Raises `InputError`.
+
+    `published` are others' figures by name, to stand beside; `bound_percent` is the bus load computed beforehand;
+    `progress` is told the share done, 0 … 1.
+    """
+    page = build(trial, frame_bits, published or {}, bound_percent, progress)
+    return page.write(path, overwrite=overwrite)
+
+
+def build(
+    trial: Trial, frame_bits: FrameBits, published: Mapping[str, str], bound_percent: float | None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Page:
+    """Return the page of a trial."""
+    judged = setting(trial)
+    page = _head(trial)
+    parts: tuple[Callable[[], None], ...] = (
+        lambda: _summary(page, trial, judged, published),
+        lambda: force_section.force(page, trial, judged),
+        lambda: force_section.motion(page, trial),
+        lambda: bus_section.timing(page, trial, judged),
+        lambda: bus_section.load(page, trial, frame_bits, bound_percent),
+        lambda: _events(page, trial),
+        lambda: _carried(page, trial),
+        lambda: _reading(page, trial),
+    )
+    for done, part in enumerate(parts, start=1):
+        part()
+        progress(done / len(parts))
+    return page
+
+
+def _head(trial: Trial) -> Page:
+    told, result = trial.metadata, trial.result
+    title = " ".join(("Trial", trial.path.name))
+    parts = [told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
+             _of(told, "cycles", "gait cycles"), _of(told, "rate_hz", "Hz"),
+             f"controller {told['controller']}" if "controller" in told else "",
+             f"calibration {told['calibration']}" if "calibration" in told else "",
+             f"imported from {told['imported_from']}" if "imported_from" in told else ""]
+    outcome = "no result" if result is None else str(result.get("outcome", "recorded"))
+    kind = {"completed": "good", "stopped": "bad", "no result": "warn"}.get(outcome, "plain")
+    return Page(title, " · ".join(part for part in parts if part), badge=(outcome, kind))
+
+
+def _of(told: Mapping[str, str], name: str, unit: str) -> str:
+    return f"{told[name].removesuffix('.0')} {unit}" if name in told else ""
+
+
+def _summary(page: Page, trial: Trial, judged: Setting, published: Mapping[str, str]) -> None:
+    page.section("Summary")
+    result = trial.result or {}
+    if result.get("stop_reason"):
+        page.text(f"Stopped: {result['stop_reason']}", "warning")
+    if result.get("warning"):
+        page.text(f"Warning: {result['warning']}", "warning")
+    if trial.result is None:
+        page.text("The recording has no result: it was cut off, or is not finished.", "warning")
+    if trial.recovered is not None:
+        page.text("Recovered from a torn recording; control cycles may be missing.", "warning")
+    _figures(page, trial, judged, published)
+    seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
+    page.facts({
+        **trial.metadata,
+        **{name: _told(value) for name, value in result.items() if name not in SAID and value is not None},
+        "control cycles": len(trial.time_ns), "recorded time (s)": seconds, "CAN frames": len(trial.frames),
+        "events": len(trial.events)})
+    missing = unknown(trial)
+    if missing:
+        page.text(f"Not in this trial: {', '.join(missing)}.", "note")
+
+
+def _told(value: object) -> Cell:
+    if isinstance(value, list):
+        return ", ".join(number(one) if isinstance(one, float) else str(one) for one in value)
+    return value if isinstance(value, str | int | float | None) else str(value)
+
+
+def _figures(page: Page, trial: Trial, judged: Setting, published: Mapping[str, str]) -> None:
+    lacking = [name for name in NEEDED if known(trial, name) is None]
+    if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
+        page.text(f"No figures of force: {', '.join(lacking) or 'peak, rate or gait cycles'} not known.", "note")
+        return
+    found = metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
+                            settle=judged.settle)
+    page.tiles([Tile(number(found[name], 3), unit if found[name] is not None else "",
+                     text, f"paper: {published[name]}" if name in published else "")
+                for name, unit, text in FIGURES])
+    page.text(f"Gait cycles {judged.settle} to {judged.cycles - 1} count, peak {number(judged.peak_n)} N; END as "
+              "recorded at the latch that holds the desired force; in idle and at the peak after a 20 Hz zero-phase "
+              "low-pass."
+              + (f" Read off the columns: {', '.join(judged.read_off)}." if judged.read_off else ""), "note")
+
+
+def _events(page: Page, trial: Trial) -> None:
+    page.section("Events")
+    if not trial.events:
+        page.text("No events were recorded.", "note")
+        return
+    first = int(trial.time_ns[0]) if len(trial.time_ns) else trial.events[0].time_ns
+    page.table(("time_s", "kind", "source", "text"), [
+        (f"{(event.time_ns - first) / 1e9:.6f}".replace("-", "−"), event.kind, event.source, event.text)
+        for event in trial.events], tall=len(trial.events) > 15)
+
+
+def _carried(page: Page, trial: Trial) -> None:
+    page.section("Configuration, calibration, software")
+    if trial.metadata.get("commit"):
+        page.facts({"commit": trial.metadata["commit"]})
+    names = [name for name in FOLDED if name in trial.attachments]
+    for name in [*names, *(name for name in trial.attachments if name not in names)]:
+        page.attachment(name, trial.attachments[name].decode(errors="replace"))
+    if not trial.attachments:
+        page.text("The trial carries no files.", "note")
+
+
+def _reading(page: Page, trial: Trial) -> None:
+    page.section("How to read it")
+    rows, bins = len(trial.time_ns), force_section.BINS
+    if rows > 2 * bins:
+        span = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e6 / bins
+        thinning = (f"Plots over time draw the least and greatest of every {span:.3g} ms ({rows} rows in {bins} bins): "
+                    "no peak is lost; order within a bin and gaps shorter than it are.")
+    else:
+        thinning = f"Plots over time draw every one of the {rows} rows."
+    page.text(f"{thinning} Against the phase, a gait cycle is drawn by least and greatest of up to "
+              f"{force_section.PHASE_BINS} bins. Figures are computed from every row.", "note")
+    page.text(f"Signals have their names in /cycle and its units (SI, rad); {UNKNOWN} is unknown. Time counts from the "
+              "first control cycle, so bring-up is negative. A line breaks where rows are missing.", "note")
