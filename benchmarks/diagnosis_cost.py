@@ -65,8 +65,8 @@ def kinds() -> list[str]:
 
 def main(arguments: list[str]) -> None:
     """Print both tables."""
-    said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {provenance.commit()}: one thread, a trial beside "
-            "two healthy ones of the same length.")
+    said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {provenance.commit()}: one thread, "
+            "a trial beside two healthy ones of the same length.")
     text = "\n".join([said, "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
     print(text)
     if "--page" in arguments:

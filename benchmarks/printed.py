@@ -20,7 +20,7 @@ from physics.reference import paper_reference
 PERIOD_S = 2.0
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """One gait cycle: desired force (N), exponents and slip directions, sign of the rope's acceleration."""
 
     desired_n: Array
@@ -31,7 +31,7 @@ class Course(NamedTuple):
     rope_turned: Array
 
 
-def course(peak_n: float) -> Course:
+def course(peak_n: float) -> Trajectory:
     """Return the paper's gait cycle on the nominal bench."""
     reference = paper_reference(peak_n, PERIOD_S)
     wanted = [reference.at(i / CYCLE_POINTS) for i in range(CYCLE_POINTS)]
@@ -39,32 +39,32 @@ def course(peak_n: float) -> Course:
     knee = np.array([w.knee_angle_rad for w in wanted])
     position = laws.rope_position(desired, knee)
     velocity = np.roll(position, -1) - np.roll(position, 1)
-    return Course(
+    return Trajectory(
         desired, NOMINAL.mu1 * NOMINAL.theta1_rad,
         NOMINAL.mu2 * (NOMINAL.wrap_rad + NOMINAL.fabric_wrap * np.abs(knee)), np.sign(velocity),
         np.sign(np.roll(desired, -1) - np.roll(desired, 1)), np.sign(np.roll(velocity, -1) - np.roll(velocity, 1)))
 
 
-def at_end(start_n: Array, on: Course) -> Array:
+def at_end(start_n: Array, on: Trajectory) -> Array:
     """Return what END feels of START, N: (3) and (7)."""
     felt: Array = start_n * np.exp(-on.cable * on.rope - on.fabric * on.strain)
     return felt
 
 
-def separate_losses(on: Course) -> Array:
+def separate_losses(on: Trajectory) -> Array:
     """(4) and (8) added to the desired force one by one, instead of in series."""
     start = on.desired_n + laws.cable_loss(on.desired_n, on.cable, on.rope) + laws.fabric_loss(
         on.desired_n, on.fabric, on.strain)
     return at_end(start, on) - on.desired_n
 
 
-def turned_by_acceleration(on: Course) -> Array:
+def turned_by_acceleration(on: Trajectory) -> Array:
     """The cable's friction turned by the sign of v̇, as the text says, instead of v."""
     start = laws.series_input(on.desired_n, on.cable, on.rope_turned, on.fabric, on.strain)
     return at_end(start, on) - on.desired_n
 
 
-def inverted_at_start(on: Course) -> Array:
+def inverted_at_start(on: Trajectory) -> Array:
     """(10) inverted at the force that START needs, instead of END's; the rope before the friction stretches rightly."""
     start = laws.series_input(on.desired_n, on.cable, on.rope, on.fabric, on.strain)
     beyond = np.where(start < laws.STIFFNESS_TURNING_N, start, np.nan)
@@ -74,7 +74,7 @@ def inverted_at_start(on: Course) -> Array:
     return np.where(on.desired_n > 0.0, error, 0.0)
 
 
-def printed_sum(on: Course) -> Array:
+def printed_sum(on: Trajectory) -> Array:
     """(10) + (11) in their printed zeros, instead of one zero at 13 % of gait and 20 N."""
     error: Array = zero_error_m() / laws.stiffness_slope(on.desired_n)
     return np.where(on.desired_n > 0.0, error, 0.0)
@@ -85,7 +85,7 @@ def zero_error_m() -> float:
     return float(laws.swing_displacement(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)))
 
 
-APPROXIMATIONS: dict[str, Callable[[Course], Array]] = {
+APPROXIMATIONS: dict[str, Callable[[Trajectory], Array]] = {
     "fL and fT added separately": separate_losses,
     "(10) inverted at START force": inverted_at_start,
     "friction turned by the sign of v̇": turned_by_acceleration,

@@ -31,9 +31,8 @@ from eds.setup import Pdo
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
-from master.cycle.run_safely import conduct
+from master.cycle.run_safely import collector_frozen, run_safely
 from master.motion.experiment import Experiment, Planned
-from master.motion.gait import collector_frozen
 from master.network.host_computer import prepared
 from master.network.link import WANTED, Link
 from master.network.socketcan import KernelBus
@@ -77,7 +76,7 @@ def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool 
         bus.set_filters(WANTED)
         link = Link(bus, time.time_ns)
         if served:
-            outcome = conduct(link, tap, recorder, network, Limits(), perform)
+            outcome = run_safely(link, tap, recorder, network, Limits(), perform)
             if outcome.reason is not None:
                 raise RuntimeError(outcome.reason)
         else:

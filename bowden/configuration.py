@@ -24,12 +24,12 @@ SECTIONS: dict[str, tuple[str, str]] = {
     "record": ("master.settings", "Record"),
 }
 DEVICES: dict[str, tuple[str, str]] = {
-    "servo": ("eds.fitting", "ServoFitting"),
-    "knee": ("eds.fitting", "KneeFitting"),
-    "start": ("eds.fitting", "SensorFitting"),
-    "end": ("eds.fitting", "SensorFitting"),
+    "servo": ("eds.device_mapping", "ServoMapping"),
+    "knee": ("eds.device_mapping", "KneeMapping"),
+    "start": ("eds.device_mapping", "SensorMapping"),
+    "end": ("eds.device_mapping", "SensorMapping"),
 }
-"""Tables of devices that are not those of this project; they become the network's fittings."""
+"""Tables of devices that are not those of this project; they become the network's device_mappings."""
 TABLES = {**SECTIONS, **DEVICES}
 
 
@@ -50,8 +50,8 @@ def read(path: Path | None) -> dict[str, Any]:
             raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
             for name in TABLES if name in SECTIONS or name in given}
-    fittings = tuple((_node(name), _beside(path, read.pop(name))) for name in DEVICES if name in read)
-    return read | {"network": dataclasses.replace(read["network"], fittings=fittings)}
+    device_mappings = tuple((_node(name), _beside(path, read.pop(name))) for name in DEVICES if name in read)
+    return read | {"network": dataclasses.replace(read["network"], device_mappings=device_mappings)}
 
 
 def _node(name: str) -> int:
@@ -60,10 +60,10 @@ def _node(name: str) -> int:
     return next(node for node, called in NAMES.items() if called == name)
 
 
-def _beside(path: Path | None, fitting: Any) -> Any:
+def _beside(path: Path | None, mapping: Any) -> Any:
     """A device's file is named from where the configuration lies."""
-    file = Path(fitting.file)
-    return fitting if not fitting.file or path is None else dataclasses.replace(fitting, file=str(path.parent / file))
+    file = Path(mapping.file)
+    return mapping if not mapping.file or path is None else dataclasses.replace(mapping, file=str(path.parent / file))
 
 
 def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
@@ -78,7 +78,7 @@ def as_text(sections: Mapping[str, Any]) -> str:
     """The configuration that was used, as TOML: what a trial carries with it."""
     from eds.bench import NAMES
 
-    devices = {NAMES[node]: fitting for node, fitting in sections["network"].fittings}
+    devices = {NAMES[node]: mapping for node, mapping in sections["network"].device_mappings}
     return "\n".join(f"[{name}]\n{_lines(section)}" for name, section in {**sections, **devices}.items())
 
 

@@ -45,7 +45,8 @@ def perform(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
                                  "commit": provenance.commit()},
-            attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated, overwrite=overwrite)
+            attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated,
+            overwrite=overwrite)
         with session.discarding(recorder), terminal.progress(f"identify {what}", shown=not quiet) as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
                                              lambda _part, share: update(share))

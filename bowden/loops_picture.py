@@ -1,7 +1,7 @@
 """The paper's Figs. 9 and 10 from the experiments of an identification: stretch over force, rope over knee angle.
 
-The rule of this file: recorded segments in, ink and one sentence out; the fits are `master.identification.calibration_fit`', the paper's units
-stand on the axes.
+The rule of this file: recorded segments in, ink and one sentence out; the fits are `calibration_fit`'s, the paper's
+units stand on the axes.
 """
 
 from __future__ import annotations

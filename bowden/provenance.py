@@ -61,8 +61,8 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
     from physics.calibration import write
 
     devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(FILES.values()))}
-    devices |= {Path(fitting.file).name: Path(fitting.file).read_bytes()
-                for _, fitting in sections["network"].fittings if fitting.file}
+    devices |= {Path(mapping.file).name: Path(mapping.file).read_bytes()
+                for _, mapping in sections["network"].device_mappings if mapping.file}
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),

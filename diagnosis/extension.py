@@ -1,7 +1,7 @@
 """extended.toml: what a diagnosis found, as a model that the simulator and the controller load.
 
-The rule of this file: `[effects.NAME]` is the model (`physics.effects.effects_table` reads it), `[found]` the evidence it
-rests on; nothing is written that the diagnosis did not say.
+The rule of this file: `[effects.NAME]` is the model (`physics.effects.effects_table` reads it), `[found]` the evidence
+it rests on; nothing is written that the diagnosis did not say.
 """
 
 from __future__ import annotations

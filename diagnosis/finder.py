@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis.data import integrity, table, wire
+from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
-from diagnosis.data.wire import Wire
+from diagnosis.judgement import wire
 from diagnosis.judgement.judge import Judge
 from diagnosis.judgement.verdict import Figures
+from diagnosis.judgement.wire import Wire
 from diagnosis.problem import problem
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
@@ -92,7 +93,7 @@ def _diagnosed(trials: Sequence[str | Path | Table], calibration: str | Path | M
 def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mapping[str, Any] | None,
             warnings: list[str]) -> Diagnosis:
     trials, _, healthy = groups
-    settled = problem.settle(trials, healthy, calibration if calibration is not None else trials[0].calibration)
+    settled = problem.build_problem(trials, healthy, calibration if calibration is not None else trials[0].calibration)
     source = ", ".join(t.source for t in trials)
     if not settled.checked:
         lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
@@ -121,7 +122,7 @@ def _judge(settled: problem.Setting, groups: Sequence[Sequence[Table]], calibrat
     if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
         return Judge(settled, holdout)
     known = calibration if calibration is not None else trials[0].calibration
-    first = Judge(problem.settle(walked, healthy, known), holdout)
+    first = Judge(problem.build_problem(walked, healthy, known), holdout)
     if len(first.rivals()) <= len(first.found.best.effects):
         return first
     split = Judge(settled, holdout, first)

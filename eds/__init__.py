@@ -5,15 +5,37 @@ The rule of this room: it imports nothing of ours but `parameters`, and no CAN l
 
 from eds.bench import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, Wire, wire
 from eds.datatype import DataType, Value
+from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import Dictionary, Entry, key, packaged, read
-from eds.fitting import Fitting, KneeFitting, SensorFitting, ServoFitting
 from eds.frame import Frame
 from eds.network import Network
 from eds.plan import Field, PdoPlan, compile_plan
 
 __all__ = [
-    "DRIVES", "END", "KNEE", "MASTER", "SENSORS", "SERVO", "START",
-    "DataType", "Dictionary", "Entry", "Field", "Fitting", "Frame", "KneeFitting", "Network", "NodeEntry", "PdoPlan",
-    "SensorFitting", "ServoFitting", "Value", "Wire",
-    "compile_plan", "key", "packaged", "read", "wire",
+    "DRIVES",
+    "END",
+    "KNEE",
+    "MASTER",
+    "SENSORS",
+    "SERVO",
+    "START",
+    "DataType",
+    "DeviceMapping",
+    "Dictionary",
+    "Entry",
+    "Field",
+    "Frame",
+    "KneeMapping",
+    "Network",
+    "NodeEntry",
+    "PdoPlan",
+    "SensorMapping",
+    "ServoMapping",
+    "Value",
+    "Wire",
+    "compile_plan",
+    "key",
+    "packaged",
+    "read",
+    "wire",
 ]

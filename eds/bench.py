@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
+from eds.device_mapping import DeviceMapping, KneeMapping, Part, SensorMapping, ServoMapping, part
 from eds.dictionary import Dictionary, key
-from eds.fitting import Fitting, KneeFitting, Part, SensorFitting, ServoFitting, part
 from eds.network import Network as Network
 from eds.plan import PdoPlan, compile_plan, overlay
 from eds.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
@@ -26,8 +26,8 @@ NAMES: Final = MappingProxyType({SERVO: "servo", KNEE: "knee", START: "start", E
 FILES: Final = MappingProxyType({
     SERVO: "servo_drive", KNEE: "knee_drive", START: "tension_sensor", END: "tension_sensor",
 })
-FITTINGS: Final[Mapping[int, Fitting]] = MappingProxyType({
-    SERVO: ServoFitting(), KNEE: KneeFitting(), START: SensorFitting(), END: SensorFitting(),
+FITTINGS: Final[Mapping[int, DeviceMapping]] = MappingProxyType({
+    SERVO: ServoMapping(), KNEE: KneeMapping(), START: SensorMapping(), END: SensorMapping(),
 })
 
 TARGETS_COB_ID: Final = 0x201
@@ -58,7 +58,7 @@ class NodeEntry(NamedTuple):
     node_id: int
     name: str
     dictionary: Dictionary
-    fitting: Fitting | None = None
+    fitting: DeviceMapping | None = None
 
     def part(self, name: str) -> Part:
         """Find the object that plays a part; `InputError` where there is none."""
@@ -120,7 +120,7 @@ class Wire:
     def _tension(self, node_id: int) -> Iterator[Pdo]:
         """The servo's own watch over START's tension, taken straight from START's frame."""
         fitting = self.nodes[node_id].fitting or FITTINGS[node_id]
-        if not isinstance(fitting, ServoFitting) or not fitting.tension:
+        if not isinstance(fitting, ServoMapping) or not fitting.tension:
             return
         mine, told = self.nodes[node_id].part("tension"), self.nodes[START].part("value")
         if (mine.entry.data_type, mine.scale) != (told.entry.data_type, told.scale):
@@ -167,8 +167,8 @@ def tpdo_cob_id(node_id: int) -> int:
     return cia301.TPDO_BASE + node_id
 
 
-def wire(network: Network, fittings: Mapping[int, Fitting] | None = None) -> Wire:
-    """Build the wire of a network; `fittings`, or else the network's own, may put other devices in a node's place.
+def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> Wire:
+    """Build the wire of a network; `device_mappings` (else the network's own) put other devices in a node's place.
 
     Raises `InputError` for a bit rate or cycle that the objects cannot express, or a device that cannot play its part.
     """
@@ -179,19 +179,19 @@ def wire(network: Network, fittings: Mapping[int, Fitting] | None = None) -> Wir
         raise InputError(f"rate_hz = {network.rate_hz} makes no whole number of microseconds a cycle; choose a divisor "
                          "of 1000000 such as 1000, 500, 250 or 100.")
     interpolation_period(network.period_us)
-    fittings = dict(network.fittings) if fittings is None else fittings
-    return Wire(network, {node: _entry(node, fittings.get(node, FITTINGS[node])) for node in FILES})
+    device_mappings = dict(network.device_mappings) if device_mappings is None else device_mappings
+    return Wire(network, {node: _entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES})
 
 
-def lacks(network: Network, fittings: Mapping[int, Fitting] | None = None) -> list[str]:
+def lacks(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> list[str]:
     """Say in a sentence each what the devices lack for their places; empty where all of them fit."""
-    fittings = dict(network.fittings) if fittings is None else fittings
-    entries = [_entry(node, fittings.get(node, FITTINGS[node])) for node in FILES]
+    device_mappings = dict(network.device_mappings) if device_mappings is None else device_mappings
+    entries = [_entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES]
     unfit = [said for entry in entries for said in entry.lacks((*_SENT[entry.node_id], *_TAKEN[entry.node_id]))]
-    return unfit or [said for node in FILES for said in wire(network, fittings).missing(node)]
+    return unfit or [said for node in FILES for said in wire(network, device_mappings).missing(node)]
 
 
-def _entry(node_id: int, fitting: Fitting) -> NodeEntry:
+def _entry(node_id: int, fitting: DeviceMapping) -> NodeEntry:
     device = dictionary.read(fitting.file, node_id) if fitting.file else _packaged(node_id)
     return NodeEntry(node_id, NAMES[node_id], device, fitting)
 

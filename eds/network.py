@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from eds.fitting import Fitting
+from eds.device_mapping import DeviceMapping
 from parameters import apart, parameter
 
 
@@ -36,7 +36,7 @@ class Network:
     compute_budget_us: int = parameter(100, "µs", "time the master may take from the last input to its targets", low=1,
                                        high=100_000, source="assumed: controller step and socket calls")
 
-    fittings: tuple[tuple[int, Fitting], ...] = apart(())
+    device_mappings: tuple[tuple[int, DeviceMapping], ...] = apart(())
     """By node id, the devices that are not those of this project: tables of their own in the configuration."""
 
     @property

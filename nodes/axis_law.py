@@ -1,8 +1,8 @@
 """What one axis does in one drive tick: bounds, following positions, braking, tightening the rope.
 
 The rule of this file: compiled laws over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis
-(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive_loops`'s.  numba's cache does not
-see a change in an imported module, so that module's digest is a constant of the compiled functions.
+(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive_loops`'s.  numba's cache does
+not see a change in an imported module, so that module's digest is a constant of the compiled functions.
 """
 
 from __future__ import annotations

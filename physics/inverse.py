@@ -164,7 +164,7 @@ def _path(law: Any, force: Any, knee: Any, laps: int, out: Any) -> None:
 
 
 @njit(cache=True)
-def _behind(law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any) -> None:
+def _end_from_start(law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any) -> None:
     (constant, quadratic, linear, rope_compliance, share, cable_exponent, rope_travel, fabric_travel,
      fabric_offset, fabric_slope, swing_k, knee_home, breakaway, breakaway_travel, fade) = law
     rope, fabric, knee_x, rope_speed, fabric_speed = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -201,13 +201,13 @@ def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
     return Path(*out)
 
 
-def behind(law: Law, position: Array, start: Array, knee: Array) -> tuple[Array, Array]:
+def end_from_start(law: Law, position: Array, start: Array, knee: Array) -> tuple[Array, Array]:
     """END tension, N, and rope position, m, that the model puts behind a measured START; slips begin at zero.
 
     `start` must be smooth: its noise would turn the friction over.
     """
     end, predicted = np.zeros(start.size), np.zeros(start.size)
-    _behind(law, position, start, knee, end, predicted)
+    _end_from_start(law, position, start, knee, end, predicted)
     return end, predicted
 
 
@@ -217,4 +217,4 @@ def prepare() -> None:
     inverse(some, Slip(), 1.0, -0.5)
     inverse(some, tuple(Slip()), 1.0, -0.5)
     held_by_position(some, 0.01, -0.5, 10.0, 0.2)
-    behind(some, np.zeros(2), np.zeros(2), np.zeros(2))
+    end_from_start(some, np.zeros(2), np.zeros(2), np.zeros(2))

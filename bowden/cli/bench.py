@@ -45,7 +45,7 @@ def bench(
 
     from bowden import buses, session
     from eds.bench import Network
-    from master.motion.gait import collector_frozen
+    from master.cycle.run_safely import collector_frozen
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus
     from virtual_bus.serve import servable, serve

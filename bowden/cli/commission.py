@@ -139,11 +139,11 @@ class _Bench:
     def _conduct(self, procedure: Procedure, found: dict[str, Any]) -> Outcome:
         from bowden import session
         from bowden.buses import opened
-        from master.cycle.run_safely import conduct
+        from master.cycle.run_safely import run_safely
         from master.network.link import Link
 
         network = self.sections["network"]
         session.compile_laws(simulated=self.chosen.simulated, quiet=True)
         with opened(self.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus, bus.host():
-            return conduct(Link(bus.bus, bus.clock), bus.tap, None, network, self.sections["limits"],
+            return run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, self.sections["limits"],
                            lambda exchange: found.update(procedure(exchange)))

@@ -25,7 +25,7 @@ def recover(
     """
     from dataclasses import asdict
 
-    from trial.mcap_file.recover import recover as recovered
+    from trial.recover import recover as recovered
 
     with terminal.progress(f"recovering {torn}", shown=not json) as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)

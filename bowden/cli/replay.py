@@ -86,8 +86,8 @@ def replay(
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     return onto_bus.replay(
-        given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels, speed=speed,
-        loops=loop, stepped=step, json=json)
+        given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels,
+        speed=speed, loops=loop, stepped=step, json=json)
 
 
 def _refuse_others(context: typer.Context, onto: str) -> None:

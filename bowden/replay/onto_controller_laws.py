@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eds.bench import Wire, wire
-from master.control.homing_fit import Day
-from master.cycle.exchange import NOTHING, Explained, Inputs
+from master.control.homing_fit import HomingFit
+from master.cycle.exchange import NOTHING, CycleAnnotations, Inputs
 from master.motion.experiment import Experiment, Planned
 from master.motion.home import Homed
 from parameters import InputError
@@ -99,9 +99,9 @@ class Recording:
         self.frames: list[bytes] = []
         self._pack, self._progress = described.targets.pack_si, progress
 
-    def advance(self, servo_m: float, knee_rad: float, explained: Explained = NOTHING) -> Inputs:
+    def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = NOTHING) -> Inputs:
         """Keep the targets that answer `inputs`, and return the next row's inputs."""
-        percent, desired, estimated, cycle, held, trace = explained
+        percent, desired, estimated, cycle, held, trace = annotations
         self.made.append((percent, servo_m, knee_rad, desired, estimated, cycle, held, *trace))
         finite = math.isfinite(servo_m) and math.isfinite(knee_rad)
         self.frames.append(self._pack(servo_m, knee_rad) if finite else b"")
@@ -155,15 +155,15 @@ def walked(recorded: Trial) -> range:
     return range(int(rows[0]), int(rows[-1]) + 1)
 
 
-def _day(recorded: Trial, experiment: Experiment) -> Day:
+def _day(recorded: Trial, experiment: Experiment) -> HomingFit:
     """What homing found; only a controller beyond the paper uses it."""
     found = (recorded.result or {}).get("day")
-    if isinstance(found, list) and len(found) == len(Day._fields):
-        return Day(*map(float, found))
+    if isinstance(found, list) and len(found) == len(HomingFit._fields):
+        return HomingFit(*map(float, found))
     if experiment.gait.controller == "extended" and not experiment.dry_run:
         raise InputError(f"{recorded.path}: its result has no day, which the controller extended needs; "
                          "give a trial that was closed.")
-    return Day()
+    return HomingFit()
 
 
 def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording) -> Comparison:

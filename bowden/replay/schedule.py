@@ -1,7 +1,7 @@
 """Which recorded frames are played, when, and what the bus must be told before playing goes on elsewhere.
 
-The rule of this file: pure; frames are `trial.mcap_file.cdr.FRAME_ROW` rows in the order of the recording, times are ns from
-the recording's first frame.
+The rule of this file: pure; frames are `trial.mcap_file.cdr.FRAME_ROW` rows in the order of the recording, times are
+ns from the recording's first frame.
 """
 
 from __future__ import annotations

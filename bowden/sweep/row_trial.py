@@ -83,7 +83,8 @@ def perform(row: Row, calibration: str, label: str, keep: str | None) -> dict[st
 
 def not_run(outcome: str, reason: str) -> dict[str, Any]:
     """Return the figures of a trial that did not take place."""
-    return dict.fromkeys(FIGURES) | {"trial": "", "outcome": outcome, "stop_reason": reason, COMMIT: provenance.commit()}
+    return dict.fromkeys(FIGURES) | {
+        "trial": "", "outcome": outcome, "stop_reason": reason, COMMIT: provenance.commit()}
 
 
 def _figures(row: Row, calibration: str, place: Path, folder: Path) -> dict[str, Any]:

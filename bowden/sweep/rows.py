@@ -68,8 +68,8 @@ class Files:
 
 
 ALWAYS: dict[str, type[Any]] = {
-    "bench": Bench, **{name: configuration.declaration(name) for name in configuration.SECTIONS}, "departure": Departure,
-    "files": Files,
+    "bench": Bench, **{name: configuration.declaration(name) for name in configuration.SECTIONS},
+    "departure": Departure, "files": Files,
 }
 """Tables that are in every row, whole; those of the plant are there as far as they are varied."""
 

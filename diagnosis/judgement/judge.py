@@ -37,7 +37,8 @@ class Judge:
         self.setting, self.holdout, self.within = setting, holdout, within
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
-                             setting.folds, self._pays, self._leaves, self._wanting, near=not setting.any_rig)
+                             setting.folds, self._pays, self.can_improve, self.needs_full_search,
+                             near=not setting.any_rig)
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
 
@@ -67,7 +68,7 @@ class Judge:
         banded = [bands[f.name] for f in effect.frees if f.name in bands]
         return not banded or any(not f.low < model.fit.values[f.name] < f.high for f in banded)
 
-    def _leaves(self, model: Model) -> bool:
+    def can_improve(self, model: Model) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says)."""
         return self.setting.floors is None or self.within is not None or any(
             self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
@@ -81,9 +82,9 @@ class Judge:
         return "found" if len(self.rivals()) == len(self.found.best.effects) else "ambiguous"
 
     def _strange(self) -> bool:
-        return self._odd(self.found.best)
+        return self.has_unexplained_residual(self.found.best)
 
-    def _odd(self, model: Model) -> bool:
+    def has_unexplained_residual(self, model: Model) -> bool:
         """Whether structure remains that a model does not explain; only healthy trials can say."""
         if self.setting.floors is None or self.within is not None:
             return False
@@ -100,11 +101,11 @@ class Judge:
         floors = self.setting.floors or {}
         return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
 
-    def _wanting(self, model: Model) -> bool:
+    def needs_full_search(self, model: Model) -> bool:
         """Whether the foremost effects are not enough to go by; only healthy trials can say."""
         if self.setting.floors is None or self.within is not None:
             return False
-        return self._odd(model) or (not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+        return self.has_unexplained_residual(model) or (not model.effects and self._rise(model) > verdict.WANTING - 1.0)
 
     def rivals(self) -> list[str]:
         """Return the class, the chosen effects first; nothing is named where structure remains."""

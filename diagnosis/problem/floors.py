@@ -12,9 +12,9 @@ from typing import Final
 
 FLOORS: Final[Mapping[str, float]] = {
     "friction": 0.25, "elasticity": 0.40, "kinematics": 0.006, "servo": 5e-5, "drive_force": 0.5, "knee": 5e-4}
-TIED: Final[Mapping[str, float]] = dict.fromkeys(FLOORS, 5.0)
+CORRELATION_LENGTH: Final[Mapping[str, float]] = dict.fromkeys(FLOORS, 5.0)
 """Samples at the working rate that count as one."""
-LEAST_TIED: Final = 4.0
+LEAST_CORRELATION_LENGTH: Final = 4.0
 LEAST_FLOOR: Final[Mapping[str, float]] = {
     "friction": 0.02, "elasticity": 0.02, "kinematics": 2e-4, "servo": 1e-5, "drive_force": 0.05, "knee": 1e-4}
 """Below this a relation holds exactly, and its floor is the converter's."""

@@ -32,12 +32,12 @@ TEACHING: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """What healthy trials said: the reference they moved, and by relation the floor and the samples tied into one."""
+class HealthyFit:
+    """What healthy trials say: the reference they moved; by relation, RMSE (floor) and correlation length (samples)."""
 
     reference: Reference
     floors: Mapping[str, float]
-    tied: Mapping[str, float]
+    correlation_length: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -60,14 +60,14 @@ def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
                      block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
 
 
-def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequence[Candidate],
-          floors: Mapping[str, float], tied: Mapping[str, float]) -> Lesson:
+def fit_healthy(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequence[Candidate],
+          floors: Mapping[str, float], correlation_length: Mapping[str, float]) -> HealthyFit:
     """Fit what all healthy benches have in common together with each one's own deviation, then each bench alone.
 
-    `floors`, `tied`: what is assumed before they are seen.
+    `floors`, `correlation_length`: what is assumed before they are seen.
     """
     blocks = [deviating(b, i, reference.nuisance) for i, trial in enumerate(trials) for b in trial]
-    weights = {n: floors[n] * math.sqrt(tied[n]) for n in floors}
+    weights = {n: floors[n] * math.sqrt(correlation_length[n]) for n in floors}
     deviations = [Free(f"{f.name}@{i}", -BAND * f.sigma, BAND * f.sigma, 0.0, f.sigma, f.scale)
                   for i in range(len(trials)) for f in reference.nuisance] if len(trials) > 1 else []
     start = {**reference.values, **{f"{f.name}@{i}": 0.0 for i in range(len(trials)) for f in reference.nuisance}}
@@ -81,7 +81,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, offered: Sequ
         alone = solve(Problem(trial, weights), near, bands, thorough=True).values
         for block in trial:
             rests[block.relation.name].append(block.residual(alone))
-    return Lesson(moved, {n: rmse(r) for n, r in rests.items()}, {n: correlated(r) for n, r in rests.items()})
+    return HealthyFit(moved, {n: rmse(r) for n, r in rests.items()}, {n: correlated(r) for n, r in rests.items()})
 
 
 def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free, ...]:

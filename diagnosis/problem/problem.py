@@ -19,8 +19,8 @@ from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate, candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.fit import Problem, solve
-from diagnosis.problem.floors import FLOORS, LEAST_FLOOR, LEAST_TIED, TIED
-from diagnosis.problem.healthy_fit import learn
+from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
+from diagnosis.problem.healthy_fit import fit_healthy
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from physics.relations.relation import RELATIONS
 
@@ -61,7 +61,7 @@ class Setting:
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
 
 
-def settle(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
     """Decide what can be checked on `trials` and against what."""
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
@@ -79,16 +79,18 @@ def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blo
            folds: list[frozenset[int]], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
     reference = of_bench(calibration)
     declared = reference.values
-    floors, tied = {n: FLOORS[n] for n in checked}, {n: TIED[n] for n in checked}
+    floors, correlation_length = {n: FLOORS[n] for n in checked}, {n: CORRELATION_LENGTH[n] for n in checked}
     measured = None
     if healthy:
         taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
                   for t in healthy]
-        lesson = learn(taught, reference, candidates(checked, declared, reference.nuisance), floors, tied)
-        reference = lesson.reference
-        measured = {n: max(lesson.floors[n], LEAST_FLOOR[n]) if n in lesson.floors else floors[n] for n in checked}
-        floors, tied = measured, {**tied, **lesson.tied}
-    weights = {n: floors[n] * math.sqrt(max(tied[n], LEAST_TIED)) for n in checked}
+        healthy_fit = fit_healthy(taught, reference, candidates(checked, declared, reference.nuisance), floors,
+                                  correlation_length)
+        reference = healthy_fit.reference
+        measured = {n: max(healthy_fit.floors[n], LEAST_FLOOR[n]) if n in healthy_fit.floors else floors[n]
+                    for n in checked}
+        floors, correlation_length = measured, {**correlation_length, **healthy_fit.correlation_length}
+    weights = {n: floors[n] * math.sqrt(max(correlation_length[n], LEAST_CORRELATION_LENGTH)) for n in checked}
     return Setting(False, missing, checked, blocks, folds, reference, declared, weights, measured,
                    candidates(checked, reference.values, reference.nuisance))
 
@@ -102,9 +104,9 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
     reference = Reference(first.kind, values, first.nuisance)
     values = solve(Problem(blocks, even), values, first.nuisance).values
     step = float(np.median(np.diff(blocks[0].signals["time_s"]))) if blocks else 1.0
-    tied = math.sqrt(max(1.0, CORRELATED_S / step))
-    weights = {n: UNEXPLAINED_SHARE * tied * relations.rmse(b.residual(values) for b in blocks if b.relation.name == n)
-               for n in checked}
+    per_sample = math.sqrt(max(1.0, CORRELATED_S / step))
+    weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
+        b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
     return Setting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
                    candidates(checked, reference.values, reference.nuisance, True))
 

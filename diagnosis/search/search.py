@@ -51,19 +51,19 @@ class Model:
         return sum(self.by_relation.values())
 
     @property
-    def dear(self) -> float:
+    def complexity_penalty(self) -> float:
         """Return what a model costs for every parameter that it took and for each where it is not expected."""
         cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
         return 1.0 + cost
 
     @property
     def rank(self) -> float:
-        return self.score * self.dear
+        return self.score * self.complexity_penalty
 
     @property
-    def promise(self) -> float:
+    def fit_score(self) -> float:
         """Return the rank as far as the fit alone says it."""
-        return self.fit.cost * self.dear
+        return self.fit.cost * self.complexity_penalty
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -194,9 +194,9 @@ class Search:
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
         best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
-        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.promise)))
+        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
 
 
 def _foremost(models: Iterable[Model]) -> list[Model]:
     """Return the few that promise most, best first."""
-    return sorted(models, key=lambda m: m.promise)[:BEAM]
+    return sorted(models, key=lambda m: m.fit_score)[:BEAM]

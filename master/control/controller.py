@@ -1,7 +1,8 @@
 """Which controller runs: one pure `step`, whatever the name.
 
 The rule of this file: it chooses and decides nothing; `none`, `friction`, `impedance` and `paper` are the paper's
-(`master.control.paper`), `extended` goes beyond (`master.control.extended`); any of them may be told of effects (`master.control.effect_correction`).
+(`control.paper`), `extended` goes beyond (`control.extended`); any of them may be told of effects
+(`control.effect_correction`).
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from master.control import extended, paper
-from master.control.controller_io import Outputs, Seen, Trace
+from master.control.controller_io import ControllerInput, Outputs, Trace
 from master.control.effect_correction import Correction
 from master.control.gait_table import GaitTable
-from master.control.homing_fit import Day
+from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from physics.calibration import Calibration
 
@@ -36,11 +37,11 @@ class Corrected:
 
 Config = Uncorrected | Corrected
 
-__all__ = ["Config", "Outputs", "Seen", "State", "Trace", "configure", "initial", "step"]
+__all__ = ["Config", "ControllerInput", "Outputs", "State", "Trace", "configure", "initial", "step"]
 
 
 def configure(
-    name: str, calibration: Calibration, gait: GaitTable, impedance: Impedance, day: Day,
+    name: str, calibration: Calibration, gait: GaitTable, impedance: Impedance, day: HomingFit,
     undone: Correction | None = None,
 ) -> Config:
     """Fold a controller's constants; `day` is what homing found, and only `extended` uses it.
@@ -63,12 +64,12 @@ def initial(config: Config) -> State:
     return extended.State(config.law) if isinstance(config, extended.Config) else paper.State()
 
 
-def step(seen: Seen, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
     """One control cycle, pure: the same arguments give the same answer; `state` is of `config`'s controller."""
     if type(config) is Corrected:
         undone, within = config.correction, config.within
         outputs, state, trace = step(undone.seen(seen, within.start_offset_n), state, within)
-        return undone.led(outputs, seen.sample + config.ahead), state, trace
+        return undone.feed_forward(outputs, seen.sample + config.ahead), state, trace
     if type(config) is extended.Config:
         return extended.step(seen, state, config)  # type: ignore[arg-type]
     return paper.step(seen, state, config)  # type: ignore[arg-type]

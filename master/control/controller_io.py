@@ -1,6 +1,6 @@
 """What goes into a controller and comes out of it, the same for all of them.
 
-The rule of this file: `Seen` has no END; a controller cannot use what it cannot see.
+The rule of this file: `ControllerInput` has no END; a controller cannot use what it cannot see.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 
-class Seen(NamedTuple):
+class ControllerInput(NamedTuple):
     """What a controller may know of one SYNC, all latched by it; where anything is older there is no step.
 
     `sample` counts control cycles from the start of gait cycle 0, negative in the run-in.

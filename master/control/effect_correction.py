@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from master.control.controller_io import Outputs, Seen
+from master.control.controller_io import ControllerInput, Outputs
 from master.control.gait_table import GaitTable, fabric_exponent, stretch
 from physics import inverse
 from physics.calibration import Calibration
-from physics.effects.catalogue import CATALOGUE, Course, Values, compensate, complete
+from physics.effects.catalogue import CATALOGUE, Trajectory, Values, compensate, complete
 from physics.plant.cable import CableParameters
 from physics.plant.fabric import FabricParameters
 from physics.plant.leg import KNEE_AT_FIT
@@ -88,14 +88,14 @@ class Correction:
     start_more_n: tuple[float, ...]
     home_gain: float
 
-    def seen(self, seen: Seen, offset_n: float) -> Seen:
+    def seen(self, seen: ControllerInput, offset_n: float) -> ControllerInput:
         """Return what would be seen without the effects; `offset_n` is START's reading when slack."""
         i = seen.sample % len(self.rope_m)
         start_n = (seen.start_n - offset_n - self.start_more_n[i]) / self.start_gain[i] + offset_n
         return seen._replace(servo_position_m=seen.servo_position_m - self.rope_m[i], start_n=start_n,
                              knee_angle_rad=seen.knee_angle_rad - self.knee_rad[i])
 
-    def led(self, outputs: Outputs, sample: int) -> Outputs:
+    def feed_forward(self, outputs: Outputs, sample: int) -> Outputs:
         """Return the targets with the effects in them, for the `sample` at which they act."""
         return outputs._replace(servo_target_m=outputs.servo_target_m + self.rope_m[sample % len(self.rope_m)])
 
@@ -131,7 +131,7 @@ def correction(calibration: Calibration, gait: GaitTable, rest: Effects, *, adap
     return Correction(rope_m, knee_rad, start_gain, start_more_n, float(home.start_gain[0]))
 
 
-def _exponent(course: Course) -> Array:
+def _exponent(course: Trajectory) -> Array:
     return course.cable_exponent * course.rope_slip + course.fabric_exponent * course.fabric_slip
 
 
@@ -141,12 +141,12 @@ def _fabric(calibration: Calibration, force: Array) -> Array:
     return np.asarray(whole - calibration.cable_compliance * force)
 
 
-def _course(calibration: Calibration, gait: GaitTable) -> Course:
+def _course(calibration: Calibration, gait: GaitTable) -> Trajectory:
     """The gait as the calibration meets it, over `LAPS` gait cycles."""
     desired, knee = np.tile(gait.desired, LAPS), np.tile(gait.knee, LAPS)
     path = inverse.path(inverse.law(calibration, gait.period_s), desired, knee, laps=1)
     still = np.zeros(desired.size)
-    return Course(
+    return Trajectory(
         progress=still + MIDWAY, desired_n=desired, tension_n=path.start, knee_rad=knee,
         knee_rad_s=np.gradient(knee, gait.period_s), rope_m=path.position,
         rope_m_s=np.gradient(path.position, gait.period_s),
@@ -157,11 +157,11 @@ def _course(calibration: Calibration, gait: GaitTable) -> Course:
         start_gain=still + 1.0, start_offset_n=still, lead_s=0.0)
 
 
-def _homed(calibration: Calibration) -> Course:
+def _homed(calibration: Calibration) -> Trajectory:
     """The bench as homing leaves it: what an effect asks of the rope there is in the encoder's zero already."""
     one, still = np.ones(1), np.zeros(1)
     force, knee = calibration.home_preload * one, KNEE_AT_FIT * one
-    return Course(
+    return Trajectory(
         progress=still, desired_n=force, tension_n=force, knee_rad=knee, knee_rad_s=still,
         rope_m=np.asarray(stretch(calibration, force)), rope_m_s=still, time_s=still, rope_slip=still,
         fabric_slip=still, cable_exponent=calibration.cable_exponent * one,

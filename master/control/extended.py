@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from master.control import learning
-from master.control.controller_io import Outputs, Seen, Trace
-from master.control.friction_following import follow, gathered, witness
+from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.friction_following import evidence_of, follow, friction_evidence
 from master.control.gait_table import GaitTable
-from master.control.homing_fit import Day
+from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from physics import inverse
 from physics.calibration import Calibration
@@ -86,7 +86,7 @@ class Config:
     start_lag_s: float
 
 
-def configure(calibration: Calibration, day: Day, gait: GaitTable, impedance: Impedance) -> Config:
+def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> Config:
     """Fold the constants from a calibration, what homing found of the day, the gait and the impedance."""
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
     lag = 1.0 / (2.0 * math.pi * calibration.drive_bandwidth) / gait.period_s
@@ -106,12 +106,12 @@ def configure(calibration: Calibration, day: Day, gait: GaitTable, impedance: Im
     )
 
 
-def step(seen: Seen, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
     """One control cycle: the model's rope position for when the target acts, plus feedback, plus what was learnt."""
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples
     if now == 0 and state.history is not None:
-        state = _page_turned(state, config)
+        state = _on_cycle_end(state, config)
     departures = (*state.departures, seen.knee_angle_rad - gait.knee[now])[-DEPARTURES:]
     paths, slip = _look_ahead(state, config, now, departures)
     here = paths[0]
@@ -128,7 +128,8 @@ def step(seen: Seen, state: State, config: Config) -> tuple[Outputs, State, Trac
         evidence = None
         if not resting:
             deviation = config.decay * deviation + config.gain_m_n * (desired - estimated)
-            evidence = witness(state.law, seen.servo_position_m - config.zero_m, seen.knee_angle_rad, start, *here[1:5])
+            evidence = friction_evidence(
+                state.law, seen.servo_position_m - config.zero_m, seen.knee_angle_rad, start, *here[1:5])
         history = (now, deviation, evidence, history)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     feedforward = config.zero_m + paths[max(-2, -len(paths))].position + 0.5 * config.lag * speed
@@ -166,10 +167,10 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag_s * rate)
 
 
-def _page_turned(state: State, config: Config) -> State:
+def _on_cycle_end(state: State, config: Config) -> State:
     """A gait cycle is over: its feedback is learnt, its evidence moves the friction."""
     return state._replace(
-        law=follow(state.law, gathered(state.history)),
+        law=follow(state.law, evidence_of(state.history)),
         learnt=learning.learn(state.learnt, state.history, config.gait.samples, config.filter),
         history=None,
     )

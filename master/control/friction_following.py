@@ -38,7 +38,7 @@ class Evidence(NamedTuple):
     weight: float
 
 
-def witness(
+def friction_evidence(
     law: Law, position: float, knee: float, start: float, by_sheath: float, by_knee: float, sheath_slow: float,
     knee_slow: float,
 ) -> Evidence | None:
@@ -69,7 +69,7 @@ def follow(law: Law, evidence: list[Evidence]) -> Law:
     return adapted(law, friction, min(BREAKAWAY_MOST, max(0.0, breakaway)))
 
 
-def gathered(history: Any) -> list[Evidence]:
+def evidence_of(history: Any) -> list[Evidence]:
     """The evidence in a linked list (sample, feedback, evidence, older)."""
     found = []
     while history is not None:

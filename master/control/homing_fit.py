@@ -26,7 +26,7 @@ SOFT_M = 60e-6
 _DIFFERENCES = (0.02, 0.01)
 
 
-class Day(NamedTuple):
+class HomingFit(NamedTuple):
     """Friction and stretch against the calibration's, the encoder zero's shift (m), START's reading when slack (N)."""
 
     friction: float = 1.0
@@ -42,7 +42,7 @@ def smoothed(column: Array, points: int = SMOOTHED) -> Array:
 
 def adapt(
     calibration: Calibration, period_s: float, position: Array, start: Array, knee: Array, slack_reading_n: float
-) -> Generator[None, None, Day]:
+) -> Generator[None, None, HomingFit]:
     """Fit the day to one pull and release by Gauss–Newton; columns by control cycle, m, N, rad.
 
     The residual is the rope position that the model puts behind the measured START, where the rope is taut.
@@ -54,7 +54,7 @@ def adapt(
 
     def residual(friction: float, softness: float) -> Array:
         law = inverse.law(calibration, points * period_s, friction, softness)
-        return np.asarray((inverse.behind(law, x, tension, angle)[1] - x)[taut])
+        return np.asarray((inverse.end_from_start(law, x, tension, angle)[1] - x)[taut])
 
     friction, softness, zero = 1.0, 1.0, 0.0
     for _ in range(STEPS):
@@ -70,4 +70,4 @@ def adapt(
         friction = float(np.clip(friction + change[0], 0.3, 3.0))
         softness = float(np.clip(softness + change[1], 0.5, 2.0))
         zero += float(change[2])
-    return Day(friction, softness, zero, slack_reading_n)
+    return HomingFit(friction, softness, zero, slack_reading_n)

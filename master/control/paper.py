@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from master.control.controller_io import Outputs, Seen, Trace
+from master.control.controller_io import ControllerInput, Outputs, Trace
 from master.control.gait_table import GaitTable
 from master.settings import Impedance
 from physics import laws
@@ -66,7 +66,7 @@ def configure(name: str, calibration: Calibration, gait: GaitTable, impedance: I
     )
 
 
-def step(seen: Seen, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
     """One control cycle: x = x1(Fd) + (fL + fT)/kc + k2·(θk − θk(13 %)) + Δx − slack.
 
     Equations (4), (8), (10), (11) feed forward, (3), (7) estimate END from START, (15) turns its error into Δx;

@@ -45,7 +45,7 @@ class Inputs(NamedTuple):
     missing: int
 
 
-class Explained(NamedTuple):
+class CycleAnnotations(NamedTuple):
     """Columns of a row that only a controller knows: NaN elsewhere; `cycle` −1 outside the gait."""
 
     gait_percent: float = NAN
@@ -56,7 +56,7 @@ class Explained(NamedTuple):
     trace: tuple[float, ...] = (NAN,) * len(TRACE)
 
 
-NOTHING = Explained()
+NOTHING = CycleAnnotations()
 
 
 class Exchange:
@@ -64,7 +64,7 @@ class Exchange:
 
     `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
-    `explained` is what a row says of whoever steps, where `advance` is not told.
+    `annotations` is what a row says of whoever steps, where `advance` is not told.
     `kept`, where it is a list, gets (target, position, knee, START, END) of each whole cycle.
     """
 
@@ -73,7 +73,7 @@ class Exchange:
         self.missed_cycles = self.stale_inputs = 0
         self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, 0b1111)
         self.targets = (0.0, 0.0)
-        self.explained = NOTHING
+        self.annotations = NOTHING
         self.kept: list[tuple[float, float, float, float, float]] | None = None
         self._budget_ns = budget_ns
         plans = [wire.tpdo[tpdo_cob_id(node)] for node in ORDER]
@@ -118,7 +118,7 @@ class Exchange:
         plan = self.wire.controlwords
         self.link.send(plan.cob_id, plan.pack(servo_word, knee_word))
 
-    def advance(self, servo_m: float, knee_rad: float, explained: Explained | None = None) -> Inputs:
+    def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None = None) -> Inputs:
         """Send the targets that answer `inputs`, and return the inputs of the next SYNC.
 
         Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
@@ -137,7 +137,7 @@ class Exchange:
         if not sent or self.inputs.missing:
             self._note_miss(sent)
         if not self._told:
-            self.log.row(self.inputs.sync_ns, self._row(explained or self.explained, sent))
+            self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
         self._told = sync_ns < 0
         if self._told:
             raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
@@ -211,11 +211,11 @@ class Exchange:
         text = " and ".join([*(f"no inputs of {name}" for name in names), *([] if sent else ["targets too late"])])
         self.log.event(inputs.sync_ns, "miss", "master", f"{text}.")
 
-    def _row(self, explained: Explained, sent: bool) -> tuple[float, ...]:
+    def _row(self, annotations: CycleAnnotations, sent: bool) -> tuple[float, ...]:
         """One row in the order of `trial.signals.SIGNALS`."""
         inputs, latched, arrival = self.inputs, self._latched_ns, self._arrival_ns
         sync_ns, missing = inputs.sync_ns, inputs.missing
-        percent, desired, estimated, cycle, held, trace = explained
+        percent, desired, estimated, cycle, held, trace = annotations
         count, self._count = self._count, self._count + 1
         return (
             (sync_ns - self._first_ns) * 1e-9, percent, self.targets[0], inputs.servo_position_m, self._velocity,

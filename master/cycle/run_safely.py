@@ -6,6 +6,7 @@ The rule of this file: whatever happens, the drives end disabled, SYNC stops, an
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -22,7 +23,6 @@ from master.cycle.guard import Guard
 from master.cycle.log import Log, Sink
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
-from master.motion.gait import collector_frozen
 from master.network import bringup
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
@@ -42,7 +42,7 @@ class Outcome:
     duration_s: float
 
 
-def conduct(
+def run_safely(
     link: Link, tap: can.BusABC | None, recorder: Sink | None, network: Network, limits: Limits,
     perform: Callable[[Exchange], None],
 ) -> Outcome:
@@ -145,3 +145,18 @@ def interruption() -> Iterator[Callable[[], bool]]:
         yield lambda: pressed
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def collector_frozen() -> Iterator[None]:
+    """No garbage collection in the cycle: everything made so far is left alone until the end."""
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if enabled:
+            gc.enable()

@@ -189,7 +189,7 @@ def _residual(calibration: Calibration, segment: Segment) -> Array:
     lumps: there only the position counts.
     """
     law = inverse.law(calibration, segment.period_s)
-    end, position = inverse.behind(law, segment.position, segment.start, segment.knee)
+    end, position = inverse.end_from_start(law, segment.position, segment.start, segment.knee)
     taut = segment.start > TAUT_N
     weight = 20.0 / math.sqrt(max(1, int(np.count_nonzero(taut))))
     moved = STRETCH_N_M * (position - segment.position)[taut]

@@ -29,7 +29,7 @@ from eds.bench import Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange, Inputs
 from master.cycle.log import Sink
-from master.cycle.run_safely import Outcome, conduct
+from master.cycle.run_safely import Outcome, run_safely
 from master.identification import calibration_fit
 from master.identification.calibration_fit import Segment
 from master.identification.jackknife import Line
@@ -83,7 +83,7 @@ def run(
     procedure(identification.what)
     inverse.prepare()
     bench = _Experiments(identification, progress)
-    outcome = conduct(link, tap, recorder, identification.network, identification.limits, bench.perform)
+    outcome = run_safely(link, tap, recorder, identification.network, identification.limits, bench.perform)
     return outcome, bench.segments
 
 
@@ -102,7 +102,8 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
     told |= {name: (seen.value, seen.evidence) for name, seen in calibration_fit.start_at_rest(segments).items()}
     kinds = procedure(what)
     if "stiffness" in kinds:
-        told |= _named(("stiffness_a", "stiffness_b", "stiffness_c"), calibration_fit.stiffness(segments, still.start_offset))
+        told |= _named(("stiffness_a", "stiffness_b", "stiffness_c"),
+                       calibration_fit.stiffness(segments, still.start_offset))
         drive = calibration_fit.bandwidth(segments)
         told["drive_bandwidth"] = drive.value, drive.evidence
     if "swing" in kinds:

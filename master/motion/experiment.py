@@ -13,15 +13,15 @@ import can
 from eds.bench import Network
 from master import settings
 from master.control import controller
-from master.control.controller_io import Seen
+from master.control.controller_io import ControllerInput
 from master.control.effect_correction import Effects, calibrated, correction
 from master.control.gait_table import GaitTable, samples_of, tabulate
-from master.control.homing_fit import Day
+from master.control.homing_fit import HomingFit
 from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.log import Sink
-from master.cycle.run_safely import Outcome, conduct
+from master.cycle.run_safely import Outcome, run_safely
 from master.motion import gait, moves
 from master.motion.home import Homed, home
 from master.network.link import Link
@@ -68,7 +68,7 @@ class Result:
     stale_inputs: int
     duration_s: float
     friction_half_width_m: float | None
-    day: Day | None = None
+    day: HomingFit | None = None
     warning: str | None = None
 
 
@@ -79,7 +79,7 @@ def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: E
     bus ends in a `Result`.
     """
     trial = Planned(experiment)
-    return result_of(conduct(link, tap, recorder, experiment.network, experiment.limits, trial.perform), trial)
+    return result_of(run_safely(link, tap, recorder, experiment.network, experiment.limits, trial.perform), trial)
 
 
 def result_of(outcome: Outcome, trial: Planned) -> Result:
@@ -125,11 +125,11 @@ class Planned:
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
         inverse.prepare()
         rehearsed = self.control(self.table)
-        controller.step(Seen(0, 0.0, 0.0, 0.0, 0.0), controller.initial(rehearsed), rehearsed)
+        controller.step(ControllerInput(0, 0.0, 0.0, 0.0, 0.0), controller.initial(rehearsed), rehearsed)
 
     def control(self, table: GaitTable) -> controller.Config:
         """The chosen controller over a gait table, on the day that homing found."""
-        chosen, day = self.experiment, self.homed.day if self.homed else Day()
+        chosen, day = self.experiment, self.homed.day if self.homed else HomingFit()
         return controller.configure(
             chosen.gait.controller, self.calibration, table, self.impedance, day, self.undone[id(table)])
 

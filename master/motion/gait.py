@@ -5,16 +5,14 @@ The rule of this file: a cycle whose needed inputs are not all of this SYNC make
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
-from master.control.controller import Config, Seen, initial, step
+from master.control.controller import Config, ControllerInput, initial, step
 from master.control.gait_table import GaitTable, tabulate
-from master.cycle.exchange import NEEDED, Exchange, Explained, Inputs
+from master.cycle.exchange import NEEDED, CycleAnnotations, Exchange, Inputs
 from master.motion import moves
 from master.settings import Homing
 from physics.calibration import Calibration
@@ -30,7 +28,7 @@ class Cycle(Protocol):
     inputs: Inputs
     targets: tuple[float, float]
 
-    def advance(self, servo_m: float, knee_rad: float, explained: Explained = ...) -> Inputs:
+    def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = ...) -> Inputs:
         """Send the targets that answer `inputs`, and return the inputs of the next SYNC."""
 
 
@@ -73,12 +71,13 @@ def run(
     for sample in range(first, last):
         i = sample % samples
         if inputs.missing & NEEDED:
-            inputs = advance(*exchange.targets, Explained(
+            inputs = advance(*exchange.targets, CycleAnnotations(
                 100.0 * i / samples, config.gait.desired[i], cycle=number(sample), held=1.0))
             continue
-        seen = Seen(sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
+        seen = ControllerInput(
+            sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
         (servo, knee), state, trace = step(seen, state, config)
-        inputs = advance(servo, knee if led is None else led(sample), Explained(
+        inputs = advance(servo, knee if led is None else led(sample), CycleAnnotations(
             100.0 * i / samples, trace[0], trace[1], number(sample), 0.0, trace[2:]))
 
 
@@ -86,18 +85,3 @@ def idle_table(gait: GaitTable, calibration: Calibration) -> GaitTable:
     """The same motion with no force desired: slack all the way."""
     slack = max(gait.slack)
     return tabulate(calibration, np.array(gait.knee), np.zeros(gait.samples), gait.period_s, slack)
-
-
-@contextmanager
-def collector_frozen() -> Iterator[None]:
-    """No garbage collection in the cycle: everything made so far is left alone until the end."""
-    enabled = gc.isenabled()
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        if enabled:
-            gc.enable()

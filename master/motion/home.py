@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from master.control.gait_table import stretch
-from master.control.homing_fit import Day, adapt
+from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange, Inputs
 from master.motion import moves
@@ -34,7 +34,7 @@ class Homed(NamedTuple):
     """What homing found: the half-width, m, of the friction loop at the preload, and the day."""
 
     half_width_m: float
-    day: Day
+    day: HomingFit
 
 
 Row = tuple[float, float, float]

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import can
 
 from master.cycle import drives
-from master.cycle.exchange import Exchange, Explained
+from master.cycle.exchange import CycleAnnotations, Exchange
 from master.cycle.log import Sink
-from master.cycle.run_safely import conduct
+from master.cycle.run_safely import run_safely
 from master.motion import gait
 from master.motion.experiment import Experiment, Planned, Result, result_of
 from master.motion.home import home
@@ -131,7 +131,7 @@ def laps(name: str, cycles: int) -> int:
 def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment, name: str) -> Result:
     """Run the experiment `name` on the bus of `link`, on the bench that `experiment` describes."""
     bench = _Scripted(experiment, checked(name, where="experiment"))
-    outcome = conduct(link, tap, recorder, experiment.network, experiment.limits, bench.perform)
+    outcome = run_safely(link, tap, recorder, experiment.network, experiment.limits, bench.perform)
     return result_of(outcome, bench.planned)
 
 
@@ -162,11 +162,11 @@ class _Scripted:
         for motion in part.first:
             motion.run(exchange, bench)
         for _lap in range(part.laps):
-            exchange.explained = Explained(cycle=float(self.count))
+            exchange.annotations = CycleAnnotations(cycle=float(self.count))
             for motion in part.lap:
                 motion.run(exchange, bench)
             self.count += 1
-        exchange.explained = Explained()
+        exchange.annotations = CycleAnnotations()
 
     def _walk(self, exchange: Exchange, walk: Walk) -> None:
         planned = self.planned

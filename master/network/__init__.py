@@ -1,1 +1,1 @@
-"""The connection to the bus: link, SDO client, bring-up, DCF, recording of frames, checks of the computer and the bus."""
+"""The connection to the bus: link, SDO client, bring-up, DCF, and checks of the computer and the bus."""

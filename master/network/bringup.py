@@ -6,11 +6,12 @@ enabled, and a drive that is found enabled loses its torque first.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from eds.bench import KNEE, MASTER, SERVO, NodeEntry, Wire
 from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key
-from master.cycle.log import Log
 from master.network.link import Link
 from master.network.sdo import SdoError
 
@@ -31,7 +32,17 @@ class RivalError(RefusedError):
     """Another master runs this bench: nothing may be said on its bus."""
 
 
-def bring_up(link: Link, wire: Wire, log: Log) -> dict[int, int]:
+class BringUpLog(Protocol):
+    """The part of `master.cycle.log.Log` that a bring-up writes to."""
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Record what happened, at `time_ns` on the bus's clock."""
+
+    def drain(self) -> None:
+        """Record the frames that wait at the tap."""
+
+
+def bring_up(link: Link, wire: Wire, log: BringUpLog) -> dict[int, int]:
     """Bring every node of `wire` to OPERATIONAL with its set-up written; returns their serial numbers.
 
     Drives come out with their power stage off.  Raises `RefusedError` with the node's name and the reason.

@@ -15,11 +15,22 @@ from typing import Final
 from parameters import InputError
 from physics.converter import SensorParameters
 from physics.effects import drive_effects, friction_effects, path_effects, sensor_effects
-from physics.effects.effect import Course, Effect, EffectParameter, Values, takes, unchanged
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes, unchanged
 from physics.plant.state_layout import PlantParameters
 
-__all__ = ["CATALOGUE", "Course", "Effect", "EffectParameter", "Values", "apply", "compensate", "register",
-           "registered", "takes", "unchanged"]
+__all__ = [
+    "CATALOGUE",
+    "Effect",
+    "EffectParameter",
+    "Trajectory",
+    "Values",
+    "apply",
+    "compensate",
+    "register",
+    "registered",
+    "takes",
+    "unchanged",
+]
 
 BUS: Final = frozenset({"late_s", "late_share", "lost_share"})
 TABLES: Final[Mapping[str, frozenset[str]]] = {
@@ -74,7 +85,9 @@ def apply(found: Mapping[str, Values]) -> dict[str, dict[str, float]]:
     return tables
 
 
-def compensate(course: Course, found: Mapping[str, Values], calibrated: Values = MappingProxyType({})) -> Course:
+def compensate(
+    course: Trajectory, found: Mapping[str, Values], calibrated: Values = MappingProxyType({}),
+) -> Trajectory:
     """Return `course` as a controller should meet it that knows of the effects of `found`.
 
     Laws that two effects share see the values of both, then those `calibrated`, by slot; what sets an exponent comes

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from physics.effects.effect import Course, Effect, EffectParameter, Values, takes, unchanged
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes, unchanged
 from physics.plant.motor import ServoParameters
-from physics.relations.sampling_laws import Staleness
+from physics.sampling_laws import Staleness
 
 SERVO: Final = ServoParameters()
 
 
-def _skew(course: Course, values: Values) -> Course:
+def _skew(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(lead_s=course.lead_s + values["timestamp_skew"])
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from physics.laws import Array
-from physics.relations.sampling_laws import Staleness
+from physics.sampling_laws import Staleness
 
 Values = Mapping[str, float]
 Law = Callable[[Values], float]
@@ -32,7 +32,7 @@ class EffectParameter(NamedTuple):
     text: str
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """What one run asks of the transmission, by sample, and how an extended controller will meet it.
 
     The first block is given; an inverse returns a copy with some of the second block changed.  Arrays of one
@@ -61,11 +61,11 @@ class Course(NamedTuple):
     lead_s: float
 
 
-Inverse = Callable[[Course, Values], Course]
+Inverse = Callable[[Trajectory, Values], Trajectory]
 Measured = Callable[[Mapping[str, Array], Array, Values], Array]
 
 
-def unchanged(course: Course, values: Values) -> Course:
+def unchanged(course: Trajectory, values: Values) -> Trajectory:
     """Return `course`: nothing that a controller could do by START, rope and knee undoes this effect."""
     del values
     return course
@@ -79,9 +79,9 @@ class Effect:
     values, for the tables plant, start_sensor, end_sensor and bus of a plant model. `inverse`: compensation.
     `relations`: the relations between signals that it disturbs. `signature`: how it shows; `words`: the sentence
     for a report; `rivals`: effects it is confused with; `experiment`: the one that splits them, by its name in
-    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for an effect that the
-    laws of `physics.relations.relation` do not read themselves. `stale`: of an effect of the wire, what it does to the values'
-    ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
+    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for
+    an effect that the laws of `physics.relations` do not read themselves. `stale`: of an effect of the wire, what it
+    does to the values' ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
     """
 
     name: str

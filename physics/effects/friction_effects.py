@@ -6,53 +6,53 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Course, Effect, EffectParameter, Values, takes
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
 from physics.laws import Array
+from physics.memory_laws import presliding
 from physics.plant.cable import CableParameters
 from physics.plant.fabric import FabricParameters
-from physics.relations.memory_laws import presliding
 
 CABLE: Final = CableParameters()
 FABRIC: Final = FabricParameters()
 
 
-def _cable(course: Course, values: Values) -> Course:
+def _cable(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(cable_exponent=np.full_like(course.cable_exponent, values["mu1"] * CABLE.theta1_rad))
 
 
-def _fabric(course: Course, values: Values) -> Course:
+def _fabric(course: Trajectory, values: Values) -> Trajectory:
     mu2, kappa = values.get("mu2", FABRIC.mu2), values.get("fabric_wrap", FABRIC.fabric_wrap)
     return course._replace(fabric_exponent=mu2 * (FABRIC.wrap_rad + kappa * np.abs(course.knee_rad)))
 
 
-def _bend(course: Course, values: Values) -> Course:
+def _bend(course: Trajectory, values: Values) -> Trajectory:
     bent = np.maximum(0.0, 1.0 + values["cable_bend"] * np.abs(course.knee_rad))
     return course._replace(cable_exponent=course.cable_exponent * bent)
 
 
-def _scaled(course: Course, factor: Array) -> Course:
+def _scaled(course: Trajectory, factor: Array) -> Trajectory:
     return course._replace(
         cable_exponent=course.cable_exponent * factor, fabric_exponent=course.fabric_exponent * factor)
 
 
-def _load(course: Course, values: Values) -> Course:
+def _load(course: Trajectory, values: Values) -> Trajectory:
     return _scaled(course, np.maximum(0.05, 1.0 + values["load_slope"] * (course.tension_n / 40.0 - 1.0)))
 
 
-def _stribeck(course: Course, values: Values) -> Course:
+def _stribeck(course: Trajectory, values: Values) -> Trajectory:
     fading = np.exp(-((course.rope_m_s / values["stribeck_speed"]) ** 2))
     return _scaled(course, 1.0 + (values["stribeck_ratio"] - 1.0) * fading)
 
 
-def _drift(course: Course, values: Values) -> Course:
+def _drift(course: Trajectory, values: Values) -> Trajectory:
     return _scaled(course, np.maximum(0.05, 1.0 + values["friction_drift"] * course.progress))
 
 
-def _viscous(course: Course, values: Values) -> Course:
+def _viscous(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(start_extra_n=course.start_extra_n + values["viscous"] * course.rope_m_s)
 
 
-def _presliding(course: Course, values: Values) -> Course:
+def _presliding(course: Trajectory, values: Values) -> Trajectory:
     fresh = np.zeros(course.rope_m.size, dtype=np.bool_)
     fresh[0] = True
     slip = presliding(course.rope_m, fresh, values["presliding"])

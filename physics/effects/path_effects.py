@@ -7,18 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Course, Effect, EffectParameter, Values, takes
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
+from physics.memory_laws import crept
 from physics.plant.fabric import FabricParameters
 from physics.plant.leg import KNEE_AT_FIT, LegParameters
 from physics.plant.motor import ServoParameters
-from physics.relations.memory_laws import crept
 
 FABRIC: Final = FabricParameters()
 RATIO: Final = LegParameters().moment_arm_m
 RADIUS: Final = ServoParameters().drum_radius_m
 
 
-def _stiffness(course: Course, values: Values) -> Course:
+def _stiffness(course: Trajectory, values: Values) -> Trajectory:
     scale, shape = values.get("stiffness_scale", 1.0), values.get("stiffness_shape", 0.0)
     force = course.desired_n
     nominal = (FABRIC.stretch_a * force + FABRIC.stretch_b) * force
@@ -26,28 +26,28 @@ def _stiffness(course: Course, values: Values) -> Course:
     return course._replace(stretch_m=course.stretch_m + changed - nominal)
 
 
-def _creep(course: Course, values: Values) -> Course:
+def _creep(course: Trajectory, values: Values) -> Trajectory:
     fresh = np.zeros(course.desired_n.size, dtype=np.bool_)
     gamma = crept(course.desired_n, course.time_s, fresh, values["creep_compliance"], values["creep_time"])
     return course._replace(stretch_m=course.stretch_m + gamma)
 
 
-def _slack(course: Course, values: Values) -> Course:
+def _slack(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(rope_extra_m=course.rope_extra_m + values["slack"])
 
 
-def _backlash(course: Course, values: Values) -> Course:
+def _backlash(course: Trajectory, values: Values) -> Trajectory:
     half = 0.5 * values["knee_backlash"] * np.sign(course.knee_rad_s)
     return course._replace(knee_extra_rad=course.knee_extra_rad + half)
 
 
-def _moment_arm(course: Course, values: Values) -> Course:
+def _moment_arm(course: Trajectory, values: Values) -> Trajectory:
     more = values["moment_arm"] * (course.knee_rad**2 - KNEE_AT_FIT**2)
     turned = (values.get("knee_ratio", RATIO) - RATIO) * (course.knee_rad - KNEE_AT_FIT)
     return course._replace(rope_extra_m=course.rope_extra_m + more + turned)
 
 
-def _eccentricity(course: Course, values: Values) -> Course:
+def _eccentricity(course: Trajectory, values: Values) -> Trajectory:
     phase = values["eccentricity_phase"]
     payout = values["eccentricity"] * (np.sin(course.rope_m / RADIUS + phase) - math.sin(phase))
     return course._replace(rope_extra_m=course.rope_extra_m - payout)

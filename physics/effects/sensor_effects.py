@@ -7,20 +7,20 @@ from typing import Final
 import numpy as np
 
 from physics.converter import SensorParameters
-from physics.effects.effect import Course, Effect, EffectParameter, Values, takes
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
 
 SENSOR: Final = SensorParameters()
 
 
-def _start_gain(course: Course, values: Values) -> Course:
+def _start_gain(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(start_gain=course.start_gain * values["start_gain"])
 
 
-def _start_offset(course: Course, values: Values) -> Course:
+def _start_offset(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(start_offset_n=course.start_offset_n + values["start_offset"])
 
 
-def _start_drift(course: Course, values: Values) -> Course:
+def _start_drift(course: Trajectory, values: Values) -> Trajectory:
     return course._replace(start_offset_n=course.start_offset_n + values["start_drift"] * np.asarray(course.progress))
 
 
@@ -67,7 +67,7 @@ def _drift(side: str) -> Effect:
     )
 
 
-def _no_use(course: Course, values: Values) -> Course:
+def _no_use(course: Trajectory, values: Values) -> Trajectory:
     """END is out of the loop: its errors change what is verified, not what is done."""
     del values
     return course

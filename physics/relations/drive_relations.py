@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from physics.relations import memory_laws as states
+from physics import memory_laws as states
 from physics.relations.measured import Signals, start_tension
 from physics.relations.relation_parameters import SERVO
 

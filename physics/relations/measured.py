@@ -12,8 +12,8 @@ from typing import Any, Final, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from physics import memory_laws as states
 from physics.plant.leg import GRAVITY
-from physics.relations import memory_laws as states
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from physics import memory_laws as states
 from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
 from physics.plant.leg import KNEE_AT_FIT
-from physics.relations import memory_laws as states
 from physics.relations import tension_chain as chain
 from physics.relations.measured import END_SLOTS, Signals, end_tension, leg_angle, start_reading, start_tension
 

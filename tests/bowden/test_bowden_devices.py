@@ -56,7 +56,7 @@ def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[...,
     bench.write_text("[network]\nfittings = []\n")
     status, out, err = bowden("check", "config", bench)
     assert (status, out) == (2, "")
-    assert "unknown key fittings" in err
+    assert "unknown key device_mappings" in err
 
 
 def heard(described: Wire) -> list[tuple[int, int, bytes]]:

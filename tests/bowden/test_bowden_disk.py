@@ -12,7 +12,7 @@ import can
 import numpy as np
 
 import trial
-from trial.mcap_file.recover import recover
+from trial.recover import recover
 from virtual_bus.bus import BowdenBus
 
 LIMIT = 1_500_000

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.data import wire
 from diagnosis.data.table import Table, table
-from physics.relations import sampling_laws
-from physics.relations.sampling_laws import Staleness
+from diagnosis.judgement import wire
+from physics import sampling_laws
+from physics.sampling_laws import Staleness
 
 CYCLES = 12_000
 

@@ -8,8 +8,8 @@ import eds
 from eds import bench, cia301, scales, setup
 from eds.bench import Network
 from eds.datatype import DataType
+from eds.device_mapping import KneeMapping, ServoMapping
 from eds.dictionary import key
-from eds.fitting import KneeFitting, ServoFitting
 from parameters import InputError, checked, template
 
 INVALID = cia301.COB_ID_INVALID
@@ -149,7 +149,7 @@ def test_another_device_may_take_a_nodes_place(tmp_path):
     text = eds.packaged("knee_drive").read_text()
     other = tmp_path / "other.eds"
     other.write_text(text.replace("DefaultValue=0xFD410000", "DefaultValue=0xFE410000"))
-    wire = eds.wire(Network(), {eds.KNEE: KneeFitting(file=str(other))})
+    wire = eds.wire(Network(), {eds.KNEE: KneeMapping(file=str(other))})
     assert wire.nodes[eds.KNEE].dictionary.path == str(other)
     assert wire.targets.unpack(wire.targets.pack_si(0.0, math.radians(-20.0))) == (0, -2000)
 
@@ -159,7 +159,7 @@ def test_a_device_that_lacks_an_object_is_named(tmp_path, cut, said):
     path = tmp_path / "lacking.eds"
     path.write_text(eds.packaged("servo_drive").read_text().replace(cut, "[Gone]"))
     with pytest.raises(InputError, match=rf"lacking.eds.*{said}"):
-        eds.wire(Network(), {eds.SERVO: ServoFitting(file=str(path))}).setup(eds.SERVO)
+        eds.wire(Network(), {eds.SERVO: ServoMapping(file=str(path))}).setup(eds.SERVO)
 
 
 def test_a_unit_that_nobody_knows_is_refused(tmp_path):
@@ -167,7 +167,7 @@ def test_a_unit_that_nobody_knows_is_refused(tmp_path):
     text = eds.packaged("knee_drive").read_text()
     path.write_text(text.replace("DefaultValue=0xFD410000", "DefaultValue=0xFD990000"))
     with pytest.raises(InputError, match="60A8 = FD990000h"):
-        eds.wire(Network(), {eds.KNEE: KneeFitting(file=str(path))})
+        eds.wire(Network(), {eds.KNEE: KneeMapping(file=str(path))})
 
 
 def test_set_up_values_are_whole_numbers(wire):

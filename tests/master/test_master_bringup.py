@@ -12,7 +12,7 @@ from eds.cia301 import NmtCommand, NmtState
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.log import Log
-from master.cycle.run_safely import conduct
+from master.cycle.run_safely import run_safely
 from master.network import bringup
 from master.network.sdo import SdoError
 from master.settings import Limits
@@ -91,7 +91,7 @@ def test_a_refused_trial_says_nothing_to_another_masters_bench(composer: Compose
     tap.send_periodic(can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False), 0.1)
     third = BowdenBus(tap.channel_info.split()[-1])
     composer.open.append(third)
-    outcome = conduct(link, None, None, Network(), Limits(), lambda exchange: None)
+    outcome = run_safely(link, None, None, Network(), Limits(), lambda exchange: None)
     assert outcome.reason is not None
     assert "another master" in outcome.reason
     heard = set()
@@ -108,6 +108,6 @@ def test_a_mistake_in_what_is_performed_still_lets_the_rope_go(composer: Compose
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        conduct(link, tap, None, Network(), Limits(), mistaken)
+        run_safely(link, tap, None, Network(), Limits(), mistaken)
     assert int.from_bytes(link.sdo_read(1, 0x6041), "little") & 0x0004 == 0
     assert int.from_bytes(link.sdo_read(2, 0x6041), "little") & 0x0004 == 0

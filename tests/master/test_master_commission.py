@@ -10,7 +10,7 @@ import pytest
 
 from eds.bench import KNEE, SERVO, Network
 from eds.cia402 import State, state_of
-from master.cycle.run_safely import Outcome, conduct
+from master.cycle.run_safely import Outcome, run_safely
 from master.motion import commission
 from master.settings import Homing, Limits
 from parameters import InputError
@@ -32,7 +32,7 @@ class Done:
         link, tap = composer.link(**options)
         recorder = Recorder(path, metadata={}, attachments={}, threaded=False, overwrite=True)
         self.found: Mapping[str, float] = {}
-        self.outcome: Outcome = conduct(link, tap, recorder, Network(), Limits(), lambda e: self._keep(procedure(e)))
+        self.outcome: Outcome = run_safely(link, tap, recorder, Network(), Limits(), lambda e: self._keep(procedure(e)))
         recorder.close({})
         composer.close()
         self.columns = read.open(path).columns

@@ -38,8 +38,8 @@ def configured(name: str, impedance: settings.Impedance | None = None) -> paper.
     return paper.configure(name, nominal(), table(), impedance or settings.Impedance())
 
 
-def seen(sample: int, start_n: float, knee_rad: float) -> paper.Seen:
-    return paper.Seen(sample, 0.0, 0.0, knee_rad, start_n)
+def seen(sample: int, start_n: float, knee_rad: float) -> paper.ControllerInput:
+    return paper.ControllerInput(sample, 0.0, 0.0, knee_rad, start_n)
 
 
 def at_percent(percent: float) -> int:
@@ -47,7 +47,7 @@ def at_percent(percent: float) -> int:
 
 
 def test_seen_has_no_end() -> None:
-    assert not [name for name in paper.Seen._fields if "end" in name]
+    assert not [name for name in paper.ControllerInput._fields if "end" in name]
 
 
 def test_none_is_stretch_and_swing_alone() -> None:

@@ -12,10 +12,10 @@ import pytest
 
 from master import settings
 from master.control import controller
-from master.control.controller_io import Outputs, Seen
+from master.control.controller_io import ControllerInput, Outputs
 from master.control.effect_correction import SCALARS, Correction, calibrated, correction
 from master.control.gait_table import GaitTable, tabulate
-from master.control.homing_fit import Day
+from master.control.homing_fit import HomingFit
 from master.motion import gait
 from master.motion.experiment import Experiment, run
 from master.network.link import Link
@@ -91,7 +91,7 @@ def test_no_effect_is_no_correction() -> None:
 
 def test_start_is_read_as_a_true_sensor_would() -> None:
     found = tabulated({"start_gain": {"start_gain": 1.05}})
-    seen = found.seen(Seen(3, 0.01, 0.0, -0.5, 0.2 + 1.05 * 30.0), offset_n=0.2)
+    seen = found.seen(ControllerInput(3, 0.01, 0.0, -0.5, 0.2 + 1.05 * 30.0), offset_n=0.2)
     assert seen.start_n == pytest.approx(0.2 + 30.0)
     assert found.home_gain == 1.05
 
@@ -101,7 +101,7 @@ def test_the_rope_is_led_where_the_leg_asks_for_it() -> None:
     knee = np.array(table().knee)
     # smoothing over 20 ms flattens the swing's turn by less than 20 µm
     np.testing.assert_allclose(found.rope_m, 1.5e-3 * (knee**2 - KNEE_AT_FIT**2), atol=20e-6)
-    led = found.led(Outputs(0.02, -0.5), SAMPLES + 7)
+    led = found.feed_forward(Outputs(0.02, -0.5), SAMPLES + 7)
     assert led.servo_target_m == pytest.approx(0.02 + found.rope_m[7])
 
 
@@ -124,12 +124,12 @@ def test_friction_that_homing_measures_is_not_counted_twice() -> None:
 
 
 def test_a_controller_without_effects_is_the_controller_itself() -> None:
-    plain = controller.configure("paper", nominal(), table(), settings.Impedance(), Day())
-    told = controller.configure("paper", nominal(), table(), settings.Impedance(), Day(),
+    plain = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit())
+    told = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit(),
                                 tabulated({"end_gain": {"end_gain": 1.05}}))
     state, same = controller.initial(plain), controller.initial(told)
     for sample in range(300):
-        seen = Seen(sample, 0.01, 0.0, table().knee[sample], 10.0)
+        seen = ControllerInput(sample, 0.01, 0.0, table().knee[sample], 10.0)
         outputs, state, _ = controller.step(seen, state, plain)
         others, same, _ = controller.step(seen, same, told)
         assert outputs == pytest.approx(others, abs=1e-12)

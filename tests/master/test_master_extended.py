@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from master.control import controller, extended, friction_following, homing_fit, learning
-from master.control.controller_io import Seen
+from master.control.controller_io import ControllerInput
 from master.control.gait_table import tabulate
-from master.control.homing_fit import Day
+from master.control.homing_fit import HomingFit
 from master.motion import gait
 from master.settings import Impedance
 from physics import inverse, laws
@@ -25,10 +25,10 @@ SLOPES_N_M = (2500.0, 3300.0, 6100.0, 10_400.0)
 BACK_AND_FORTH = np.concatenate([np.linspace(0.0, 45.0, 700), np.linspace(45.0, 1.0, 700)])
 
 
-def configured(day: Day | None = None) -> extended.Config:
+def configured(day: HomingFit | None = None) -> extended.Config:
     knee, desired = gait.sampled(paper_reference(40.0, 2.0), SAMPLES)
     table = tabulate(nominal(), knee, desired, PERIOD_S, 2e-3)
-    return extended.configure(nominal(), day or Day(), table, Impedance())
+    return extended.configure(nominal(), day or HomingFit(), table, Impedance())
 
 
 def test_start_of_a_force_leads_back_to_the_force() -> None:
@@ -36,7 +36,7 @@ def test_start_of_a_force_leads_back_to_the_force() -> None:
     law = inverse.law(nominal(), PERIOD_S)
     knee = np.full(BACK_AND_FORTH.size, -0.5)
     asked = inverse.path(law, BACK_AND_FORTH, knee, laps=1)
-    end, position = inverse.behind(law, asked.position, asked.start, knee)
+    end, position = inverse.end_from_start(law, asked.position, asked.start, knee)
     sliding = (asked.rope_slip > 0.99) | (asked.rope_slip < -0.99)
     assert np.abs(end - BACK_AND_FORTH)[sliding].max() < 0.05
     assert np.abs(position - asked.position)[sliding].max() < 20e-6
@@ -67,7 +67,7 @@ def test_pre_sliding_turns_over_with_travel_not_with_steps() -> None:
     assert whole == pytest.approx(-1.0 + 2.0 * math.exp(-3.0))
 
 
-def found(residue: Day, noise_n: float = 0.15) -> Day:
+def found(residue: HomingFit, noise_n: float = 0.15) -> HomingFit:
     """The day that `adapt` finds in a pull and release of the model on that day."""
     calibration = nominal()
     rng = np.random.default_rng(1)
@@ -84,8 +84,8 @@ def found(residue: Day, noise_n: float = 0.15) -> Day:
 
 
 @pytest.mark.parametrize("residue", [
-    Day(), Day(1.1, 1.0, 0.0, 0.0), Day(0.9, 0.97, 1e-4, 0.2), Day(1.25, 1.1, -2e-3, -0.2)])
-def test_the_day_is_found_from_start_alone(residue: Day) -> None:
+    HomingFit(), HomingFit(1.1, 1.0, 0.0, 0.0), HomingFit(0.9, 0.97, 1e-4, 0.2), HomingFit(1.25, 1.1, -2e-3, -0.2)])
+def test_the_day_is_found_from_start_alone(residue: HomingFit) -> None:
     """Friction within 2 % and stretch within 1 %: under 0.2 N at 40 N each, a third of the learnt error."""
     day = found(residue)
     assert day.friction == pytest.approx(residue.friction, abs=0.02)
@@ -143,11 +143,11 @@ def test_step_is_pure_and_sees_no_end() -> None:
     state = controller.initial(config)
     assert isinstance(state, extended.State)
     for sample in range(-20, 40):
-        look = Seen(sample, 0.01, 5.0, config.gait.knee[sample % SAMPLES], 0.1)
+        look = ControllerInput(sample, 0.01, 5.0, config.gait.knee[sample % SAMPLES], 0.1)
         first = extended.step(look, state, config)
         assert extended.step(look, state, config) == first
         state = first[1]
-    assert not any("end" in name for name in Seen._fields)
+    assert not any("end" in name for name in ControllerInput._fields)
 
 
 def test_feedback_rests_while_the_friction_turns_over() -> None:
@@ -156,7 +156,7 @@ def test_feedback_rests_while_the_friction_turns_over() -> None:
     state = extended.State(config.law)
     moved = []
     for sample in range(180, 520):
-        look = Seen(sample, 0.0, 0.0, config.gait.knee[sample], 60.0)
+        look = ControllerInput(sample, 0.0, 0.0, config.gait.knee[sample], 60.0)
         _, after, _trace = extended.step(look, state, config)
         if after.resting:
             moved.append(after.deviation_m - state.deviation_m)
@@ -171,7 +171,7 @@ def test_knee_ahead_of_its_reference_is_led() -> None:
     state, knee = extended.State(config.law), config.gait.knee
     for sample in range(1200, 1300):
         off = 0.05 + 0.2 * (sample - 1200) * PERIOD_S
-        outputs, state, _ = extended.step(Seen(sample, 0.0, 0.0, knee[sample] + off, 0.0), state, config)
+        outputs, state, _ = extended.step(ControllerInput(sample, 0.0, 0.0, knee[sample] + off, 0.0), state, config)
     then = 1299 + config.ahead
     expected = nominal().stiffness_c - config.gait.slack[then] + nominal().swing_k * (
         knee[then] + 0.05 + 0.2 * (then - 1200) * PERIOD_S - float(laws.knee_angle(13.0)))
@@ -187,8 +187,9 @@ def evidence_of(law: inverse.Law, true: inverse.Law, offset_m: float = 0.0) -> l
         position, start, *_, slip = inverse.inverse(true, slip, force, angle)
         *_, by_sheath, by_knee, sheath_slow, knee_slow, believed = inverse.inverse(law, believed, force, angle)
         if abs(believed[0]) > extended.SETTLED and abs(believed[1]) > extended.SETTLED:
-            one = friction_following.witness(law, position + offset_m, angle, start + float(rng.normal(0.0, 0.15)), by_sheath,
-                                   by_knee, sheath_slow, knee_slow)
+            noisy = start + float(rng.normal(0.0, 0.15))
+            one = friction_following.friction_evidence(
+                law, position + offset_m, angle, noisy, by_sheath, by_knee, sheath_slow, knee_slow)
             told += [] if one is None else [one]
     return told
 

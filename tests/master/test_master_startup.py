@@ -17,7 +17,7 @@ from master.cycle.acknowledge import acknowledge
 from master.cycle.exchange import Exchange, Inputs
 from master.cycle.guard import Guard
 from master.cycle.log import Log
-from master.cycle.run_safely import conduct
+from master.cycle.run_safely import run_safely
 from master.network import bringup
 from master.network.link import Link
 from master.settings import Limits
@@ -69,7 +69,7 @@ def test_a_drive_that_an_aborted_run_left_in_fault_comes_up(composer: Composer) 
     assert acknowledge(link, wire(Network()))[1].became == "released"
     assert State.FAULT in states(link)
     seen: list[State | None] = []
-    outcome = conduct(link, tap, None, Network(), Limits(),
+    outcome = run_safely(link, tap, None, Network(), Limits(),
                       lambda exchange: seen.append(state_of(drives.enable(exchange).knee_status)))
     assert outcome.reason is None
     assert seen == [State.OPERATION_ENABLED]
@@ -78,7 +78,7 @@ def test_a_drive_that_an_aborted_run_left_in_fault_comes_up(composer: Composer) 
 def test_sync_that_somebody_sends_is_no_bench_to_start_on(composer: Composer) -> None:
     link, tap = composer.link()
     tap.send_periodic(can.Message(arbitration_id=0x080, is_extended_id=False), 0.01)
-    outcome = conduct(link, None, None, Network(), Limits(), lambda exchange: None)
+    outcome = run_safely(link, None, None, Network(), Limits(), lambda exchange: None)
     assert outcome.reason is not None
     assert "somebody sends SYNC already" in outcome.reason
 

@@ -11,9 +11,9 @@ from parameters import InputError, from_table
 from physics.converter import SensorParameters
 from physics.effects.catalogue import (
     CATALOGUE,
-    Course,
     Effect,
     EffectParameter,
+    Trajectory,
     apply,
     compensate,
     register,
@@ -95,14 +95,14 @@ def test_what_is_not_given_is_completed_and_what_is_wrong_is_refused() -> None:
         apply({"cable_friction": {"mu1": 0.7}})
 
 
-def _course() -> Course:
+def _course() -> Trajectory:
     t = np.linspace(0.0, 2.0, 201)
     knee = -0.5 + 0.4 * np.sin(np.pi * t)
     desired = 40.0 * np.maximum(0.0, np.sin(np.pi * t)) ** 2
     rope = 0.04 * knee + 0.2e-3 * desired
     rate = np.gradient(rope, t)
     one = np.ones_like(t)
-    return Course(
+    return Trajectory(
         progress=t / 2.0, desired_n=desired, tension_n=1.1 * desired, knee_rad=knee, knee_rad_s=np.gradient(knee, t),
         rope_m=rope, rope_m_s=rate, time_s=t, rope_slip=np.sign(rate), fabric_slip=np.sign(np.gradient(desired, t)),
         cable_exponent=0.126 * one, fabric_exponent=0.1 * one, start_extra_n=0.0 * one, stretch_m=0.25e-3 * desired,

@@ -23,7 +23,7 @@ from mcap.writer import Writer
 import trial
 from parameters import InputError
 from trial.mcap_file import cdr, container
-from trial.mcap_file.recover import recover
+from trial.recover import recover
 from trial.signals import Signal
 
 LAST_BYTES, STEP = 200 * 1024, 1499  # 1499 is prime, so that cuts fall everywhere in records

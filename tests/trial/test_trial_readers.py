@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from trial.mcap_file.recover import recover
+from trial.recover import recover
 
 SCRIPT = Path(__file__).with_name("read_with_mcap_core.mjs")
 

@@ -20,8 +20,8 @@ from mcap_ros2.decoder import DecoderFactory
 import trial
 from parameters import InputError
 from trial.mcap_file import cdr
-from trial.mcap_file.recover import recover
 from trial.record import FLUSH_NS
+from trial.recover import recover
 
 
 def test_mcaps_own_reader_finds_summary_indexes_and_attachments(recorded: Path) -> None:

@@ -30,7 +30,7 @@ def _scale(unit: str, text: str) -> float:
 
 
 @dataclass(frozen=True)
-class ServoFitting:
+class ServoMapping:
     """`[servo]` of the configuration."""
 
     file: str = parameter("", "", _FILE, source="the device's maker")
@@ -47,7 +47,7 @@ class ServoFitting:
 
 
 @dataclass(frozen=True)
-class KneeFitting:
+class KneeMapping:
     """`[knee]` of the configuration."""
 
     file: str = parameter("", "", _FILE, source="the device's maker")
@@ -59,7 +59,7 @@ class KneeFitting:
 
 
 @dataclass(frozen=True)
-class SensorFitting:
+class SensorMapping:
     """`[start]` and `[end]` of the configuration."""
 
     file: str = parameter("", "", _FILE, source="the device's maker")
@@ -67,7 +67,7 @@ class SensorFitting:
     value_scale: float = _scale("N", "tension per count of value")
 
 
-Fitting = ServoFitting | KneeFitting | SensorFitting
+DeviceMapping = ServoMapping | KneeMapping | SensorMapping
 
 _SCALED_BY: Final = {"position": "position_scale", "target": "position_scale", "torque": "torque_scale",
                      "tension": "tension_scale", "value": "value_scale"}
@@ -98,7 +98,7 @@ class Part(NamedTuple):
         return f"{self.scale:g} {symbol} in {self.entry.data_type.name}"
 
 
-def part(device: Dictionary, fitting: Fitting, name: str) -> Part:
+def part(device: Dictionary, fitting: DeviceMapping, name: str) -> Part:
     """Find the object that plays a part; `InputError` where it is missing, unfit for a PDO, or of no known unit."""
     given = str(getattr(fitting, name))
     index, _, sub = given.partition(":")

@@ -7,8 +7,8 @@ import pytest
 
 import eds
 from eds import bench, check
+from eds.device_mapping import KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import key
-from eds.fitting import KneeFitting, SensorFitting, ServoFitting
 from parameters import InputError, from_table
 
 VENDOR = str(Path(__file__).with_name("vendor_drive.eds"))
@@ -17,7 +17,7 @@ COUNT = 2.0 * math.pi / 524_288
 
 
 def knee(**changes):
-    return {eds.KNEE: KneeFitting(**{"file": VENDOR, "position": "3010", "position_scale": COUNT, **changes})}
+    return {eds.KNEE: KneeMapping(**{"file": VENDOR, "position": "3010", "position_scale": COUNT, **changes})}
 
 
 def test_a_bought_drive_is_read_mapped_and_scaled():
@@ -45,22 +45,22 @@ def test_every_lack_is_said_at_once(tmp_path):
     path = tmp_path / "poor.eds"
     text = Path(VENDOR).read_text(encoding="cp1252")
     path.write_text(text.replace("[605E]", "[Gone]").replace("[1400Sub5]", "[Gone too]"))
-    fittings = knee(file=str(path))
-    assert [sentence.split(",")[0] for sentence in bench.lacks(eds.Network(), fittings)] == [
+    device_mappings = knee(file=str(path))
+    assert [sentence.split(",")[0] for sentence in bench.lacks(eds.Network(), device_mappings)] == [
         f"{path}: no object 1400:05", f"{path}: no object 605E:00"]
     with pytest.raises(InputError, match="1400:05"):
-        eds.wire(eds.Network(), fittings).setup(eds.KNEE)
+        eds.wire(eds.Network(), device_mappings).setup(eds.KNEE)
     unready, unknown = bench.lacks(eds.Network(), knee(position="6060", target="9999"))
     assert "6060 Mode" in unready
     assert "no object 9999" in unknown
 
 
 @pytest.mark.parametrize(("fitting", "said"), [
-    (KneeFitting(file=VENDOR), "unit of 6064 .position. is not declared; give position_scale"),
-    (KneeFitting(file=VENDOR, position="9999"), "no object 9999, which should be the position"),
-    (KneeFitting(file=VENDOR, position="here", position_scale=COUNT), "no object here"),
-    (KneeFitting(file=VENDOR, statusword="6060"), "6060 Mode, which should be the statusword, has PDOMapping=0"),
-    (KneeFitting(file=VENDOR, target="6064", position_scale=COUNT), "should be the target.*AccessType=ro"),
+    (KneeMapping(file=VENDOR), "unit of 6064 .position. is not declared; give position_scale"),
+    (KneeMapping(file=VENDOR, position="9999"), "no object 9999, which should be the position"),
+    (KneeMapping(file=VENDOR, position="here", position_scale=COUNT), "no object here"),
+    (KneeMapping(file=VENDOR, statusword="6060"), "6060 Mode, which should be the statusword, has PDOMapping=0"),
+    (KneeMapping(file=VENDOR, target="6064", position_scale=COUNT), "should be the target.*AccessType=ro"),
 ])
 def test_a_part_that_nobody_can_play_is_refused(fitting, said):
     with pytest.raises(InputError, match=said):
@@ -68,26 +68,26 @@ def test_a_part_that_nobody_can_play_is_refused(fitting, said):
 
 
 def test_a_servo_that_cannot_watch_the_tension_takes_none():
-    wire = eds.wire(eds.Network(), {eds.SERVO: ServoFitting(tension="")})
+    wire = eds.wire(eds.Network(), {eds.SERVO: ServoMapping(tension="")})
     assert len(wire.pdos(eds.SERVO)) == 3
 
 
-@pytest.mark.parametrize("fittings", [
-    {eds.START: SensorFitting(value="9130:01")},
-    {eds.START: SensorFitting(value_scale=0.001)},
-    {eds.SERVO: ServoFitting(tension_scale=0.1)},
+@pytest.mark.parametrize("device_mappings", [
+    {eds.START: SensorMapping(value="9130:01")},
+    {eds.START: SensorMapping(value_scale=0.001)},
+    {eds.SERVO: ServoMapping(tension_scale=0.1)},
 ])
-def test_a_servo_never_reads_the_tension_in_another_unit(fittings):
-    wire = eds.wire(eds.Network(), fittings)
+def test_a_servo_never_reads_the_tension_in_another_unit(device_mappings):
+    wire = eds.wire(eds.Network(), device_mappings)
     with pytest.raises(InputError, match=r"tension. counts .* START sends .* make them agree"):
         wire.setup(eds.SERVO)
 
 
 def test_fittings_are_configuration():
-    fitting = from_table(KneeFitting, {"file": VENDOR, "position": "3010"}, where="bench.toml [knee]")
+    fitting = from_table(KneeMapping, {"file": VENDOR, "position": "3010"}, where="bench.toml [knee]")
     assert fitting.position == "3010"
     with pytest.raises(InputError, match="did you mean position"):
-        from_table(KneeFitting, {"positon": "3010"}, where="bench.toml [knee]")
+        from_table(KneeMapping, {"positon": "3010"}, where="bench.toml [knee]")
 
 
 def test_the_check_reads_a_vendors_manner_without_complaint():

@@ -17,9 +17,9 @@ from scipy.optimize import minimize_scalar
 
 from diagnosis.data.table import AGE_SUFFIX, Table
 from diagnosis.judgement.verdict import Figures
+from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect
-from physics.relations import sampling_laws
-from physics.relations.sampling_laws import COUNTED
+from physics.sampling_laws import COUNTED
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
