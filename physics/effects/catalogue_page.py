@@ -1,4 +1,4 @@
-"""Writes docs/effects.md from the catalogue: `python -m physics.effects_page [FILE]`.
+"""Writes docs/effects.md from the catalogue: `python -m physics.effects.catalogue_page [FILE]`.
 
 The rule of this file: the page says what the declarations say and nothing else.
 """
@@ -14,7 +14,7 @@ from physics.effects.separating_experiments import EXPERIMENTS
 HEAD = """# Effects
 
 What can make a bench differ from its simulation. Generated from `physics/effects/catalogue.py` by
-`python -m physics.effects_page docs/effects.md`; change the declarations, not this page. Values are SI.
+`python -m physics.effects.catalogue_page docs/effects.md`; change the declarations, not this page. Values are SI.
 *Likely* is where a search starts; *bounds* are hard. *Neutral* is the value at which an effect is absent, — where
 only a calibration knows the healthy one. Relations are those between measured signals that an effect disturbs.
 """

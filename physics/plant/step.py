@@ -118,12 +118,13 @@ def _compile(sources: int) -> Any:
     return advance
 
 
-SOURCES: Final = ("laws", "motor", "cable", "fabric", "leg", "memory", "chain", "step")
+SOURCES: Final = (
+    "laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain", "plant/step")
 
 
 def digest() -> int:
     """Return a number of the sources that the compiled step is made of."""
-    here = Path(__file__).parent
+    here = Path(__file__).parents[1]
     text = b"".join((here / f"{name}.py").read_bytes() for name in SOURCES)
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big")
 

@@ -66,7 +66,7 @@ def nodes() -> Iterator[None]:
         listening = can.Bus(**multicast)
     except (can.CanError, OSError) as error:
         pytest.skip(f"no multicast on this computer: {error}")
-    command = [sys.executable, "-c", "from bowden import main; main()", *typed(served)]
+    command = [sys.executable, "-c", "from bowden.cli import main; main()", *typed(served)]
     quiet = subprocess.DEVNULL
     with listening, subprocess.Popen(command, cwd=ROOT, stdout=quiet, stderr=quiet) as process:
         assert listening.recv(PATIENCE_S) is not None, "the bench did not boot"

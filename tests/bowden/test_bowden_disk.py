@@ -22,7 +22,7 @@ LIMIT = 1_500_000
 def limited(folder: Path, *arguments: str) -> dict[str, object]:
     """What a command line answers whose files may have `LIMIT` bytes; it ends with status 1."""
     told = subprocess.run(
-        [sys.executable, "-c", "import bowden; bowden.main()", *arguments, "--json"],
+        [sys.executable, "-c", "from bowden.cli import main; main()", *arguments, "--json"],
         cwd=folder, capture_output=True, text=True, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT)))  # refuses as a full disk does
     assert told.returncode == 1, told.stderr

@@ -88,7 +88,7 @@ def on_a_terminal(*words: str) -> str:
     """Run a command whose stderr is a terminal; returns what that showed."""
     ours, theirs = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
-    subprocess.run([sys.executable, "-c", "import bowden; bowden.main()", *words], stdout=subprocess.DEVNULL,
+    subprocess.run([sys.executable, "-c", "from bowden.cli import main; main()", *words], stdout=subprocess.DEVNULL,
                    stderr=theirs, env=environment, check=True)
     os.close(theirs)
     shown = b""

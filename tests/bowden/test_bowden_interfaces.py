@@ -56,7 +56,7 @@ def in_a_process(channel: str, *options: str) -> Iterator[None]:
         listening = can.Bus(**multicast)
     except (can.CanError, OSError) as error:
         pytest.skip(f"no multicast on this computer: {error}")
-    command = [sys.executable, "-c", "from bowden import main; main()", "bench", "--json", "--interface",
+    command = [sys.executable, "-c", "from bowden.cli import main; main()", "bench", "--json", "--interface",
                "udp_multicast", "--channel", channel, *options, "--rate", str(RATE_HZ)]
     root = Path(__file__).resolve().parents[2]
     with listening, subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.PIPE,

@@ -138,7 +138,7 @@ def _interruptible() -> None:
 def served(*arguments: object) -> Iterator[tuple[int, subprocess.Popen[str]]]:
     """`bowden live` in a process of its own; the port it says it has."""
     process = subprocess.Popen(
-        [sys.executable, "-c", "from bowden import main; main()", "live", "--port", "0", "--json",
+        [sys.executable, "-c", "from bowden.cli import main; main()", "live", "--port", "0", "--json",
          *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)
     assert process.stdout is not None

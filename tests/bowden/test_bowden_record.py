@@ -36,7 +36,7 @@ def test_a_trial_carries_what_was_told_and_nothing_that_was_not(here: Path, bowd
 
 def test_init_asks_on_a_terminal(here: Path) -> None:
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", "from bowden import main; main()", "init", "-o", "bench.toml"]
+    command = [sys.executable, "-c", "from bowden.cli import main; main()", "init", "-o", "bench.toml"]
     root = Path(__file__).resolve().parents[2]
     with subprocess.Popen(command, stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                           env={**os.environ, "PYTHONPATH": str(root)}) as asking:

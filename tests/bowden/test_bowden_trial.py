@@ -29,7 +29,7 @@ GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
 def command(*arguments: object, cwd: Path, hash_seed: str = "0") -> subprocess.CompletedProcess[str]:
     """Run `bowden` in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-c", "import bowden; bowden.main()", *map(str, arguments)],
+        [sys.executable, "-c", "from bowden.cli import main; main()", *map(str, arguments)],
         cwd=cwd, env=os.environ | {"PYTHONHASHSEED": hash_seed}, capture_output=True, text=True, check=False)
 
 

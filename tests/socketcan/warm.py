@@ -15,7 +15,7 @@ ENVIRONMENT = {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_CACH
                "PYTHONDONTWRITEBYTECODE": ""}
 _COMPILE = """
 import can, tempfile
-from bowden.app import run
+from bowden.cli.app import run
 from pathlib import Path
 with tempfile.TemporaryDirectory() as folder:
     run(["trial", "--rate", "100", "--cycles", "1", "--settle", "0", "--period", "1", "--peak", "20", "--json",
