@@ -22,7 +22,8 @@ from virtual_bus import plant_model
 from virtual_bus.scatter import LAWS
 
 BASE = (PARAMETERS[name] for name in (
-    "mu1", "mu2", "phi0", "fabric_wrap", "presliding", "fabric_presliding", "stribeck_speed", "rope_per_knee", "rope_zero"))
+    "mu1", "mu2", "phi0", "fabric_wrap", "presliding", "fabric_presliding", "stribeck_speed", "rope_per_knee",
+    "rope_zero"))
 DRAWN = {p.name: st.floats(p.low, p.high) for p in BASE} | {
     "stiffness_scale": st.floats(0.3, 3.0), "stiffness_shape": st.floats(-0.9, 1.0),
     "lead_compliance": st.floats(5e-6, 1e-4), "stribeck_ratio": st.floats(1.0, 5.0)}
