@@ -28,9 +28,9 @@ RING_DAMPING = 0.06
 """Places of the parameters."""
 
 X, V, FORCE, RATE, RUB, Q, W, TORQUE, KNEE_RUB, LEG, OLD_LEG, LEG_RATE, LEG_SWING, FELT_START, FELT_END, FELT_LATE, \
-    RINGING, RING_RATE, OLD_END, STATES = range(20)
+    RINGING, RING_RATE, OLD_END, DONE, STATES = range(21)
 """Places of the state: rope and its speed, servo force and its rate, servo's bristle; knee motor's angle, speed, torque,
-bristle; the leg and what follows from it; the bridges."""
+bristle; the leg and what follows from it; the bridges; steps done."""
 
 
 def parameters(bench: b.Bench) -> np.ndarray:

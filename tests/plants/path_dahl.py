@@ -40,6 +40,8 @@ from tests.plants.friction import age, breakaway, exponents, loaded, remembered,
 from tests.plants.stretch import TABLE, looked_up, table
 
 SUBSTEP_S = 0.5e-3
+EVERY = 1
+"""Steps of the mechanics for one of the path."""
 Q1, Q2, V1, V2, Z1, Z2, U1, U2 = range(OWN, OWN + 8)
 """State: rope at the sheath, fabric at the knee, their speeds, Dahl states, remembered sliding speeds."""
 MID, LAST = FIRST, FIRST + TABLE + 1
@@ -139,8 +141,10 @@ def _compile(sources: int):
         _ = sources
         for _ in range(count):
             mechanics.move(m, k, servo_nm, knee_nm, z[START], z[MIDDLE])
-            leg = m[mechanics.LEG]
-            step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, mechanics.STEP_S)
+            m[mechanics.DONE] += 1.0
+            if m[mechanics.DONE] % EVERY == 0.0:
+                leg = m[mechanics.LEG]
+                step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, EVERY * mechanics.STEP_S)
             mechanics.feel(m, k, z)
 
     @njit(cache=True)

@@ -43,6 +43,8 @@ from tests.plants.friction import age, breakaway, exponents, loaded, remembered,
 from tests.plants.stretch import TABLE, TOP_N, looked_up, table
 
 SUBSTEP_S = 10e-6
+EVERY = 1
+"""Steps of the mechanics for one of the path."""
 SLOW = 10
 """Substeps between refreshes of what changes slowly."""
 TABLES = FIRST, FIRST + TABLE + 1, FIRST + 2 * (TABLE + 1)
@@ -164,8 +166,10 @@ def _compile(sources: int):
         _ = sources
         for _ in range(count):
             mechanics.move(m, k, servo_nm, knee_nm, z[START], z[MIDDLE])
-            leg = m[mechanics.LEG]
-            step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, mechanics.STEP_S)
+            m[mechanics.DONE] += 1.0
+            if m[mechanics.DONE] % EVERY == 0.0:
+                leg = m[mechanics.LEG]
+                step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, EVERY * mechanics.STEP_S)
             mechanics.feel(m, k, z)
 
     @njit(cache=True)

@@ -42,7 +42,11 @@ from tests.plants.stretch import stretch
 
 SUBSTEP_S = 1e-3
 """Longest step of imposed motion."""
-CLOSE_M = 2e-9
+EVERY = 2
+"""Steps of the mechanics for one of the path."""
+CLOSE_M = 3e-9
+SLOPE, NODES = OWN, OWN + 1
+"""Places of the state: rope per END tension as last met, m/N; the nodes' numbers."""
 
 
 def parameters(bench: b.Bench) -> np.ndarray:
@@ -58,14 +62,14 @@ def parameters(bench: b.Bench) -> np.ndarray:
 def state(bench: b.Bench) -> np.ndarray:
     """At rest and slack: per node travel, speed, new travel; per cell state and new state."""
     nodes = bench.structure.sheath_nodes + bench.structure.fabric_nodes
-    return np.zeros(OWN + nodes * (3 + 2 * bench.structure.cells))
+    return np.zeros(NODES + nodes * (3 + 2 * bench.structure.cells))
 
 
 def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     """Rope loose at `x`, anchor at `w`, nothing strained."""
     z[:] = 0.0
     n2 = int(p[N2])
-    z[OWN + n2 : OWN + n2 + int(p[N1])] = w
+    z[NODES + n2 : NODES + n2 + int(p[N1])] = w
     z[OLD_X] = x
 
 
@@ -73,14 +77,14 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
 def climb(z, p, i, nodes, travel, force, delta, exponent, ratio, viscous, dt):
     """Tension above node `i` whose slip travel is `travel` and tension below is `force`."""
     cells = int(p[CELLS])
-    cell, new = OWN + 3 * nodes + i * cells, OWN + 3 * nodes + (nodes + i) * cells
-    moved = travel - z[OWN + i]
+    cell, new = NODES + 3 * nodes + i * cells, NODES + 3 * nodes + (nodes + i) * cells
+    moved = travel - z[NODES + i]
     s = 0.0
     for j in range(cells):
         z[new + j] = min(1.0, max(-1.0, z[cell + j] + moved / (delta * p[FIRST + j])))
         s += p[FIRST + cells + j] * z[new + j]
-    z[OWN + 2 * nodes + i] = travel
-    grip = exponent * loaded(p, force) * breakaway(p, ratio, z[OWN + nodes + i])
+    z[NODES + 2 * nodes + i] = travel
+    grip = exponent * loaded(p, force) * breakaway(p, ratio, z[NODES + nodes + i])
     grease = viscous * moved / dt * min(1.0, force)
     return max(0.0, force * math.exp(s * grip) + grease)
 
@@ -105,30 +109,33 @@ def shoot(z, p, end, w, theta, dt):
 
 @njit(cache=True)
 def find(z, p, x, w, theta, dt):
-    """Set START, MIDDLE and END for rope `x` at the drum, by bracketing and false position (Illinois)."""
-    a = max(z[END], 0.0)
+    """Set START, MIDDLE and END for rope `x` at the drum: secant from the last slope, then false position (Illinois)."""
+    a = z[END]
     f_a = shoot(z, p, a, w, theta, dt)[0] - x
-    width = 0.05
-    c, f_c = a, f_a
+    way = -f_a / z[SLOPE] if z[SLOPE] > 0.0 else 0.1
+    c, f_c, at, start, middle = a, f_a, 0.0, 0.0, 0.0
     while f_c * f_a > 0.0:
-        a, f_a = c, f_c
-        c = a + width if f_a < 0.0 else max(0.0, a - width)
-        f_c = shoot(z, p, c, w, theta, dt)[0] - x
-        if c == 0.0 and f_c >= 0.0:
+        if c == 0.0 and f_c > 0.0:
             return False
-        width *= 3.0
-    start, middle, end = 0.0, 0.0, c
+        a, f_a = c, f_c
+        c = max(0.0, a + math.copysign(abs(way) + 1e-5, -f_a))
+        at, start, middle = shoot(z, p, c, w, theta, dt)
+        f_c = at - x
+        way *= 2.0
+    end = c
     for _ in range(60):
-        end = c - f_c * (c - a) / (f_c - f_a) if f_c != f_a else c
+        if abs(f_c) < CLOSE_M:
+            break
+        end = c - f_c * (c - a) / (f_c - f_a)
         at, start, middle = shoot(z, p, end, w, theta, dt)
         f = at - x
-        if abs(f) < CLOSE_M:
-            break
         if f * f_c < 0.0:
             a, f_a = c, f_c
         else:
             f_a *= 0.5
         c, f_c = end, f
+    if abs(end - z[END]) > 1e-6 and f_c != f_a:
+        z[SLOPE] = min(0.1, max(1e-6, abs((f_c - f_a) / (c - a)))) if c != a else z[SLOPE]
     z[START], z[MIDDLE], z[END] = start, middle, end
     return True
 
@@ -139,18 +146,18 @@ def step(z, p, x, w, theta, dt):
     n1, n2 = int(p[N1]), int(p[N2])
     nodes, cells = n1 + n2, int(p[CELLS])
     before = z[END]
-    first = OWN + 3 * nodes
+    first = NODES + 3 * nodes
     if find(z, p, x, w, theta, dt):
         for i in range(nodes):
-            z[OWN + nodes + i] = remembered(p, z[OWN + nodes + i], (z[OWN + 2 * nodes + i] - z[OWN + i]) / dt, dt)
-            z[OWN + i] = z[OWN + 2 * nodes + i]
+            z[NODES + nodes + i] = remembered(p, z[NODES + nodes + i], (z[NODES + 2 * nodes + i] - z[NODES + i]) / dt, dt)
+            z[NODES + i] = z[NODES + 2 * nodes + i]
         z[first : first + nodes * cells] = z[first + nodes * cells : first + 2 * nodes * cells]
     else:
         shoot(z, p, 0.0, w, theta, dt)
         z[START], z[MIDDLE], z[END] = 0.0, 0.0, 0.0
         for i in range(nodes):
-            z[OWN + nodes + i] = remembered(p, z[OWN + nodes + i], (x - z[OLD_X]) / dt, dt)
-            z[OWN + i] = z[OWN + 2 * nodes + i]
+            z[NODES + nodes + i] = remembered(p, z[NODES + nodes + i], (x - z[OLD_X]) / dt, dt)
+            z[NODES + i] = z[NODES + 2 * nodes + i]
         z[first : first + nodes * cells] = 0.0
     z[OLD_X] = x
     age(z, p, before, dt)
@@ -162,8 +169,10 @@ def _compile(sources: int):
         _ = sources
         for _ in range(count):
             mechanics.move(m, k, servo_nm, knee_nm, z[START], z[MIDDLE])
-            leg = m[mechanics.LEG]
-            step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, mechanics.STEP_S)
+            m[mechanics.DONE] += 1.0
+            if m[mechanics.DONE] % EVERY == 0.0:
+                leg = m[mechanics.LEG]
+                step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, EVERY * mechanics.STEP_S)
             mechanics.feel(m, k, z)
 
     @njit(cache=True)
