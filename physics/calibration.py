@@ -15,9 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from parameters import InputError, checked, declarations, parameter, read_toml
+from physics import stretch
 
 VERSION = 1
 NOMINAL = "nominal"
+FLAT = 0.05
+"""Share of (10)'s linear term below which a slope is taken for flat."""
+LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "end_lag",
+         "start_gain")
+"""Scalars that calibrations of older versions lack; they are taken as neutral, and that is said."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,12 @@ class Calibration:
                                    source="equation (10), bk")
     stiffness_c: float = parameter(9.7e-3, "m", "encoder position that (10) gives at no force", low=-1.0, high=1.0,
                                    source="equation (10), ck")
+    stretch_short: float = parameter(0.0, "m/N", "departure of the stretch from (10) that fades over 8 N, s1", low=-1e-2,
+                                     high=1e-2, source="(10): none")
+    stretch_wide: float = parameter(0.0, "m/N", "departure of the stretch from (10) that fades over 30 N, s2", low=-1e-2,
+                                    high=1e-2, source="(10): none")
+    identified_to: float = parameter(300.0, "N", "START tension up to which the bench was identified", low=1.0,
+                                     high=300.0, source="neutral: no bound")
     swing_k: float = parameter(0.706e-3 * 180 / math.pi, "m/rad", "rope that one radian of the knee takes",
                                low=0.0, high=0.2, source="equation (11), k2")
     swing_p: float = parameter(22.17e-3, "m", "encoder position at the upright knee under 20 N", low=-1.0, high=1.0,
@@ -63,10 +75,16 @@ class Calibration:
                                          low=1e-6, high=5e-3, source="assumed: as presliding")
     breakaway: float = parameter(0.0, "", "friction that rest adds to sliding friction, relative, β", low=0.0, high=4.0,
                                  source="assumed: none on the day of identification")
+    fabric_breakaway: float = parameter(0.0, "", "the same of the fabric on the knee", low=0.0, high=4.0,
+                                        source="assumed: none on the day of identification")
     breakaway_speed: float = parameter(0.01, "m/s", "sliding speed at which breakaway has gone, vs", low=5e-4, high=0.2,
                                        source="assumed: greased steel")
     breakaway_memory: float = parameter(0.02, "s", "time by which friction lags the sliding speed", low=1e-3, high=0.5,
                                         source="assumed: frictional memory (Hess and Soom)")
+    load_slope: float = parameter(0.0, "", "λ: both exponents times 1 + λ·(T/40 N − 1)", low=-0.9, high=2.0,
+                                  source="assumed: Amontons' law")
+    viscous: float = parameter(0.0, "N·s/m", "viscous friction of the rope in its sheath", low=0.0, high=200.0,
+                               source="paper, 3.1: Coulomb friction only")
     fabric_share: float = parameter(0.4, "", "share of the fabric's stretch on the rope's side of the knee", low=0.0,
                                     high=1.0, source="assumed: geometry")
     drive_bandwidth: float = parameter(25.0, "Hz", "bandwidth of the servo's position loop", low=1.0, high=500.0,
@@ -77,21 +95,41 @@ class Calibration:
                                    source="assumed")
     start_lag: float = parameter(1e-3, "s", "time by which START's reading lags its force", low=0.0, high=0.1,
                                  source="assumed: a low-pass of 200 Hz and half a sampling interval")
+    end_lag: float = parameter(1e-3, "s", "time by which END's reading lags its force, while a bench is identified",
+                               low=0.0, high=0.1, source="assumed: as START's")
+    start_gain: float = parameter(1.0, "", "START's reading by END's where no friction is between them", low=0.8,
+                                  high=1.25, source="assumed: both true")
     start_offset: float = parameter(0.0, "N", "START reading with a slack rope", low=-10.0, high=10.0,
                                     source="assumed")
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     label: str = NOMINAL
     bench: str = ""
+    lacking: tuple[str, ...] = ()
 
     @property
     def turning_point_n(self) -> float:
         """Force at which (10) turns over and its inverse ends (88.2 N for the paper's numbers)."""
         return -self.stiffness_b / (2 * self.stiffness_a) if self.stiffness_a < 0 else math.inf
 
+    @property
+    def limit_n(self) -> float:
+        """Force at which the whole stretch turns over: (10)'s own turning point where nothing departs from (10)."""
+        return self.turning_point_n if not self.stretch_short and not self.stretch_wide else stretch.limit_n(self, 0.0)
+
+    @property
+    def reach_n(self) -> float:
+        """Force beyond which the stretch is continued along its tangent: not identified, or almost flat."""
+        return min(self.identified_to, stretch.limit_n(self, FLAT * self.stiffness_b))
+
 
 def scalars() -> tuple[str, ...]:
     """Names of the scalars, in the order of the file."""
     return tuple(name for name, _, _ in declarations(Calibration))
+
+
+def neutral(name: str) -> float:
+    """Value of a scalar that says nothing."""
+    return float(getattr(Calibration(), name))
 
 
 def nominal() -> Calibration:
@@ -123,8 +161,12 @@ def _build(where: str, given: Mapping[str, Any], owner: str) -> Calibration:
         if name not in known:
             raise InputError(f"{where}: unknown scalar {name}; expected one of {', '.join(known)}.")
     values, evidence = {}, {}
+    lacking = tuple(name for name in LATER if name not in given)
     for name, declared in known.items():
         row = given.get(name)
+        if name in lacking:
+            values[name] = given["breakaway"]["value"] if name == "fabric_breakaway" else neutral(name)
+            continue
         if not isinstance(row, dict) or "value" not in row:
             raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
         if row.get("unit", declared.unit) != declared.unit:
@@ -133,7 +175,7 @@ def _build(where: str, given: Mapping[str, Any], owner: str) -> Calibration:
         low, high = _interval(where, name, row)
         evidence[name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
                                   str(row.get("trial", "")))
-    given_as = checked(Calibration(**values, evidence=evidence, label=where, bench=owner), where=where)
+    given_as = checked(Calibration(**values, evidence=evidence, label=where, bench=owner, lacking=lacking), where=where)
     floats: dict[str, Any] = {name: float(getattr(given_as, name)) for name in known}
     return dataclasses.replace(given_as, **floats)
 
@@ -166,7 +208,7 @@ def write(calibration: Calibration) -> str:
 
 def refuse_beyond_validity(calibration: Calibration, peak_n: float) -> None:
     """Raise `InputError` when the desired peak lies beyond the turning point of (10), where it has no inverse."""
-    limit = calibration.turning_point_n
+    limit = calibration.limit_n
     if peak_n >= limit:
         raise InputError(
             f"calibration {calibration.label}: a peak of {peak_n:g} N is beyond the turning point of its stiffness, "
