@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bowden.buses import Chosen, opened
 from bowden.cli import outputs, terminal
 from bowden.configuration import override
-from parameters import InputError, read_toml
+from parameters import InputError
 from trial.signals import INDEX
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from master.motion.experiment import Experiment, Result
     from master.network.link import Link
     from master.settings import Gait
+    from physics.calibration import Calibration
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -100,7 +101,7 @@ def prepare(
     from master.motion.experiment import Experiment
     from master.motion.scripted_experiments import checked
     from master.settings import checked_controller
-    from physics.calibration import nominal, read, refuse_beyond_validity
+    from physics.calibration import refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
@@ -111,19 +112,30 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    measured = nominal() if calibration is None else read(calibration, bench=chosen.bench)
+    measured = _measured(calibration, controller_model, chosen.bench)
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
-                            known=known_effects(controller_model), **sections)
+                            known={**known_effects(calibration), **known_effects(controller_model)}, **sections)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
                     script or "")
 
 
-def known_effects(controller_model: Path | None) -> Effects:
-    """The effects that a controller model states; none without one."""
-    from physics.effects.effects_table import stated
+def known_effects(model: Path | None) -> Effects:
+    """The effects that a bench model states; none without one."""
+    from physics import bench_model
 
-    return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
+    return {} if model is None else bench_model.read(model).effects
+
+
+def _measured(calibration: Path | None, controller_model: Path | None, bench: str) -> Calibration:
+    """What the controller works from: the parameters of `calibration`, else those of the controller model, if any."""
+    from physics import bench_model
+
+    for path in filter(None, (calibration, controller_model)):
+        model = bench_model.read(path, bench=bench)
+        if model.values:
+            return model.calibration
+    return bench_model.nominal().calibration
 
 
 def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite: bool, quiet: bool) -> dict[str, Any]:

@@ -33,6 +33,9 @@ LAPS: Final = 8
 MIDWAY: Final = 0.5
 """Where in the trial an effect that drifts is met: its mean; the rest is the feedback's."""
 LEAST_EXPONENT: Final = 1e-3
+AROUND: Final = frozenset({"load_slope", "viscous", "start_gain"})
+"""Quantities that tables around any controller meet, though a calibration has a scalar for them: not every one reads
+it."""
 SMOOTH_S: Final = 0.02
 """Tables have no steps: a target must not have any."""
 
@@ -46,7 +49,7 @@ def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, d
     for name, given in found.items():
         values = complete(name, given)
         targets = CATALOGUE[name].forward
-        if not all(BY_PLANT[target] in MEASURABLE for target in targets):
+        if not all(BY_PLANT[target] in MEASURABLE - AROUND for target in targets):
             rest[name] = values
             continue
         before = from_scalars({scalar: getattr(calibration, scalar) for scalar in scalars()})

@@ -120,8 +120,8 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "parameters", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain",
-    "plant/step",
+    "laws", "parameters", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout",
+    "plant/chain", "plant/step",
 )
 
 
