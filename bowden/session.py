@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bowden.buses import Chosen, opened
 from bowden.cli import outputs, terminal
 from bowden.configuration import override
-from parameters import InputError
+from parameters import InputError, read_toml
 from trial.signals import INDEX
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    measured = _measured(calibration, controller_model, chosen.bench)
+    measured = _measured(calibration, controller_model, _bench(chosen))
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
                             known={**known_effects(calibration), **known_effects(controller_model)}, **sections)
@@ -125,6 +125,16 @@ def known_effects(model: Path | None) -> Effects:
     from physics import bench_model
 
     return {} if model is None else bench_model.read(model).effects
+
+
+def _bench(chosen: Chosen) -> str:
+    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    from physics import bench_model
+
+    simulated = chosen.arguments.get("plant_model")
+    if not isinstance(simulated, str):
+        return chosen.bench
+    return bench_model.from_tables(read_toml(Path(simulated)), simulated).bench or chosen.bench
 
 
 def _measured(calibration: Path | None, controller_model: Path | None, bench: str) -> Calibration:

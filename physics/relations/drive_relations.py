@@ -45,7 +45,7 @@ def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
 
 
 def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
-    slip = states.presliding(position, fresh, p["drive_presliding"])
+    slip = states.slipped(position, fresh, p["drive_presliding"])
     return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
 
 
