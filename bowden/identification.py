@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bowden import provenance, recorded, session
 from bowden.buses import Chosen, opened
-from bowden.cli import terminal
+from bowden.progress import SILENT, Progress
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class Identified(NamedTuple):
 
 def perform(
     what: str, sections: Mapping[str, Any], guess: Path | None, chosen: Chosen, recording: Path, *, date: str,
-    overwrite: bool, quiet: bool,
+    overwrite: bool = False, progress: Progress = SILENT,
 ) -> Identified:
     """Run the experiments of `what` on a bus, recorded in `recording`."""
     from master.identification import identify
@@ -39,7 +39,7 @@ def perform(
     wanted = identify.Identification(
         what=what, guess=nominal() if guess is None else read(guess), network=network, limits=sections["limits"],
         homing=sections["homing"])
-    session.compile_laws(simulated=chosen.simulated, quiet=quiet)
+    session.compile_laws(simulated=chosen.simulated, progress=progress)
     with opened(chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus:
         recorder = Recorder(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
@@ -47,7 +47,7 @@ def perform(
                                  "commit": provenance.commit()},
             attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated,
             overwrite=overwrite)
-        with session.discarding(recorder), terminal.progress(f"identify {what}", shown=not quiet) as update:
+        with session.discarding(recorder), progress.running(f"identify {what}") as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
                                              lambda _part, share: update(share))
         try:
@@ -56,12 +56,14 @@ def perform(
             return Identified(outcome.reason or f"recording failed: {error}", None, segments)
     if outcome.reason is not None:
         return Identified(outcome.reason, None, segments)
-    with terminal.waiting("fitting", shown=not quiet):
+    with progress.waiting("fitting"):
         return Identified(None, identify.calibrate(
             what, segments, wanted.guess, bench=chosen.bench, date=date, trial=recording.name), segments)
 
 
-def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, quiet: bool) -> Identified:
+def again(
+    what: str, trials: Sequence[Path], guess: Path | None, *, date: str, progress: Progress = SILENT
+) -> Identified:
     """Fit to the experiments that `trials` recorded, on one bench; without a `guess` it starts where the first did.
 
     Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
@@ -79,7 +81,7 @@ def again(what: str, trials: Sequence[Path], guess: Path | None, *, date: str, q
     segments = [segment for each in given for segment in identify.recorded(each)]
     start = recorded.calibration(given[0]) if guess is None else read(guess)
     inverse.prepare()
-    with terminal.waiting("fitting", shown=not quiet):
+    with progress.waiting("fitting"):
         return Identified(None, identify.calibrate(
             what, segments, start, bench=next(iter(benches), ""), date=date,
             trial=", ".join(path.name for path in trials)), segments)

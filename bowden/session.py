@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bowden import output_files
 from bowden.buses import Chosen, opened
-from bowden.cli import outputs, terminal
 from bowden.configuration import override
+from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
 from trial.signals import INDEX
 
@@ -126,7 +127,10 @@ def known_effects(controller_model: Path | None) -> Effects:
     return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
 
 
-def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite: bool, quiet: bool) -> dict[str, Any]:
+def perform(
+    prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
+    progress: Progress = SILENT,
+) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
     from bowden import figures as report
     from bowden import provenance
@@ -135,15 +139,15 @@ def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
-    outputs.refuse([output, truth, picture], overwrite=overwrite)
-    compile_laws(simulated=simulated, quiet=quiet)
+    output_files.refuse([output, truth, picture], overwrite=overwrite)
+    compile_laws(simulated=simulated, progress=progress)
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
         recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite)
         began = time.perf_counter()
-        with terminal.progress("trial", shown=not quiet) as update, bus.host() as refused:
+        with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
@@ -151,7 +155,7 @@ def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None
-    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept)
+    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
     if picture is not None and kept:
         report.picture(output, picture, prepared)
     return figures
@@ -179,25 +183,25 @@ def discarding(recorder: Recorder) -> Iterator[None]:
         raise
 
 
-def compile_laws(*, simulated: bool, quiet: bool) -> None:
+def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     """Compile the laws where this machine has not yet; say so with the seconds it took."""
     import nodes
     from physics import inverse
     from physics.plant import bench_plant
 
     began, compiled = time.perf_counter(), False
-    with terminal.waiting("preparing; a first run on a machine compiles the laws", shown=not quiet):
+    with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
             nodes.prepare()
             compiled = bench_plant.prepare()
     if compiled:
-        terminal.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
+        progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")
 
 
 class Watched:
-    """A recorder that tells a progress bar how far the gait has come, once in `EVERY` rows."""
+    """A recorder that tells how far the gait has come, once in `EVERY` rows."""
 
     EVERY = 200
 

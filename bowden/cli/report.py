@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options, outputs, terminal
+from bowden import output_files
+from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def report(
     from trial.read import open as opened
     from trial.report import trial_page as page
 
-    outputs.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite)
     with terminal.waiting(f"reading {trial}", shown=not json):
         recorded = opened(trial)
     with terminal.progress("report", shown=not json) as update:

@@ -48,7 +48,7 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    result = session.perform(prepared, output, picture, overwrite=overwrite, quiet=json)
+    result = session.perform(prepared, output, picture, overwrite=overwrite, progress=terminal.Terminal(shown=not json))
     terminal.emit(result) if json else _show(result, output, picture)
     return 0 if result["outcome"] == "completed" else 1
 
