@@ -117,7 +117,7 @@ def _each(
     """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
     from bowden.sweep import diagnose_each
 
-    given = diagnose_each.Given(calibration, healthy, holdout, lowpass)
+    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
     with diagnose_each.crew(scheduler, workers) as crew, terminal.progress("diagnosing", shown=not json) as update:
         told = diagnose_each.each(trials, given, crew, update)
     terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
