@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bowden import output_files
-from bowden.buses import Chosen, opened
+from bowden.buses import BusSettings, opened
 from bowden.configuration import override
 from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
@@ -24,11 +24,13 @@ from trial.signals import INDEX
 if TYPE_CHECKING:
     import can
 
+    from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
     from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Result
     from master.network.link import Link
     from master.settings import Gait
+    from physics.calibration import Calibration
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -44,7 +46,7 @@ class Prepared:
 
     experiment: Experiment
     sections: Mapping[str, Any]
-    chosen: Chosen
+    chosen: BusSettings
     files: Mapping[str, bytes] = field(default_factory=dict)
     script: str = ""
 
@@ -91,10 +93,14 @@ def reference(
 
 
 def prepare(
-    sections: Mapping[str, Any], reference: Reference, calibration: Path | None, chosen: Chosen, *, dry_run: bool,
-    controller_model: Path | None = None, files: Mapping[str, bytes] | None = None, script: str | None = None,
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | Calibration | None, chosen: BusSettings,
+    *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
+    script: str | None = None,
 ) -> Prepared:
-    """Join options to an experiment that can be run; raises `InputError` where it cannot."""
+    """Join sections to an experiment that can be run; raises `InputError` where it cannot.
+
+    `calibration`, `controller_model` (the effects that the controller knows of): files, or what is in them.
+    """
     from bowden import provenance
     from eds import bus_load
     from eds.bench import wire
@@ -112,7 +118,9 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    measured = nominal() if calibration is None else read(calibration, bench=chosen.bench)
+    if isinstance(calibration, Path):
+        calibration = read(calibration, bench=chosen.bench)
+    measured = calibration or nominal()
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
                             known=known_effects(controller_model), **sections)
@@ -120,8 +128,10 @@ def prepare(
                     script or "")
 
 
-def known_effects(controller_model: Path | None) -> Effects:
+def known_effects(controller_model: Path | BenchModel | None) -> Effects:
     """The effects that a controller model states; none without one."""
+    if controller_model is not None and not isinstance(controller_model, Path):
+        return controller_model.effects
     from physics.effects.effects_table import stated
 
     return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))

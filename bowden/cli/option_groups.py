@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 from bowden.cli import options
 
 if TYPE_CHECKING:
-    from bowden.buses import Chosen
+    from bowden.buses import BusSettings
 
 
 class Walk(NamedTuple):
@@ -65,7 +65,7 @@ class Bus(NamedTuple):
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
         return sections
 
-    def chosen(self, simulated: Simulated | None = None) -> Chosen:
+    def chosen(self, simulated: Simulated | None = None) -> BusSettings:
         """The bus to open; raises `InputError` for what contradicts itself."""
         from bowden.buses import BENCH, VIRTUAL, bus
         from bowden.buses import simulated as virtual

@@ -14,7 +14,7 @@ from bowden.cli.option_groups import Bus, Simulated, grouped
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.buses import Chosen
+    from bowden.buses import BusSettings
     from bowden.replay.onto_bus import Played, Playing
     from trial.read import Trial
 
@@ -127,7 +127,7 @@ def _controller(recorded: Trial, *, json: bool) -> int:
     return 1
 
 
-def _plant(recorded: Trial, chosen: Chosen, output: Path | None, *, overwrite: bool, json: bool) -> int:
+def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool, json: bool) -> int:
     from bowden.replay import onto_plant
 
     found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite,
@@ -146,7 +146,7 @@ def _plant(recorded: Trial, chosen: Chosen, output: Path | None, *, overwrite: b
     return 0 if found.same else 1
 
 
-def _nodes(recorded: Trial, chosen: Chosen, bitrate: int, *, json: bool) -> int:
+def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) -> int:
     from bowden.replay import onto_master
 
     found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal(shown=not json))

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from bowden.buses import Chosen, opened_one
+from bowden.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
 from eds.frame import Frame
 from parameters import InputError
@@ -93,7 +93,7 @@ class Playing:
 
 @contextmanager
 def opened(
-    recorded: Trial, selection: Selection, chosen: Chosen, channels: Mapping[int, str] | None = None, *,
+    recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
     speed: float = 1.0, loops: int = 1,
 ) -> Iterator[Playing]:
     """Open the buses and bring the nodes to where the selected frames begin; yields what plays them.
@@ -112,7 +112,7 @@ def opened(
 
 
 def replay(
-    recorded: Trial, selection: Selection, chosen: Chosen, channels: Mapping[int, str] | None = None, *,
+    recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
     speed: float = 1.0, loops: int = 1, progress: Progress = SILENT,
 ) -> Played:
     """Play the frames that `selection` names, in their time."""
@@ -123,7 +123,7 @@ def replay(
 
 
 @contextmanager
-def _outlet(chosen: Chosen, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
+def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
     """The bus of each recorded channel that is mapped; without a map one bus takes all of them."""
     from bowden.replay.playing_bus import Outlet
 
@@ -139,7 +139,7 @@ def _outlet(chosen: Chosen, channels: Mapping[int, str]) -> Iterator[tuple[Outle
         yield Outlet({number: named[name] for number, name in channels.items()}), next(iter(named.values()))
 
 
-def _on(chosen: Chosen, channel: str) -> Chosen:
+def _on(chosen: BusSettings, channel: str) -> BusSettings:
     return replace(chosen, arguments={**chosen.arguments, "channel": channel})
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from bowden.buses import Chosen, opened_one
+from bowden.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
 from bowden.recorded import experiment, script, sections
 from bowden.replay.onto_plant import lengths_ns
@@ -23,7 +23,7 @@ SILENCE_NS = 3_000_000_000
 """A master that says nothing for so long has finished."""
 
 
-def replay(recorded: Trial, chosen: Chosen, bitrate: int, *, progress: Progress = SILENT) -> Answer:
+def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Progress = SILENT) -> Answer:
     """Let a master run against the recorded nodes; says where it differs from the recorded master.
 
     Raises `InputError` for a trial without frames.
@@ -63,7 +63,7 @@ def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> N
             run(link, tap, None, planned)
 
 
-def _theirs(nodes: RecordedNodes, chosen: Chosen, bitrate: int, progress: Progress) -> None:
+def _theirs(nodes: RecordedNodes, chosen: BusSettings, bitrate: int, progress: Progress) -> None:
     """The recorded nodes on a real bus, until nothing is left to say or the master has finished."""
     from virtual_bus.bench import Bench
     from virtual_bus.serve import serve

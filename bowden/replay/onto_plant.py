@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bowden import output_files, provenance, session
-from bowden.buses import Chosen, opened_one
+from bowden.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
 from bowden.recorded import sections
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    recorded: Trial, chosen: Chosen, output: Path | None = None, *, overwrite: bool = False,
+    recorded: Trial, chosen: BusSettings, output: Path | None = None, *, overwrite: bool = False,
     progress: Progress = SILENT,
 ) -> Residuals:
     """Play what the master sent to a simulated bench, and compare what its nodes answer with what was recorded.
@@ -39,7 +39,7 @@ def replay(
     return found
 
 
-def simulate(recorded: Trial, chosen: Chosen, described: Wire, progress: Progress = SILENT) -> Rows:
+def simulate(recorded: Trial, chosen: BusSettings, described: Wire, progress: Progress = SILENT) -> Rows:
     """Every frame of a simulated bench that is told what the recorded one was told, at the same bus times."""
     from bowden.replay import plant_residuals, playing_bus
     from bowden.replay.player import Player

@@ -106,7 +106,7 @@ def attached(row: Row) -> dict[str, bytes]:
                            (("knee", files.knee), ("desired", files.desired))})
 
 
-def chosen(row: Row) -> buses.Chosen:
+def chosen(row: Row) -> buses.BusSettings:
     """Return the virtual bus of a row, on a channel of its own."""
     bench = table(row, "bench")
     return buses.simulated(
