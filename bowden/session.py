@@ -19,7 +19,7 @@ from bowden.buses import BusSettings, opened
 from bowden.configuration import override
 from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
-from trial.signals import INDEX
+from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
     import can
@@ -42,6 +42,7 @@ class Prepared:
     """A checked experiment, the bus it will run on, and the sections and other files it came from.
 
     `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
+    `own_signals` are the controller's own columns, behind those of every trial.
     """
 
     experiment: Experiment
@@ -49,6 +50,7 @@ class Prepared:
     chosen: BusSettings
     files: Mapping[str, bytes] = field(default_factory=dict)
     script: str = ""
+    own_signals: tuple[Signal, ...] = ()
 
     @property
     def laps(self) -> int:
@@ -104,14 +106,14 @@ def prepare(
     from bowden import provenance
     from eds import bus_load
     from eds.bench import wire
+    from master.control import controller
     from master.motion.experiment import Experiment
     from master.motion.scripted_experiments import checked
-    from master.settings import checked_controller
     from physics.calibration import nominal, read, refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
-    checked_controller(gait.controller, where="--controller")
+    kind = controller.find(gait.controller, where="--controller")
     if script is not None:
         checked(script, where="--experiment")
         if dry_run:
@@ -125,7 +127,7 @@ def prepare(
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
                             known=known_effects(controller_model), **sections)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
-                    script or "")
+                    script or "", controller.signals(kind))
 
 
 def known_effects(controller_model: Path | BenchModel | None) -> Effects:
@@ -155,7 +157,8 @@ def perform(
         recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
-                            threaded=not simulated, overwrite=overwrite)
+                            threaded=not simulated, overwrite=overwrite,
+                            signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
         with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
@@ -218,9 +221,12 @@ class Watched:
     def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
         self.frame, self.event = recorder.frame, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
+        self._width = recorder.width
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         """Record one control cycle."""
+        if len(values) < self._width:  # a row of which the controller says nothing
+            values = (*values, *(math.nan,) * (self._width - len(values)))
         self._record(time_ns, values)
         self._count += 1
         if not self._count % self.EVERY and values[CYCLE] >= 0:
