@@ -22,13 +22,10 @@ from parameters import InputError, read_toml
 from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
-    import can
-
     from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
-    from master.cycle.log import Sink
-    from master.motion.experiment import Experiment, Result
-    from master.network.link import Link
+    from master.motion.experiment import Experiment, Planned, Result
+    from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.calibration import Calibration
     from physics.reference import Reference
@@ -60,13 +57,12 @@ class Prepared:
         cycles = self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
-    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink) -> Result:
-        """Run it on an open bus."""
-        from master.motion import experiment, scripted_experiments
+    def planned(self) -> Planned | Scripted:
+        """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
+        from master.motion.experiment import Planned
+        from master.motion.scripted_experiments import Scripted
 
-        if self.script:
-            return scripted_experiments.run(link, tap, recorder, self.experiment, self.script)
-        return experiment.run(link, tap, recorder, self.experiment)
+        return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 
 def reference(
@@ -153,6 +149,7 @@ def perform(
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
+    planned = prepared.planned()
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
         recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
@@ -164,7 +161,7 @@ def perform(
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
-            result = prepared.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None

@@ -77,8 +77,7 @@ def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: E
     Raises `InputError` before anything is sent where the experiment cannot be run at all; whatever happens on the
     bus ends in a `Result`.
     """
-    trial = Planned(experiment)
-    return result_of(run_safely(link, tap, recorder, experiment.network, experiment.limits, trial.perform), trial)
+    return Planned(experiment).run(link, tap, recorder)
 
 
 def result_of(outcome: Outcome, trial: Planned) -> Result:
@@ -123,6 +122,12 @@ class Planned:
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
         inverse.prepare()
         self._rehearse()
+
+    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink | None) -> Result:
+        """Run it on the bus of `link`, as `run` does."""
+        experiment = self.experiment
+        return result_of(
+            run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform), self)
 
     def _rehearse(self) -> None:
         """Step the controller once, so that what it compiles or refuses is done before a frame is sent."""
