@@ -7,15 +7,14 @@ first row on, so that what a controller remembers is made again; every output is
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bowden.replay.comparison import Comparison
 from eds.bench import Wire, wire
 from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
@@ -54,24 +53,13 @@ class Difference:
     replayed: float | str
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """What was stepped again: rows, frames of targets compared, rows that differ by signal, the first difference."""
+@dataclass(frozen=True, kw_only=True)
+class ControllerComparison(Comparison[Difference]):
+    """What was stepped again: rows, and frames of targets compared; rows that differ by signal."""
 
     controller: str
     rows: int
     frames: int
-    differing: dict[str, int] = field(default_factory=dict)
-    first: Difference | None = None
-
-    @property
-    def same(self) -> bool:
-        """Every output is the recorded one, bit for bit."""
-        return self.first is None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it with nothing that JSON lacks."""
-        return {"same": self.same, **dataclasses.asdict(self)}
 
 
 class EndedError(Exception):
@@ -125,7 +113,7 @@ class Recording:
 
 def replay(
     recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
-) -> Comparison:
+) -> ControllerComparison:
     """Step the controller of `experiment` again over a trial of it, and compare.
 
     Raises `InputError` where the trial does not hold what is needed.
@@ -175,7 +163,9 @@ def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:
     return HomingFit()
 
 
-def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording) -> Comparison:
+def compare(
+    recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording
+) -> ControllerComparison:
     """Compare what the steps gave with what was recorded, bit for bit; one NaN is like another."""
     count = len(recording.made)
     stepped = slice(rows.start, rows.start + count)
@@ -188,7 +178,7 @@ def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, 
     marks[ROWS] = [count - 1] if count < len(rows) else []
     differing = {name: len(where) for name, where in marks.items() if where}
     if not differing:
-        return Comparison(controller, count, len(told))
+        return ControllerComparison(controller=controller, rows=count, frames=len(told), differing={}, first=None)
     at, name = min(((marks[name][0], name) for name in differing), key=lambda mark: mark[0])
     values: tuple[float | str, float | str]
     if name == TARGETS_FRAME:
@@ -199,7 +189,8 @@ def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, 
         values = float(then[name][at]), float(again[name][at])
     row = rows.start + at
     time_s, cycle, percent = (float(recorded.columns[key][row]) for key in ("time_s", "cycle", "gait_percent"))
-    return Comparison(controller, count, len(told), differing, Difference(row, time_s, cycle, percent, name, *values))
+    first = Difference(row, time_s, cycle, percent, name, *values)
+    return ControllerComparison(controller=controller, rows=count, frames=len(told), differing=differing, first=first)
 
 
 def _unlike(one: Floats, other: Floats) -> list[int]:
