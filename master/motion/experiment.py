@@ -138,7 +138,7 @@ class Planned:
             float(servo), float(knee), [float(value) for value in (*trace[:8], *trace.own)]
         except InputError:
             raise
-        except Exception as error:
+        except gait.ENDS_A_STEP as error:
             raise InputError(f"controller {name}: {gait.raised(error)} when it was tried before the trial; "
                              "mend it.") from error
 

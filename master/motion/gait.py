@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from master.settings import Homing
 from physics.calibration import Calibration
 from physics.reference import Reference
 
+ENDS_A_STEP: Final = (Exception, SystemExit)
+"""What a controller may raise that ends in the safe stop; Ctrl-C is taken elsewhere."""
 HURRY = 5.0
 """The approach to the run-in runs slack, this much faster than homing."""
 
@@ -73,7 +75,7 @@ def naming(name: str) -> Iterator[None]:
     """Turn what a controller raises into a safe stop that names it."""
     try:
         yield
-    except Exception as error:
+    except ENDS_A_STEP as error:
         raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}") from error
 
 
@@ -104,7 +106,7 @@ def run(
             whole = isfinite(servo) and isfinite(knee) and len(trace.own) == own
             told = trace[2:8] + trace.own if own else trace[2:8]
             isfinite(sum(told))  # what is no number must not reach the recorder
-        except Exception as error:
+        except ENDS_A_STEP as error:
             raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}, {_place(i, samples, number(sample))}"
                             ) from error
         if not whole:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -101,6 +102,13 @@ def test_the_packages_are_typed_and_the_names_are_there() -> None:
     assert all(getattr(bowden, name) is not None for name in bowden.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         bowden.nothing  # noqa: B018
+
+
+def test_the_contract_against_the_command_line_names_every_part_of_the_library() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    (named,) = (set(one["source_modules"]) for one in contracts if "bowden.cli" in one.get("forbidden_modules", ()))
+    parts = {path.stem for path in (ROOT / "bowden").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {f"bowden.{part}" for part in parts - {"__init__", "cli"}} | set(PACKAGES) - {"bowden"} == named
 
 
 def test_importing_it_imports_nothing_heavy() -> None:

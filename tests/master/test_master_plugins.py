@@ -36,6 +36,13 @@ class Raises(PaperController):
         return super().step(seen, state)
 
 
+class Exits(PaperController):
+    def step(self, seen: ControllerInput, state: Any) -> Any:
+        if seen.sample == AT:
+            raise SystemExit("enough")
+        return super().step(seen, state)
+
+
 class NotANumber(PaperController):
     wrong: float = math.nan
 
@@ -108,6 +115,7 @@ def test_own_columns_are_in_the_trial_with_unit_and_the_others_are_as_without() 
 
 @pytest.mark.parametrize(("kind", "says"), [
     (Raises, "raised ZeroDivisionError (float division by zero), gait cycle 0 at 25.0 %"),
+    (Exits, "raised SystemExit (enough), gait cycle 0 at 25.0 %"),
     (NotANumber, "gave a servo target of nan, gait cycle 0 at 25.0 %"),
     (Infinite, "gave a servo target of -inf, gait cycle 0 at 25.0 %"),
     (TooManyValues, "gave 2 values for its 1 own columns, gait cycle 0 at 25.0 %"),
