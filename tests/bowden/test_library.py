@@ -105,9 +105,11 @@ def test_the_packages_are_typed_and_the_names_are_there() -> None:
 
 
 def test_the_contract_against_the_command_line_names_every_part_of_the_library() -> None:
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
-    (named,) = (set(one["source_modules"]) for one in contracts if "bowden.cli" in one.get("forbidden_modules", ()))
-    parts = {path.stem for path in (ROOT / "bowden").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    linter = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    (named,) = (set(contract["source_modules"]) for contract in linter["contracts"]
+                if "bowden.cli" in contract.get("forbidden_modules", ()))
+    parts = {path.stem for path in (ROOT / "bowden").iterdir()
+             if path.suffix == ".py" or (path / "__init__.py").exists()}
     assert {f"bowden.{part}" for part in parts - {"__init__", "cli"}} | set(PACKAGES) - {"bowden"} == named
 
 
