@@ -40,6 +40,11 @@ def smoothed(column: Array, points: int = SMOOTHED) -> Array:
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 
+def led(column: Array, period_s: float, lag_s: float) -> Array:
+    """A column as it would read without its lag, to the first order."""
+    return np.asarray(column + lag_s * np.gradient(column, period_s))
+
+
 def adapt(
     calibration: Calibration, period_s: float, position: Array, start: Array, knee: Array, slack_reading_n: float
 ) -> Generator[None, None, HomingFit]:
@@ -49,7 +54,9 @@ def adapt(
     A generator, so that a control cycle can go on between its steps; it returns the day.
     """
     points = SMOOTHED
-    x, tension, angle = smoothed(position, points), smoothed(start - slack_reading_n, points), smoothed(knee, points)
+    x, angle = smoothed(position, points), smoothed(knee, points)
+    tension = led(smoothed((start - slack_reading_n) / calibration.start_gain, points), points * period_s,
+                  calibration.start_lag)
     taut = tension > TAUT_N
 
     def residual(friction: float, softness: float) -> Array:

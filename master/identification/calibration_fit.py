@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import smoothed
+from master.control.homing_fit import led, smoothed
 from master.identification.jackknife import Line, Measured, half_width
 from parameters import InputError
 from physics import inverse
@@ -68,22 +68,38 @@ class Rest(NamedTuple):
 
 
 class _Unknown(NamedTuple):
-    """One unknown of the joint fit: a scalar of the calibration, its scale and bounds."""
+    """One unknown of the joint fit: a scalar of the calibration, its scale and bounds.
+
+    `doubt`: standard deviation about the guess, where these motions tell little of it (infinite: they tell all).
+    """
 
     name: str
     scale: float
     low: float
     high: float
+    doubt: float = math.inf
 
 
 _UNKNOWNS = (
-    _Unknown("stiffness_a", 1e-7, -8e-6, -1e-8), _Unknown("stiffness_b", 1e-5, 5e-5, 2e-3),
-    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
-    _Unknown("fabric_share", 0.1, 0.02, 0.98), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
+    _Unknown("stiffness_a", 1e-7, -2e-5, 0.0), _Unknown("stiffness_b", 1e-5, 2e-5, 2e-3),
+    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
+    _Unknown("stretch_wide", 1e-5, -1e-4, 2e-3, 2e-4), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
+    _Unknown("fabric_share", 0.1, 0.02, 0.98, 0.3), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
     _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
-    _Unknown("swing_k", 1e-3, 0.005, 0.2),
+    _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
+    _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
+    _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("breakaway_speed", 5e-3, 2e-3, 0.05, 0.01),
+    _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3), _Unknown("end_lag", 5e-4, 0.0, 0.02, 1e-3),
+    _Unknown("start_gain", 5e-3, 0.9, 1.1, 0.007),
 )
+SWUNG = frozenset({"swing_k"})
+"""What only a swing tells."""
+WEIGHT = 20.0
+"""Root of the residuals that one segment counts for."""
+SLID_M = 2e-3
+BELIEVED_N = 0.3
+"""Error, N, of the model over a segment, against which a doubt about an unknown counts."""
 
 
 def rest(segments: Sequence[Segment]) -> Rest:
@@ -151,21 +167,27 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
     data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
     start = np.array([getattr(guess, unknown.name) for unknown in _UNKNOWNS])
     low, high = (np.array([getattr(unknown, side) for unknown in _UNKNOWNS]) for side in ("low", "high"))
+    doubt = np.array([unknown.doubt for unknown in _UNKNOWNS])
+    doubted = np.isfinite(doubt)
+    heavy = WEIGHT * BELIEVED_N
 
     def residual(point: Array) -> Array:
         made = _with(guess, point)
-        return np.concatenate([_residual(made, segment) for segment in data])
+        return np.concatenate([*(_residual(made, segment) for segment in data),
+                               heavy * ((point - start) / doubt)[doubted]])
 
     found = least_squares(
         residual, np.clip(start, low, high), bounds=(low, high), x_scale=[u.scale for u in _UNKNOWNS],
-        loss="soft_l1", f_scale=ROBUST_N)
+        loss="soft_l1", f_scale=ROBUST_N, ftol=1e-5, xtol=1e-6)
     sizes = [len(_residual(guess, segment)) for segment in data]
-    fun = np.asarray(found.fun)
+    rows = sum(sizes)
+    fun, slopes = np.asarray(found.fun), np.asarray(found.jac)
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
-    errors = _jackknife(np.asarray(found.jac), fun * robust, sizes)
+    errors = _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
     evidence = {u.name: Evidence(float(value - 1.96 * error), float(value + 1.96 * error))
                 for u, value, error in zip(_UNKNOWNS, found.x, errors, strict=True)}
-    return _with(guess, found.x), evidence
+    to = max(float(segment.start.max()) for segment in data)
+    return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
 
 
 def _with(guess: Calibration, point: Array) -> Calibration:
@@ -188,21 +210,30 @@ def _residual(calibration: Calibration, segment: Segment) -> Array:
     While the knee swings under a constant START, END tells of the fabric's slip on a turning knee, which the model
     lumps: there only the position counts.
     """
-    law = inverse.law(calibration, segment.period_s)
-    end, position = inverse.end_from_start(law, segment.position, segment.start, segment.knee)
-    taut = segment.start > TAUT_N
-    weight = 20.0 / math.sqrt(max(1, int(np.count_nonzero(taut))))
+    period_s = segment.period_s
+    law = inverse.law(calibration, period_s)
+    start = led(segment.start, period_s, calibration.start_lag) / calibration.start_gain
+    end, position = inverse.end_from_start(law, segment.position, start, segment.knee)
+    taut = (segment.start > TAUT_N) & _slid(segment)
+    weight = WEIGHT / math.sqrt(max(1, int(np.count_nonzero(taut))))
     moved = STRETCH_N_M * (position - segment.position)[taut]
     if segment.kind == "swing":
         return weight * moved
-    return weight * np.concatenate([(end - segment.end)[taut], moved])
+    return weight * np.concatenate([(end - led(segment.end, period_s, calibration.end_lag))[taut], moved])
 
 
-def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int]) -> Array:
-    """Standard errors of the unknowns when one segment at a time is left out."""
+def _slid(segment: Segment) -> Any:
+    """Where it is known which way rope and fabric slide: from slack at once, from tension after `SLID_M` of rope."""
+    if segment.start[0] <= 2.0 * TAUT_N:
+        return True
+    return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
+
+
+def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Array) -> Array:
+    """Standard errors of the unknowns when one segment at a time is left out; `prior`: rows that always stay."""
     scale = np.sqrt(np.maximum((slopes**2).sum(axis=0), 1e-300))
-    scaled, edges = slopes / scale, np.cumsum([0, *sizes])
-    whole = scaled.T @ scaled
+    scaled, kept, edges = slopes / scale, prior / scale, np.cumsum([0, *sizes])
+    whole = scaled.T @ scaled + kept.T @ kept
     shifts = []
     for first, last in itertools.pairwise(edges):
         part = scaled[first:last]

@@ -7,17 +7,19 @@ The rule of this file: motions only; what they tell is `fits`' business, and the
 | rest | the rope slack, one second | offsets, noise |
 | stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
 | swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
-| ramp | pulls and releases from slack to 60 N and to 35 N at three knee angles, 0.06 m/s | friction, pre-sliding |
+| ramp | pulls and releases from slack to the top and to 35 N at three knee angles, 0.015…0.12 m/s | friction, lags |
 
 The ramps are ours, the paper gives none for friction.  Pulling and releasing slide rope and fabric both ways, so
 START by END force is e^(±(μ1θ + μ2φ)); three knee angles tell the part that grows with the wrap from the part that
-does not; the turn at the top, and at half the load, is the pre-sliding.  The speed is the paper's: slower, a rope
-with breakaway sticks and slips, and the friction that is measured is none.
+does not; the turn at the top, and at half the load, is the pre-sliding.  The top is what the highest desired force
+needs, END 62 N or START as far as its limit permits, so that a controller extrapolates nothing.  Most are at the
+paper's speed; a slower and a faster one tell breakaway, viscous friction and the sensors' lag apart.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -49,7 +51,11 @@ PROCEDURES: Mapping[str, tuple[str, ...]] = {
 }
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
 SLACK_N = 3.0
-RAMP_FORCES_N = (60.0, -SLACK_N, 60.0, -SLACK_N, 35.0, -SLACK_N)
+TOP_END_N, TOP_SHARE, HALF_N = 62.0, 0.7, 35.0
+"""The ramps' top: tension at END, or this share of START's limit."""
+SLOW_M_S, FAST_M_S = 0.015, 0.12
+RAMPS = ((True, SPEED_M_S), (True, SPEED_M_S), (False, SPEED_M_S), (True, SLOW_M_S), (True, FAST_M_S))
+"""Each ramp: whether to the top or to half the load, and its speed."""
 RAMP_KNEES_RAD = (math.radians(-6.0), float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)), math.radians(-60.0))
 SWINGS, SWING_S = 10, 4.0
 SWING_FROM_RAD, SWING_TO_RAD = math.radians(-5.0), math.radians(-65.0)
@@ -203,8 +209,18 @@ class _Experiments:
     def _ramp(self, exchange: Exchange) -> None:
         for knee in RAMP_KNEES_RAD:
             swing_to(exchange, knee, self.identification.guess, self.identification.homing)
-            self._record(exchange, "ramp", lambda: self._reel(exchange, *RAMP_FORCES_N))
+            for whole, speed in RAMPS:
+                self._record(exchange, "ramp", functools.partial(self._pulled, exchange, whole, speed))
             self._slacken(exchange)
+
+    def _pulled(self, exchange: Exchange, whole: bool, speed_m_s: float) -> None:
+        """Pull to the top, or to half the load, and release to slack."""
+        until = self._at_top if whole else _above(HALF_N)
+        moves.reel(exchange, speed_m_s, until, REACH_M, "the rope does not tighten")
+        moves.reel(exchange, -speed_m_s, _below(SLACK_N), REACH_M, "the rope does not go slack")
+
+    def _at_top(self, inputs: Inputs) -> bool:
+        return inputs.end_n > TOP_END_N or inputs.start_n > TOP_SHARE * self.identification.limits.start_n
 
     def _swing(self, exchange: Exchange) -> None:
         swing_to(exchange, SWING_FROM_RAD, self.identification.guess, self.identification.homing)

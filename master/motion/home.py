@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from master.control.gait_table import stretch
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange, Inputs
 from master.motion import moves
 from master.network.bringup import RefusedError
 from master.settings import Homing
-from physics import laws
+from physics import laws, stretch
 from physics.calibration import Calibration
 
 SLACK_N = 1.0
@@ -54,7 +53,7 @@ def home(
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
-    shift = float(stretch(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
+    shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
     inputs = moves.settle(exchange, REST_S)
     drives.set_home(exchange, round((inputs.servo_position_m + shift) * 1e6))

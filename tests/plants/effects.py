@@ -1,0 +1,3 @@
+IN_PLANT = ()
+def hide(bench, names, seed):
+    return bench, {}
