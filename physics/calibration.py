@@ -21,8 +21,8 @@ VERSION = 1
 NOMINAL = "nominal"
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
-LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "end_lag",
-         "start_gain")
+LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "start_gain",
+         "homed_friction")
 """Scalars that calibrations of older versions lack; they are taken as neutral, and that is said."""
 
 
@@ -47,9 +47,9 @@ class Calibration:
                                    source="equation (10), bk")
     stiffness_c: float = parameter(9.7e-3, "m", "encoder position that (10) gives at no force", low=-1.0, high=1.0,
                                    source="equation (10), ck")
-    stretch_short: float = parameter(0.0, "m/N", "departure of the stretch from (10) that fades over 8 N, s1", low=-1e-2,
+    stretch_short: float = parameter(0.0, "m/N", "departure of the stretch from (10), fading over 8 N, s1", low=-1e-2,
                                      high=1e-2, source="(10): none")
-    stretch_wide: float = parameter(0.0, "m/N", "departure of the stretch from (10) that fades over 30 N, s2", low=-1e-2,
+    stretch_wide: float = parameter(0.0, "m/N", "departure of the stretch from (10), fading over 30 N, s2", low=-1e-2,
                                     high=1e-2, source="(10): none")
     identified_to: float = parameter(300.0, "N", "START tension up to which the bench was identified", low=1.0,
                                      high=300.0, source="neutral: no bound")
@@ -95,10 +95,10 @@ class Calibration:
                                    source="assumed")
     start_lag: float = parameter(1e-3, "s", "time by which START's reading lags its force", low=0.0, high=0.1,
                                  source="assumed: a low-pass of 200 Hz and half a sampling interval")
-    end_lag: float = parameter(1e-3, "s", "time by which END's reading lags its force, while a bench is identified",
-                               low=0.0, high=0.1, source="assumed: as START's")
     start_gain: float = parameter(1.0, "", "START's reading by END's where no friction is between them", low=0.8,
                                   high=1.25, source="assumed: both true")
+    homed_friction: float = parameter(1.0, "", "friction that homing finds where it is what was identified", low=0.5,
+                                      high=2.0, source="assumed: the model is the bench")
     start_offset: float = parameter(0.0, "N", "START reading with a slack rope", low=-10.0, high=10.0,
                                     source="assumed")
     evidence: Mapping[str, Evidence] = field(default_factory=dict)

@@ -36,13 +36,15 @@ SETTLED = 0.9
 """Pre-sliding states beyond which START tells of END again; while they turn over, the feedback holds still."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
+TURNED, TURNING_FAST = 0.3, 0.002
+"""Share of the feedback's gain while friction turns over, and change of ln(START/END) a control cycle that halves it."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
 
 class Ahead(NamedTuple):
     """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
-    exponents, slowness, slips."""
+    exponents, slowness, slips; the leg behind the knee's drive, rad."""
 
     position: float
     start: float
@@ -53,6 +55,7 @@ class Ahead(NamedTuple):
     knee_slow: float
     rope_slip: float
     fabric_slip: float
+    behind: float
 
     @property
     def settled(self) -> bool:
@@ -99,6 +102,7 @@ class Config:
     tracking: learning.Filter
     noise_n: float
     start_lag: float
+    play: float
     start_gain: float
     least_n: float
 
@@ -120,7 +124,8 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         filter=learning.design(gait.samples, gait.period_s, round(ahead + lag)),
         tracking=learning.design(gait.samples, gait.period_s, ahead, learning.TRACKED_HZ),
         noise_n=calibration.start_noise,
-        start_lag=calibration.start_lag / gait.period_s,
+        start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
+        play=day.play_rad,
         start_gain=calibration.start_gain,
         least_n=LEAST_SHARE * max(gait.desired),
     )
@@ -145,11 +150,13 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     deviation, evidence = state.deviation_m, None
     if gait.slack[now] > 0.0:
         deviation *= config.decay
-    elif not resting:
-        deviation = config.decay * deviation + config.gain_m_n * (desired - estimated)
-        if desired > config.least_n:
+    else:
+        heard = _heard(paths, resting)
+        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * (desired - estimated)
+        if not resting and desired > config.least_n:
             evidence = friction_evidence(
-                state.law, state.followed, seen.servo_position_m - config.zero_m, seen.knee_angle_rad, unlagged,
+                state.law, state.followed, seen.servo_position_m - config.zero_m,
+                seen.knee_angle_rad + here.behind, unlagged,
                 here.drag, here[3:7], _way(gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = config.zero_m + paths[max(-2, -len(paths))].position
@@ -167,6 +174,19 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     return Outputs(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
 
 
+def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
+    """Share of its gain that the feedback has: all of it where rope and fabric slide, little where they turn over.
+
+    There the rope is stiffer by as much as `TURNED` takes off, and the faster START departs from END, the less it
+    tells of it.
+    """
+    if not resting:
+        return 1.0
+    here, after = paths[0], paths[min(1, len(paths) - 1)]
+    change = abs(after.by_sheath + after.by_knee - here.by_sheath - here.by_knee)
+    return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
+
+
 def _way(gait: GaitTable, now: int) -> float:
     """−1 or 1: which way the knee moves, 0 where it is still."""
     moved = gait.knee[(now + 1) % gait.samples] - gait.knee[now - 1]
@@ -181,10 +201,12 @@ def _look_ahead(
     then = (now + cycles) % gait.samples
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = gait.knee[then] + departures[-1] + cycles * speed
+    before = knee if not state.paths else state.paths[-1].behind + gait.knee[then - 1] + departures[-1] + cycles * speed
+    leg = inverse.behind(before, knee, config.play)
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
-        state.law, state.slip, gait.desired[then], knee)
+        state.law, state.slip, gait.desired[then], leg)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
-    answer = Ahead(position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
+    answer = Ahead(position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1], leg - knee)
     return (*state.paths, answer)[-(config.ahead + 2):], slip
 
 
