@@ -216,15 +216,15 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
 
 
 @njit(cache=True)
-def held_by_position(law: Any, position: float, knee: float, start: float, by_sheath: float) -> Any:
+def held_by_position(law: Any, position: float, knee: float, start: float, drag: float, by_sheath: float) -> Any:
     """END tension, N, that the stretch of the fabric tells, friction aside; NaN where it is not taut.
 
-    `position` is free of the zero's shift; `by_sheath` places only the share of the stretch before the knee.
+    `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the knee.
     """
     constant, share, rope_compliance = law[0], law[7], law[6]
     swing_k, knee_home = law[13], law[14]
     stretched = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
-    tension = start * math.exp(-by_sheath)
+    tension = max(start - drag, 0.0) * math.exp(-by_sheath)
     after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
     if after <= 0.0:
         return math.nan
@@ -313,6 +313,6 @@ def prepare() -> None:
     some = law(Calibration(), 1e-3)
     inverse(some, Slip(), 1.0, -0.5)
     inverse(some, tuple(Slip()), 1.0, -0.5)
-    held_by_position(some, 0.01, -0.5, 10.0, 0.2)
+    held_by_position(some, 0.01, -0.5, 10.0, 0.0, 0.2)
     end_from_start(some, np.zeros(2), np.zeros(2), np.zeros(2))
     followed(np.zeros(2), 0.0)
