@@ -128,23 +128,6 @@ def turned(state: float, travel: float, length: float) -> float:
 
 
 @njit(cache=True)
-def behind(leg: float, knee: float, play: float) -> float:
-    """Angle, rad, of a leg that follows its drive with `play`, rad, and was at `leg`."""
-    return min(max(leg, knee - 0.5 * play), knee + 0.5 * play)
-
-
-@njit(cache=True)
-def followed(knee: Any, play: float) -> Any:
-    """Angles, rad, of a leg behind its drive's; at first in the middle of the play."""
-    leg = np.empty_like(knee)
-    at = knee[0]
-    for i in range(knee.size):
-        at = behind(at, knee[i], play)
-        leg[i] = at
-    return leg
-
-
-@njit(cache=True)
 def slowness(speed: float, scale: float) -> float:
     """e^(−(v/vs)²), both per sample."""
     return math.exp(-((speed / scale) ** 2))
@@ -242,12 +225,12 @@ def _path(law: Any, force: Any, knee: Any, laps: int, out: Any) -> None:
 
 @njit(cache=True)
 def _end_from_start(
-    law: Any, position: Any, start: Any, knee: Any, sliding: float, end: Any, predicted: Any
+    law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any
 ) -> None:
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
      fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
      fade, load_slope, drag) = law
-    rope, fabric, knee_x, rope_speed, fabric_speed, force = sliding, sliding, 0.0, 0.0, 0.0, 0.0
+    rope, fabric, knee_x, rope_speed, fabric_speed, force = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before = position[0] - rope_compliance * start[0]
     for i in range(start.size):
         in_sheath = position[i] - rope_compliance * start[i]
@@ -267,9 +250,6 @@ def _end_from_start(
         for _step in range(40):
             force = tension * math.exp(-whole * slip * loaded(load_slope, tension * math.exp(-whole * slip)))
             on_knee = (1.0 - share) * elongation(law, force)[0]
-            if i == 0 and sliding != 0.0:
-                knee_x = on_knee
-                break
             left = turned(fabric, on_knee - knee_x, fabric_travel) - slip
             if abs(left) < CLOSE:
                 break
@@ -297,14 +277,14 @@ def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
 
 
 def end_from_start(
-    law: Law, position: Array, start: Array, knee: Array, sliding: float = 0.0
+    law: Law, position: Array, start: Array, knee: Array
 ) -> tuple[Array, Array]:
-    """END tension, N, and rope position, m, that the model puts behind a measured START.
+    """END tension, N, and rope position, m, that the model puts behind a measured START; slips begin at zero.
 
-    `start` must be smooth: its noise would turn the friction over.  `sliding`: the slip states that it begins with.
+    `start` must be smooth: its noise would turn the friction over.
     """
     end, predicted = np.zeros(start.size), np.zeros(start.size)
-    _end_from_start(law, position, start, knee, sliding, end, predicted)
+    _end_from_start(law, position, start, knee, end, predicted)
     return end, predicted
 
 
@@ -315,4 +295,3 @@ def prepare() -> None:
     inverse(some, tuple(Slip()), 1.0, -0.5)
     held_by_position(some, 0.01, -0.5, 10.0, 0.0, 0.2)
     end_from_start(some, np.zeros(2), np.zeros(2), np.zeros(2))
-    followed(np.zeros(2), 0.0)

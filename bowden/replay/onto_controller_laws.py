@@ -158,7 +158,7 @@ def walked(recorded: Trial) -> range:
 def _day(recorded: Trial, experiment: Experiment) -> HomingFit:
     """What homing found; only a controller beyond the paper uses it."""
     found = (recorded.result or {}).get("day")
-    if isinstance(found, list) and len(found) == len(HomingFit._fields):
+    if isinstance(found, list) and 4 <= len(found) <= len(HomingFit._fields):
         return HomingFit(*map(float, found))
     if experiment.gait.controller == "extended" and not experiment.dry_run:
         raise InputError(f"{recorded.path}: its result has no day, which the controller extended needs; "

@@ -37,14 +37,14 @@ SETTLED = 0.9
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
 TURNED, TURNING_FAST = 0.3, 0.002
-"""Share of the feedback's gain while friction turns over, and change of ln(START/END) a control cycle that halves it."""
+"""Share of the feedback's gain while friction turns over; change of ln(START/END) in a control cycle that halves it."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
 
 class Ahead(NamedTuple):
     """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
-    exponents, slowness, slips; the leg behind the knee's drive, rad."""
+    exponents, slowness, slips."""
 
     position: float
     start: float
@@ -55,7 +55,6 @@ class Ahead(NamedTuple):
     knee_slow: float
     rope_slip: float
     fabric_slip: float
-    behind: float
 
     @property
     def settled(self) -> bool:
@@ -102,7 +101,6 @@ class Config:
     tracking: learning.Filter
     noise_n: float
     start_lag: float
-    play: float
     start_gain: float
     least_n: float
 
@@ -125,7 +123,6 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         tracking=learning.design(gait.samples, gait.period_s, ahead, learning.TRACKED_HZ),
         noise_n=calibration.start_noise,
         start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
-        play=day.play_rad,
         start_gain=calibration.start_gain,
         least_n=LEAST_SHARE * max(gait.desired),
     )
@@ -156,7 +153,7 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
         if not resting and desired > config.least_n:
             evidence = friction_evidence(
                 state.law, state.followed, seen.servo_position_m - config.zero_m,
-                seen.knee_angle_rad + here.behind, unlagged,
+                seen.knee_angle_rad, unlagged,
                 here.drag, here[3:7], _way(gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = config.zero_m + paths[max(-2, -len(paths))].position
@@ -201,12 +198,11 @@ def _look_ahead(
     then = (now + cycles) % gait.samples
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = gait.knee[then] + departures[-1] + cycles * speed
-    before = knee if not state.paths else state.paths[-1].behind + gait.knee[then - 1] + departures[-1] + cycles * speed
-    leg = inverse.behind(before, knee, config.play)
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
-        state.law, state.slip, gait.desired[then], leg)
+        state.law, state.slip, gait.desired[then], knee)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
-    answer = Ahead(position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1], leg - knee)
+    answer = Ahead(
+        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
     return (*state.paths, answer)[-(config.ahead + 2):], slip
 
 

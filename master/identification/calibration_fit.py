@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import Motion, adapt, led, smoothed
+from master.control.homing_fit import adapt, led, smoothed
 from master.identification.jackknife import Line, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
@@ -196,7 +196,7 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
 def homed(segment: Segment, calibration: Calibration, offsets: Rest) -> float:
     """Friction, as a factor, that homing would find in a pull and release on the day of the identification."""
     plain = dataclasses.replace(calibration, homed_friction=1.0)
-    work = adapt(plain, segment.period_s, [Motion(segment.position, segment.start, segment.knee)], offsets.start_offset)
+    work = adapt(plain, segment.period_s, segment.position, segment.start, segment.knee, offsets.start_offset)
     while True:
         try:
             next(work)
@@ -233,7 +233,7 @@ def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_
     weight = WEIGHT / math.sqrt(max(1, int(np.count_nonzero(taut))))
     moved = stiff_n_m * (position - segment.position)[taut]
     if segment.kind == "swing":
-        return weight * moved
+        return np.asarray(weight * moved)
     return weight * np.concatenate([(end - led(segment.end, period_s, end_lag_s))[taut], moved])
 
 

@@ -2,20 +2,19 @@
 
 The rule of this file: after homing x = x1(F) + k2·(θk − θk(13 %)) holds.  (10) is a fit through pulling and
 releasing, so the zero comes from the middle of a friction loop, never from one side of it: pulled through the
-preload, on to where the release slides again, and back through the preload.  Then the knee is swung a little under
-two held tensions, which tells friction in the sheath from that on the knee, and both from play (`homing_fit`).
+preload, on to where the release slides again, and back through the preload.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from eds.bench import START
-from master.control.homing_fit import HomingFit, Motion, adapt
+from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange, Inputs
 from master.motion import moves
@@ -29,8 +28,6 @@ SLACK_N = 1.0
 REST_S = 0.2
 AROUND = 0.2
 """The crossing is a straight line through START readings within this share of the preload."""
-SWUNG_N, SWUNG_RAD, SWING_S, SWINGS = (12.0, 32.0), math.radians(5.0), 1.2, 2
-"""Tensions that START is held at while the knee swings; how far to either side, in which time and how often."""
 HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 """Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
 BRISK = 4.0
@@ -62,35 +59,18 @@ def home(
     pulled, released = _loop(exchange, homing)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
-    swings = [_swung(exchange, calibration, homing, start_gain * force) for force in SWUNG_N]
-    moves.reel(exchange, -homing.rope_m_s, _slack, homing.reach_m, "the rope does not go slack; tare START")
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
     inputs = moves.settle(exchange, REST_S)
     drives.set_home(exchange, round((inputs.servo_position_m + shift) * 1e6))
-    motions = [_motion(pulled + released, shift, start_gain), *(_motion(rows, shift, start_gain, 1.0) for rows in swings)]
-    work = adapt(calibration, exchange.wire.period_ns * 1e-9, motions, reading / start_gain,
-                 undeclared_lag(exchange, calibration))
+    start, position, angle = np.array(pulled + released).T
+    work = adapt(calibration, exchange.wire.period_ns * 1e-9, position + shift, start / start_gain, angle,
+                 reading / start_gain, undeclared_lag(exchange, calibration))
     day = moves.hold_while(exchange, work)
     return Homed(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
 
 
-def _motion(rows: list[Row], shift: float, start_gain: float, sliding: float = 0.0) -> Motion:
-    start, position, knee = np.array(rows).T
-    return Motion(position + shift, start / start_gain, knee, sliding)
-
-
 def _slack(inputs: Inputs) -> bool:
     return inputs.start_n < SLACK_N
-
-
-def _swung(exchange: Exchange, calibration: Calibration, homing: Homing, force_n: float) -> list[Row]:
-    """Pull to a tension, and swing the knee while it is held; what was seen from then on."""
-    rows: list[Row] = []
-    moves.reel(exchange, homing.rope_m_s, lambda inputs: inputs.start_n > force_n, homing.reach_m,
-               "the rope does not tighten; take up its slack by hand")
-    angles = swayed(exchange.targets[1], exchange.wire.period_ns * 1e-9)
-    swing_held(exchange, calibration.swing_k, force_n, angles, _into(rows))
-    return rows
 
 
 def swing_held(
@@ -105,14 +85,6 @@ def swing_held(
         tension += share * (exchange.inputs.start_n - tension)
         held += HOLD_GAIN_M_S_N * (force_n - tension) * period_s
         seen(exchange.advance(held + swing_k * (angle - knee), angle))
-
-
-def swayed(knee: float, period_s: float) -> Iterator[float]:
-    """Angles, rad, of a knee that swings about where it is, eased in and out, by control cycle."""
-    steps = round(SWINGS * SWING_S / period_s)
-    for step in range(1, steps + 1):
-        eased = moves.smooth(min(1.0, 4.0 * step / steps, 4.0 * (steps - step) / steps))
-        yield knee + SWUNG_RAD * eased * math.sin(2.0 * math.pi * step * period_s / SWING_S)
 
 
 def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
