@@ -25,8 +25,8 @@ READ = (1, VERSION)
 NOMINAL = "nominal"
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
-LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "end_lag",
-         "start_gain")
+LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "start_gain",
+         "homed_friction")
 """Scalars that a file of version 1 may lack; what a file lacks is taken as assumed, and that is said."""
 
 
@@ -72,8 +72,8 @@ class Calibration:
     loop_delay: float = assumed("servo_delay")
     start_noise: float = assumed("start_noise")
     start_lag: float = assumed("start_lag")
-    end_lag: float = assumed("end_lag")
     start_gain: float = assumed("start_gain")
+    homed_friction: float = assumed("homed_friction")
     start_offset: float = assumed("start_offset")
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     label: str = NOMINAL

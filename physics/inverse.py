@@ -176,15 +176,15 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
 
 
 @njit(cache=True)
-def held_by_position(law: Any, position: float, knee: float, start: float, by_sheath: float) -> Any:
+def held_by_position(law: Any, position: float, knee: float, start: float, drag: float, by_sheath: float) -> Any:
     """END tension, N, that the stretch of the fabric tells, friction aside; NaN where it is not taut.
 
-    `position` is free of the zero's shift; `by_sheath` places only the share of the stretch before the knee.
+    `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the knee.
     """
     constant, share, rope_compliance = law[0], law[7], law[6]
     swing_k, knee_home = law[13], law[14]
     stretched = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
-    tension = capstan(start, -by_sheath)
+    tension = capstan(max(start - drag, 0.0), -by_sheath)
     after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
     if after <= 0.0:
         return math.nan
@@ -201,7 +201,9 @@ def _path(law: Any, force: Any, knee: Any, laps: int, out: Any) -> None:
 
 
 @njit(cache=True)
-def _end_from_start(law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any) -> None:
+def _end_from_start(
+    law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any
+) -> None:
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
      fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
      fade, load_slope, drag) = law
@@ -251,7 +253,9 @@ def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
     return Path(*out)
 
 
-def end_from_start(law: Law, position: Array, start: Array, knee: Array) -> tuple[Array, Array]:
+def end_from_start(
+    law: Law, position: Array, start: Array, knee: Array
+) -> tuple[Array, Array]:
     """END tension, N, and rope position, m, that the model puts behind a measured START; slips begin at zero.
 
     `start` must be smooth: its noise would turn the friction over.
@@ -266,5 +270,5 @@ def prepare() -> None:
     some = law(Calibration(), 1e-3)
     inverse(some, Slip(), 1.0, -0.5)
     inverse(some, tuple(Slip()), 1.0, -0.5)
-    held_by_position(some, 0.01, -0.5, 10.0, 0.2)
+    held_by_position(some, 0.01, -0.5, 10.0, 0.0, 0.2)
     end_from_start(some, np.zeros(2), np.zeros(2), np.zeros(2))

@@ -173,7 +173,7 @@ _FRICTION: Final = (
        "assumed: noise of a sensor", ideal=-INFINITE, any_rig=(-INFINITE, 10.0)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 10e-3, 0.1,
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
-       assumed=Assumed(0.02, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
+       assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom); no motion here tells it",
                        "time by which friction lags the sliding speed")),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: as the rope's", plant="plant.fabric_presliding_m", calibration="fabric_presliding",
@@ -434,8 +434,9 @@ _MEASURED: Final = (
     _P("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
        "assumed: a low-pass of 200 Hz and half a sampling interval", calibration="start_lag",
        assumed=Assumed(1e-3, 0.0, 0.1, "assumed: a low-pass of 200 Hz and half a sampling interval")),
-    _P("end_lag", "s", "time by which END's reading lags its force, while a bench is identified", 1e-3, 0.0, 0.1,
-       "assumed: as START's", calibration="end_lag", assumed=Assumed(1e-3, 0.0, 0.1, "assumed: as START's")),
+    _P("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
+       "assumed: the model is the bench", calibration="homed_friction",
+       assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
 )
 
 PARAMETERS: Final[Mapping[str, Parameter]] = {

@@ -21,11 +21,20 @@ FITTED_N: Final = 60.0
 class Stretch(Protocol):
     """What of a calibration is the stretch."""
 
-    stiffness_a: float
-    stiffness_b: float
-    stiffness_c: float
-    stretch_short: float
-    stretch_wide: float
+    @property
+    def stiffness_a(self) -> float: ...
+
+    @property
+    def stiffness_b(self) -> float: ...
+
+    @property
+    def stiffness_c(self) -> float: ...
+
+    @property
+    def stretch_short(self) -> float: ...
+
+    @property
+    def stretch_wide(self) -> float: ...
 
 
 def saturating(force: Any, scale_n: float) -> Any:

@@ -36,6 +36,8 @@ SETTLED = 0.9
 """Pre-sliding states beyond which START tells of END again; while they turn over, the feedback holds still."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
+TURNED, TURNING_FAST = 0.3, 0.002
+"""Share of the feedback's gain while friction turns over; change of ln(START/END) in a control cycle that halves it."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
@@ -120,7 +122,7 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         filter=learning.design(gait.samples, gait.period_s, round(ahead + lag)),
         tracking=learning.design(gait.samples, gait.period_s, ahead, learning.TRACKED_HZ),
         noise_n=calibration.start_noise,
-        start_lag=calibration.start_lag / gait.period_s,
+        start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
         start_gain=calibration.start_gain,
         least_n=LEAST_SHARE * max(gait.desired),
     )
@@ -145,11 +147,13 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     deviation, evidence = state.deviation_m, None
     if gait.slack[now] > 0.0:
         deviation *= config.decay
-    elif not resting:
-        deviation = config.decay * deviation + config.gain_m_n * (desired - estimated)
-        if desired > config.least_n:
+    else:
+        heard = _heard(paths, resting)
+        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * (desired - estimated)
+        if not resting and desired > config.least_n:
             evidence = friction_evidence(
-                state.law, state.followed, seen.servo_position_m - config.zero_m, seen.knee_angle_rad, unlagged,
+                state.law, state.followed, seen.servo_position_m - config.zero_m,
+                seen.knee_angle_rad, unlagged,
                 here.drag, here[3:7], _way(gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = config.zero_m + paths[max(-2, -len(paths))].position
@@ -165,6 +169,19 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
     return Outputs(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
+
+
+def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
+    """Share of its gain that the feedback has: all of it where rope and fabric slide, little where they turn over.
+
+    There the rope is stiffer by as much as `TURNED` takes off, and the faster START departs from END, the less it
+    tells of it.
+    """
+    if not resting:
+        return 1.0
+    here, after = paths[0], paths[min(1, len(paths) - 1)]
+    change = abs(after.by_sheath + after.by_knee - here.by_sheath - here.by_knee)
+    return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
 
 
 def _way(gait: GaitTable, now: int) -> float:
@@ -184,7 +201,8 @@ def _look_ahead(
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
         state.law, state.slip, gait.desired[then], knee)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
-    answer = Ahead(position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
+    answer = Ahead(
+        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
     return (*state.paths, answer)[-(config.ahead + 2):], slip
 
 

@@ -30,7 +30,7 @@ WHOLE = 25.0
 """Samples of a gait cycle that are worth as many independent ones."""
 HUBER = 1.5
 ROUNDS = 5
-PRIOR: Final = (0.025, 0.025, 0.15, 0.15e-3, 0.015, 0.12e-3)
+PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.05e-3)
 """Standard deviations from homing: fs, fk, β, z (m), w, p (m)."""
 LEAST_ROWS = 10
 
@@ -75,7 +75,7 @@ def friction_evidence(
     `drag`, N, of the rope in it; `way` −1…1, the knee's; `least_n` at END.
     """
     by_sheath, by_knee, sheath_slow, knee_slow = exponents
-    force = held_by_position(law, position, knee, start, by_sheath)
+    force = held_by_position(law, position, knee, start, drag, by_sheath)
     if not force > least_n or start - drag < least_n:
         return None
     whole, slope = elongation(law, force)
