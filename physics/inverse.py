@@ -15,14 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from physics import laws
 from physics.calibration import Calibration
+from physics.laws import Array
 from physics.path_laws import capstan, load_dependence, presliding, slowness
 from physics.stretch import SHORT_N, WIDE_N, coefficients
-
-Array = NDArray[np.float64]
 
 TAUT_N = 1.0
 """Tension below which the drag of a slack rope fades."""

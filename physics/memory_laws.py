@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from physics.laws import Array
 from physics.path_laws import presliding
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

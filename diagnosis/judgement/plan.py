@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity
@@ -27,9 +26,8 @@ from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import Setting, build_problem
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE, EffectParameter
+from physics.laws import Array
 from physics.relations.relation import RELATIONS
-
-Array = NDArray[np.float64]
 
 RISE: Final = 1.0 / (1.0 - LEAST_GAIN) ** 2 - 1.0
 """Mean square that an effect must add to a relation's, in floors squared, to be `LEAST_GAIN` of its RMSE."""

@@ -12,12 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.problem.cross_validation import CycleSquares
 from diagnosis.search.search import Found, Model
-
-Array = NDArray[np.float64]
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
+from physics.laws import Array
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 MAX_STEPS: Final = 40

@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block, rmse
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Free, Problem, solve
 from diagnosis.problem.reference import BAND, Reference
+from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 LEARNT: Final = 2.0

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Fit, Problem
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 RIDGE: Final = 1e-6
 ROUNDS: Final = 6

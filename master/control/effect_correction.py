@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from master.control.controller_io import ControllerInput, Outputs
 from master.control.gait_table import GaitTable, fabric_exponent, stretch
@@ -22,10 +21,10 @@ from physics import inverse
 from physics.calibration import Calibration, scalars
 from physics.conversions import MEASURABLE, from_scalars, to_scalars
 from physics.effects.catalogue import CATALOGUE, Trajectory, Values, compensate, complete
+from physics.laws import Array
 from physics.parameters import BY_PLANT
 from physics.plant.leg import KNEE_AT_FIT
 
-Array = NDArray[np.float64]
 Effects = Mapping[str, Values]
 
 LAPS: Final = 8

@@ -13,10 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.laws import Array
 from physics.plant.motor import ServoParameters
 from physics.relations.measured import Signals, start_tension
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Values = Mapping[str, float]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from physics.laws import Array
 from physics.path_laws import capstan, load_dependence, presliding_shaped, stretch, stribeck
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CABLE_NODES: Final = 3
