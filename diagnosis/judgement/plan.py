@@ -169,7 +169,7 @@ class _Sight:
 def _moving(candidate: Candidate) -> EffectParameter:
     """The parameter that says how large the effect is; the others shape it."""
     parameters = CATALOGUE[candidate.name].parameters
-    free = [p for p in parameters if p.name in candidate.slots]
+    free = [p for p in parameters if p.name in candidate.parameters]
     return next((p for p in free if p.neutral is not None), free[0])
 
 

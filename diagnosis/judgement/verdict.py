@@ -114,7 +114,7 @@ def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, liken
 
 
 def curvature_sigma(model: Model, name: str) -> float:
-    """Return 1σ of a slot from the fit's curvature."""
+    """Return 1σ of a parameter from the fit's curvature."""
     scale = np.sqrt(np.maximum(np.diag(model.fit.curvature), 1e-300))
     even = model.fit.curvature / np.outer(scale, scale)
     at = [f.name for f in model.fit.free].index(name)
