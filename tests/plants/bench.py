@@ -79,6 +79,7 @@ class Bench:
     # rope
     rope_kg: float = 0.02
     loose_drag: float = 0.3  # friction of the loose rope against its own weight, as a coefficient
+    loose_viscous: float = 0.3  # drag of the whole path without load, N·s/m
     slack: float = 0.0
     # knee
     moment_arm: float = 0.0405  # m/rad
@@ -136,8 +137,8 @@ class Bench:
 
 
 (E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT, DRIFT_S,
- LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN, MASS, LOOSE, N1, N2,
- CELLS, FIRST) = range(36)
+ LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN, MASS, LOOSE, LIGHT, N1, N2,
+ CELLS, FIRST) = range(37)
 """Places in the path's flat parameter array; an implementation's own numbers begin at FIRST."""
 
 START, MIDDLE, END, OLD_X, OLD_W, GAMMA, RISING, TIME, OWN = range(9)
@@ -157,7 +158,7 @@ def pack(bench: Bench) -> np.ndarray:
         bench.drift_s, bench.lead / bench.stiffness, bench.sheath / bench.stiffness, STRETCHES.index(s.stretch),
         curve, linear, bench.bend_n, bench.power, 1.0 / bench.stiffness, bench.before,
         1.0 - bench.before - bench.after, bench.after, bench.creep, bench.creep_s, bench.torn, bench.rope_kg,
-        bench.loose_drag, s.sheath_nodes, s.fabric_nodes, s.cells])
+        bench.loose_drag, bench.loose_viscous, s.sheath_nodes, s.fabric_nodes, s.cells])
 
 
 def _stretch(bench: Bench) -> tuple[float, float]:

@@ -58,7 +58,7 @@ CONSTANTS: dict[str, Callable[[float], float]] = {
     "lead": _log(1.2e-5, 4e-5), "sheath": _log(0.4e-5, 1.6e-5),
     "before": _even(0.15, 0.4), "after": _even(0.25, 0.45), "power": _even(0.35, 0.7),
     "creep": _even(0.0, 0.5e-5), "creep_s": _log(0.5, 20.0),
-    "rope_kg": _log(0.005, 0.05), "loose_drag": _even(0.1, 0.5),
+    "rope_kg": _log(0.005, 0.05), "loose_drag": _even(0.1, 0.5), "loose_viscous": _log(0.05, 0.5),
     "moment_arm": _even(0.0385, 0.0425), "moment_arm2": _even(-0.5e-3, 0.5e-3), "play_s": _log(3e-3, 12e-3),
     "play_nm": _even(0.1, 0.5), "leg_inertia": _even(0.035, 0.06), "leg_weight": _even(0.5, 1.3),
     "knee_rub": _even(0.15, 0.45), "knee_viscous": _even(0.05, 0.2), "knee_lag": _log(0.5e-3, 2e-3),

@@ -24,6 +24,7 @@ from tests.plants.bench import (
     GAMMA,
     GRAVITY,
     LEAD,
+    LIGHT,
     LOOSE,
     MASS,
     MIDDLE,
@@ -104,6 +105,7 @@ def step(z, p, x, w, theta, dt):
     grip2 = e2 * loaded(p, 0.5 * (z[MIDDLE] + z[END])) * breakaway(p, p[RATIO2], z[U2])
     k0, mass = 1.0 / (p[LEAD] + 0.5 * p[SHEATH]), 0.5 * p[MASS]
     slow_mid, slow_end = (p[BEFORE] + 0.5 * p[OVER]) * z[GAMMA], (p[AFTER] + 0.5 * p[OVER]) * z[GAMMA]
+    light = 0.5 * p[LIGHT]
     surface = (w - z[OLD_W]) / dt
     v1, v2 = z[V1], z[V2]
     t0 = t1 = t2 = s1 = s2 = 0.0
@@ -120,9 +122,9 @@ def step(z, p, x, w, theta, dt):
         d1, c1 = loose(p, GRAVITY * mass, v1, t0 + t1)
         d2, c2 = loose(p, GRAVITY * mass, v2, t1 + t2)
         grease = p[VISCOUS] * min(1.0, t0 + t1)
-        r1 = f1 - mass * (v1 - z[V1]) / dt - (grease + 0.5) * v1 - d1
-        r2 = f2 - mass * (v2 - z[V2]) / dt - 0.5 * (v2 - surface) - d2
-        j11, j22 = a11 * dt - mass / dt - grease - 0.5 - c1, a22 * dt - mass / dt - 0.5 - c2
+        r1 = f1 - mass * (v1 - z[V1]) / dt - (grease + light) * v1 - d1
+        r2 = f2 - mass * (v2 - z[V2]) / dt - light * (v2 - surface) - d2
+        j11, j22 = a11 * dt - mass / dt - grease - light - c1, a22 * dt - mass / dt - light - c2
         j12, j21 = a12 * dt, a21 * dt
         det = j11 * j22 - j12 * j21
         dv1, dv2 = (r1 * j22 - r2 * j12) / det, (r2 * j11 - r1 * j21) / det

@@ -24,6 +24,7 @@ from tests.plants.bench import (
     GAMMA,
     GRAVITY,
     LEAD,
+    LIGHT,
     LOOSE,
     MASS,
     MIDDLE,
@@ -45,8 +46,6 @@ SUBSTEP_S = 0.5e-3
 EVERY = 2
 """Steps of the mechanics for one of the path."""
 TABLES = FIRST, FIRST + TABLE + 1, FIRST + 2 * (TABLE + 1)
-DRAG = 0.3
-"""N·s/m of a node on its surface: what is left to a rope without tension."""
 CLOSE_M = 1e-9
 ROWS = 10
 """Numbers kept for each node: position, stick state, remembered speed, grip, new stick state, force, three diagonals,
@@ -112,7 +111,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
         up, down = z[t + i], z[t + i + 1]
         k_up, k_down = z[t + nodes + 1 + i], z[t + nodes + 2 + i]
         weight = p[LOOSE] * GRAVITY * p[MASS] / nodes
-        drag = DRAG + (p[VISCOUS] / n1 * min(1.0, up + down) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, up + down) if sheathed else 0.0)
         force = up * low - down * high - s * weight - drag * slip / dt
         z[OWN + 5 * nodes + i] = force
         z[OWN + 6 * nodes + i] = k_up * low

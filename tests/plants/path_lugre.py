@@ -24,6 +24,7 @@ from tests.plants.bench import (
     GAMMA,
     GRAVITY,
     LEAD,
+    LIGHT,
     LOOSE,
     MASS,
     MIDDLE,
@@ -52,8 +53,6 @@ MASSES = FIRST + 3 * (TABLE + 1)
 FABRIC_KG = 0.006
 DAMPING = 4.0
 """N·s/m of an element."""
-MICRO = 0.4
-"""N·s/m of a node on its surface."""
 
 
 def parameters(bench: b.Bench) -> np.ndarray:
@@ -129,7 +128,7 @@ def glide(z, p, vw, nodes, dt):
         normal = z[t + i] + z[t + i + 1]
         mass = p[MASSES + i]
         s = z[OWN + 2 * nodes + i]
-        drag = MICRO + (p[VISCOUS] / n1 * min(1.0, normal) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, normal) if sheathed else 0.0)
         rub = s * (z[OWN + 4 * nodes + i] * normal + p[LOOSE] * mass * GRAVITY / (1.0 + normal))
         v = z[OWN + nodes + i] + dt / mass * (
             z[t + i] - z[t + i + 1] - rub - drag * (z[OWN + nodes + i] - surface))
