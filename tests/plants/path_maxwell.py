@@ -111,10 +111,11 @@ def shoot(z, p, end, w, theta, dt):
 def find(z, p, x, w, theta, dt):
     """Set START, MIDDLE and END for rope `x` at the drum: secant from the last slope, then false position (Illinois)."""
     a = z[END]
-    f_a = shoot(z, p, a, w, theta, dt)[0] - x
+    at, start, middle = shoot(z, p, a, w, theta, dt)
+    f_a = at - x
     way = -f_a / z[SLOPE] if z[SLOPE] > 0.0 else 0.1
-    c, f_c, at, start, middle = a, f_a, 0.0, 0.0, 0.0
-    while f_c * f_a > 0.0:
+    c, f_c = a, f_a
+    while abs(f_c) >= CLOSE_M and f_c * f_a > 0.0:
         if c == 0.0 and f_c > 0.0:
             return False
         a, f_a = c, f_c
