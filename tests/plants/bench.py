@@ -21,6 +21,7 @@ KNEE_AT_FIT = -0.4964
 """Knee angle at 13 % of gait, rad (paper, (1): −28.44°): where the leg's anchor counts as displaced by nothing."""
 LOADED_KNEE = -0.5
 """Knee angle, rad, at which the total exponent is drawn: about that of the loading, 13–20 % of gait."""
+GRAVITY = 9.81
 EDS_DRUM_M = 0.020
 """Radius by which the servo's unit objects (0x6092, feed constant) turn torque into force at the rope."""
 
@@ -58,8 +59,8 @@ class Bench:
     fabric_ratio: float = 1.0
     stribeck_speed: float = 0.01  # m/s
     stribeck_memory: float = 0.01  # s
-    load_slope: float = 0.0
-    load_reference: float = 40.0  # N
+    load_slope: float = 0.0  # relative change of the friction for each 40 N
+    load_reference: float = 40.0  # tension at which mu1 and mu2 are what they say, N
     viscous: float = 0.0  # N·s/m, whole sheath
     friction_drift: float = 0.0
     drift_s: float = 20.0
@@ -135,6 +136,10 @@ class Bench:
         """Total friction exponent at the loaded knee."""
         return self.mu1 * self.theta1 + self.mu2 * (self.wrap + self.wrap_slope * abs(LOADED_KNEE))
 
+    def loose_drag_n(self, speed_m_s: float) -> float:
+        """What it costs to drag the rope without load through its sheath at a speed, N: weight, grease, loose drag."""
+        return self.loose_drag * self.rope_kg * GRAVITY + (self.viscous + self.loose_viscous) * abs(speed_m_s)
+
 
 (E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT, DRIFT_S,
  LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN, MASS, LOOSE, LIGHT, N1, N2,
@@ -143,8 +148,6 @@ class Bench:
 
 START, MIDDLE, END, OLD_X, OLD_W, GAMMA, RISING, TIME, OWN = range(9)
 """Places in the path's flat state: tensions at START, before the knee and at END, then memory; OWN: the method's own."""
-
-GRAVITY = 9.81
 
 
 def pack(bench: Bench) -> np.ndarray:

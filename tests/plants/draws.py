@@ -18,6 +18,9 @@ SET_ASIDE = 3
 """Serials with serial % SET_ASIDE == SET_ASIDE − 1 are set aside: used once, at the end."""
 
 
+MOST_START_N = 95.0
+
+
 def stream(name: str, *numbers: int) -> np.random.Generator:
     """The random numbers that belong to a name and some numbers, in any process the same."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([zlib.crc32(name.encode()), *numbers])))
@@ -91,6 +94,8 @@ def draw(serial: int, day: int = 0, implementation: str | None = None) -> Bench:
     values["mu1"] = total * share / values["theta1"]
     values["mu2"] = total * (1.0 - share) / (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))
     values |= _stribeck(kind, serial) | _curve(kind, values, serial)
+    less = _reachable(values)
+    values["mu1"], values["mu2"] = less * values["mu1"], less * values["mu2"]
     values["play"] = 0.0 if kind.knee == "none" else math.radians(0.2) * u("constant play", serial)
     bench = Bench(kind, serial, day, **values)
     return on_day(bench) if day else bench
@@ -99,6 +104,17 @@ def draw(serial: int, day: int = 0, implementation: str | None = None) -> Bench:
 def _stribeck(kind: Structure, serial: int) -> dict[str, float]:
     ratio = {side: 1.05 + 0.55 * u(f"constant {side} ratio", serial) for side in ("sheath", "fabric")}
     return {f"{side}_ratio": value if kind.stribeck in (side, "both") else 1.0 for side, value in ratio.items()}
+
+
+def _reachable(values: dict[str, float]) -> float:
+    """Factor that keeps START below `MOST_START_N` at 60 N END, at rest, on the worst day."""
+    def worst(side: str, exponent: float) -> float:
+        return 1.1 * exponent * (values[f"{side}_ratio"] + (0.3 if values[f"{side}_ratio"] > 1.0 else 0.0))
+
+    load = 1.0 + values["load_slope"] * (75.0 - values["load_reference"]) / 40.0
+    most = load * (worst("sheath", values["mu1"] * values["theta1"]) + worst(
+        "fabric", values["mu2"] * (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))))
+    return min(1.0, math.log(MOST_START_N / 60.0) / most)
 
 
 def _curve(kind: Structure, values: dict[str, float], serial: int) -> dict[str, float]:

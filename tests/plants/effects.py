@@ -52,9 +52,8 @@ def _more(field: str, low: float, high: float, name: str = "") -> Effect:
 
 
 def load_slope_at_40(bench: Bench) -> float:
-    """The load slope as the catalogue refers it, to 40 N, of the bench's own at its own reference."""
-    own = bench.load_slope / (1.0 - bench.load_slope) * 40.0 / bench.load_reference
-    return own / (1.0 + own)
+    """The load slope as the catalogue refers it, to the friction at 40 N, of the bench's own at its own reference."""
+    return bench.load_slope / (1.0 + bench.load_slope * (40.0 - bench.load_reference) / 40.0)
 
 
 def _load(rng: Rng, bench: Bench) -> Hidden:

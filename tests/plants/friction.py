@@ -45,8 +45,8 @@ def exponents(z, p, theta):
 
 @njit(cache=True)
 def loaded(p, force):
-    """Factor of the friction at a tension, N."""
-    return max(0.05, 1.0 + p[LOAD] * (force / p[LOAD_N] - 1.0))
+    """Factor of the friction at a tension, N: 1 at the bench's reference, changing by the slope for each 40 N."""
+    return max(0.05, 1.0 + p[LOAD] * (force - p[LOAD_N]) / 40.0)
 
 
 @njit(cache=True)
