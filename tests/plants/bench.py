@@ -59,6 +59,7 @@ class Bench:
     fabric_ratio: float = 1.0
     stribeck_speed: float = 0.01  # m/s
     stribeck_memory: float = 0.01  # s
+    breakaway_room: float = 1.0  # share of a day's breakaway that this bench takes
     load_slope: float = 0.0  # relative change of the friction for each 40 N
     load_reference: float = 40.0  # tension at which mu1 and mu2 are what they say, N
     viscous: float = 0.0  # N·s/m, whole sheath

@@ -19,6 +19,11 @@ SET_ASIDE = 3
 
 
 MOST_START_N = 95.0
+"""Greatest START tension at 60 N END while everything slides, on the worst day."""
+MOST_STUCK_N = 105.0
+"""The same at rest, with breakaway; the master stops at 120 N."""
+MOST_RATIO, BREAKAWAY = 1.6, 0.3
+"""Greatest static over sliding friction as drawn, and what a day adds to it at most."""
 
 
 def stream(name: str, *numbers: int) -> np.random.Generator:
@@ -93,28 +98,35 @@ def draw(serial: int, day: int = 0, implementation: str | None = None) -> Bench:
         ("exponent", 0.10, 0.45), ("sheath share", 0.3, 0.8)))
     values["mu1"] = total * share / values["theta1"]
     values["mu2"] = total * (1.0 - share) / (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))
-    values |= _stribeck(kind, serial) | _curve(kind, values, serial)
     less = _reachable(values)
     values["mu1"], values["mu2"] = less * values["mu1"], less * values["mu2"]
+    values["breakaway_room"] = _room(values)
+    values |= _stribeck(kind, values["breakaway_room"], serial) | _curve(kind, values, serial)
     values["play"] = 0.0 if kind.knee == "none" else math.radians(0.2) * u("constant play", serial)
     bench = Bench(kind, serial, day, **values)
     return on_day(bench) if day else bench
 
 
-def _stribeck(kind: Structure, serial: int) -> dict[str, float]:
-    ratio = {side: 1.05 + 0.55 * u(f"constant {side} ratio", serial) for side in ("sheath", "fabric")}
+def _stribeck(kind: Structure, room: float, serial: int) -> dict[str, float]:
+    ratio = {side: 1.0 + room * _even(0.05, MOST_RATIO - 1.0)(u(f"constant {side} ratio", serial)) for side in ("sheath", "fabric")}
     return {f"{side}_ratio": value if kind.stribeck in (side, "both") else 1.0 for side, value in ratio.items()}
 
 
-def _reachable(values: dict[str, float]) -> float:
-    """Factor that keeps START below `MOST_START_N` at 60 N END, at rest, on the worst day."""
-    def worst(side: str, exponent: float) -> float:
-        return 1.1 * exponent * (values[f"{side}_ratio"] + (0.3 if values[f"{side}_ratio"] > 1.0 else 0.0))
+def _loaded(values: dict[str, float]) -> float:
+    """The total exponent of the worst day at the load of 60 N END, sliding."""
+    fabric = values["mu2"] * (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))
+    return 1.1 * (1.0 + values["load_slope"] * (75.0 - values["load_reference"]) / 40.0) * (
+        values["mu1"] * values["theta1"] + fabric)
 
-    load = 1.0 + values["load_slope"] * (75.0 - values["load_reference"]) / 40.0
-    most = load * (worst("sheath", values["mu1"] * values["theta1"]) + worst(
-        "fabric", values["mu2"] * (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))))
-    return min(1.0, math.log(MOST_START_N / 60.0) / most)
+
+def _reachable(values: dict[str, float]) -> float:
+    """Factor of the friction that keeps START below `MOST_START_N` at 60 N END, sliding, on the worst day."""
+    return min(1.0, math.log(MOST_START_N / 60.0) / _loaded(values))
+
+
+def _room(values: dict[str, float]) -> float:
+    """Share of the drawn breakaway that keeps START below `MOST_STUCK_N` at 60 N END, at rest, on the worst day."""
+    return min(1.0, max(0.0, math.log(MOST_STUCK_N / 60.0) / _loaded(values) - 1.0) / (MOST_RATIO - 1.0 + BREAKAWAY))
 
 
 def _curve(kind: Structure, values: dict[str, float], serial: int) -> dict[str, float]:
@@ -130,7 +142,7 @@ def on_day(bench: Bench) -> Bench:
     def swing(name: str) -> float:
         return 2.0 * u(f"day {name}", bench.serial, bench.day) - 1.0
 
-    breakaway = 0.15 * (1.0 + swing("breakaway"))
+    breakaway = 0.5 * BREAKAWAY * bench.breakaway_room * (1.0 + swing("breakaway"))
     kind = bench.structure
     return replaced(
         bench, mu1=bench.mu1 * (1.0 + 0.1 * swing("mu1")), mu2=bench.mu2 * (1.0 + 0.1 * swing("mu2")),

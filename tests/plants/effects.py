@@ -127,7 +127,7 @@ SENSOR: dict[str, Effect] = {
 DRIVE: dict[str, Effect] = {
     "drive_coulomb": _more("drive_coulomb", 3.0, 8.0), "drive_viscous": _more("drive_viscous", 30.0, 120.0),
     "drive_offset": _either("drive_offset", 1.5, 5.0), "drive_asymmetry": _either("drive_asymmetry", 0.4, 0.7),
-    "drive_inertia": _factor("drive_kg", (0.4, 0.55), (1.6, 3.0)),
+    "drive_inertia": _factor("drive_kg", (0.4, 0.55), (1.6, 3.0), "drive_inertia"),
     "drive_viscous_asymmetry": _either("drive_viscous_asymmetry", 0.4, 0.8),
     "drive_presliding": _more("drive_presliding", 0.4e-3, 2e-3),
     "demand_gain": _factor("demand_gain", (0.85, 0.94), (1.06, 1.15)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -31,14 +32,14 @@ def plain(implementation: str, serial: int = 2, **changes: float) -> Bench:
 def pulled(bench: Bench, *turns: float, speed: float = 0.03) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rope at a locked knee between depths in units of the stretch at 60 N; returns rope, START and END."""
     ways = bench.zero + bench.stretch_60 * np.array([-0.1, *turns])
-    legs = [np.arange(0.0, abs(b - a), speed * DT) * np.sign(b - a) + a for a, b in zip(ways, ways[1:], strict=False)]
+    legs = [np.arange(0.0, abs(b - a), speed * DT) * np.sign(b - a) + a for a, b in itertools.pairwise(ways)]
     rope = np.concatenate(legs)
     start, end = run(bench, DT * np.arange(rope.size), rope, np.full(rope.size, KNEE_AT_FIT))
     return rope, start, end
 
 
 def led(plant: FamilyPlant, cuts_ns: list[int], until_ns: int = 400_000_000) -> list[tuple[float, ...]]:
-    """What a plant says at every drive tick while the rope is wound in and let go, also asked at `cuts_ns` in between."""
+    """What a plant says at each drive tick while the rope is wound in and let go; also asked at `cuts_ns` in between."""
     said = [tuple(plant.reset(0))]
     for tick in range(TICK_NS, until_ns + 1, TICK_NS):
         pull = 0.8 if tick < until_ns // 2 else -0.1
@@ -102,7 +103,7 @@ def test_closed_loops_only_take_energy(implementation: str) -> None:
 
 @EACH
 def test_slack_rope_carries_nothing(implementation: str) -> None:
-    rope, start, end = pulled(plain(implementation), 0.5, -0.1)
+    _, start, end = pulled(plain(implementation), 0.5, -0.1)
     assert start[0] == 0.0
     assert end.max() > 10.0
     assert abs(start[-1]) < 0.3
@@ -125,9 +126,9 @@ def test_step_of_the_data_changes_little(implementation: str) -> None:
 def test_sixty_newton_are_within_reach(implementation: str) -> None:
     for serial in range(8):
         bench = draws.draw(serial, 1, implementation)
-        _, start, end = pulled(bench, 1.6, speed=0.06)
+        _, start, end = pulled(bench, 2.2, speed=0.06)
         assert end.max() > 60.0
-        assert start[int(np.argmax(end > 60.0))] < draws.MOST_START_N + bench.loose_drag_n(0.06)
+        assert start[int(np.argmax(end > 60.0))] < draws.MOST_STUCK_N + bench.loose_drag_n(0.06)
 
 
 def test_structure_is_drawn_apart_from_constants() -> None:
