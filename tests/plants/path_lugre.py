@@ -51,7 +51,7 @@ SLOW = 10
 TABLES = FIRST, FIRST + TABLE + 1, FIRST + 2 * (TABLE + 1)
 MASSES = FIRST + 3 * (TABLE + 1)
 FABRIC_KG = 0.006
-DAMPING = 4.0
+DAMPING = 10.0
 """N·s/m of an element."""
 
 
@@ -82,8 +82,8 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
 
 @njit(cache=True)
 def damped(force, rate):
-    """Tension with damping, N: never pushing, damped by no more than half of it."""
-    return force + min(0.5 * force, max(-0.5 * force, DAMPING * rate))
+    """Tension with damping, N: never pushing, damped by at most as much."""
+    return force + min(force, max(-0.9 * force, DAMPING * rate))
 
 
 @njit(cache=True)

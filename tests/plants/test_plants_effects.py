@@ -1,4 +1,4 @@
-"""Effects, motions, recorded columns and the oracle of the family: each changes what it says, and only the oracle judges."""
+"""Effects, motions, recorded columns and the oracle of the family: each changes what it says, the oracle judges."""
 
 from __future__ import annotations
 
