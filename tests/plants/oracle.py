@@ -17,11 +17,11 @@ from tests.plants.imposed import Array, Motion, felt, forced, repeated
 
 FORCE_NOISE_N = 0.3
 COUNTS_FROM = 40.0
-"""Least χ² that counts: 20 in the logarithm of the likelihood, far above what trying some thirty names gives by chance."""
+"""Least χ² that counts: 20 in the logarithm of the likelihood, far above what thirty names give by chance."""
 
 BLOCK_S = 0.02
-"""Blocks over which signals are averaged: where a loose rope snaps tight, single samples jump with the least change of a
-constant, and the fit would end far from the truth.  What the wire does is in single samples, so there are no blocks."""
+"""Blocks over which signals are averaged: where a loose rope snaps tight, single samples jump with the least change of
+a constant, and the fit would end far from the truth.  What the wire does is in single samples: no blocks there."""
 STEP = 0.1
 """Step of the slopes, in σ."""
 TOLERANCE: dict[str, tuple[str, float]] = {
@@ -35,7 +35,7 @@ TOLERANCE: dict[str, tuple[str, float]] = {
 
 
 def shown(bench: Bench, motion: Motion, rate_hz: int, noise_n: float, block_s: float = BLOCK_S) -> Array:
-    """Means of START, END and servo force over blocks, in units of the means' noise, one after the other; noise-free."""
+    """Means of START, END and servo force over blocks, in units of their noise, one after the other; noise-free."""
     bench = replaced(bench, drift_s=float(motion.time[-1]))
     true = forced(bench, motion.time, motion.rope, motion.knee)
     every = slice(None, None, round(1000 / rate_hz))

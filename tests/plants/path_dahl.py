@@ -71,7 +71,7 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[[Q1, Q2, OLD_W]] = w
 
 
-@njit(cache=True)
+@njit
 def turned(s, travel, delta):
     """(Dahl state after `travel`, its derivative): s → ±1 by e^(−|travel|/δ)."""
     sign = 1.0 if travel >= 0.0 else -1.0
@@ -79,15 +79,16 @@ def turned(s, travel, delta):
     return sign + (s - sign) * fade, (sign - s) * fade / delta * sign
 
 
-@njit(cache=True)
+@njit
 def balance(up, k_up, down, k_down, s, ds, exponent):
     """Force on a site, N, and its derivatives by the tension above, below (through stiffness) and the slip."""
     low, high = math.exp(-0.5 * s * exponent), math.exp(0.5 * s * exponent)
     force = up * low - down * high
-    return force, -k_up * low - k_down * high - 0.5 * exponent * ds * (up * low + down * high), k_down * high, k_up * low
+    own = -k_up * low - k_down * high - 0.5 * exponent * ds * (up * low + down * high)
+    return force, own, k_down * high, k_up * low
 
 
-@njit(cache=True)
+@njit
 def loose(p, weight, speed, loaded_n):
     """Drag of a site's own weight, N, and its derivative by speed; gone where the rope is taut."""
     size = p[LOOSE] * weight / (1.0 + loaded_n)
@@ -95,7 +96,7 @@ def loose(p, weight, speed, loaded_n):
     return size * t, size * (1.0 - t * t) / STILL_M_S
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`."""
     before = z[END]

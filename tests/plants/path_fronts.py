@@ -73,7 +73,7 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[OLD_W] = w
 
 
-@njit(cache=True)
+@njit
 def pull(z, p, x, w, nodes, torn):
     """Set tension and stiffness of every element for the tried positions."""
     n1 = int(p[N1])
@@ -92,7 +92,7 @@ def pull(z, p, x, w, nodes, torn):
             z[t + e], z[t + nodes + 1 + e] = force, stiff / torn
 
 
-@njit(cache=True)
+@njit
 def unbalanced(z, p, moved_w, nodes, dt):
     """Set the force on every node and its derivatives by the positions; return the largest, N."""
     n1 = int(p[N1])
@@ -122,7 +122,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
     return worst
 
 
-@njit(cache=True)
+@njit
 def correct(z, nodes):
     """Solve the tridiagonal system (Thomas) and move the tried positions; return the largest move, m."""
     r, a, d, c, q = OWN + 5 * nodes, OWN + 6 * nodes, OWN + 7 * nodes, OWN + 8 * nodes, OWN + 9 * nodes
@@ -138,7 +138,7 @@ def correct(z, nodes):
     return far
 
 
-@njit(cache=True)
+@njit
 def grip(z, p, theta, nodes):
     """Set the limit of every node, as an exponent."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -150,7 +150,7 @@ def grip(z, p, theta, nodes):
             p, ratio, z[OWN + 2 * nodes + i])
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`."""
     n1 = int(p[N1])

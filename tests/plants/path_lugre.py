@@ -80,13 +80,13 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[OLD_X], z[OLD_W] = x, w
 
 
-@njit(cache=True)
+@njit
 def damped(force, rate):
     """Tension with damping, N: never pushing, damped by at most as much."""
     return force + min(force, max(-0.9 * force, DAMPING * rate))
 
 
-@njit(cache=True)
+@njit
 def pull(z, p, x, vx, w, vw, nodes, torn):
     """Set the tension of every element."""
     n1 = int(p[N1])
@@ -103,7 +103,7 @@ def pull(z, p, x, vx, w, vw, nodes, torn):
         z[t + i] = damped(force, z[v + i - 1] - rate)
 
 
-@njit(cache=True)
+@njit
 def refresh(z, p, theta, vw, nodes, dt):
     """Set grip and steady bristle state of every node for load and remembered speed, `dt` after the last time."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -117,7 +117,7 @@ def refresh(z, p, theta, vw, nodes, dt):
         z[OWN + 4 * nodes + i] = math.tanh(0.5 * exponent)
 
 
-@njit(cache=True)
+@njit
 def glide(z, p, vw, nodes, dt):
     """Move every node by `dt`."""
     n1 = int(p[N1])
@@ -140,7 +140,7 @@ def glide(z, p, vw, nodes, dt):
         z[OWN + 2 * nodes + i] = s + (way - abs(way) * s / steady) / (1.0 + abs(way) / steady)
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`, both led there evenly, in substeps."""
     nodes = int(p[N1] + p[N2])

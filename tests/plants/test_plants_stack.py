@@ -23,8 +23,8 @@ def test_a_cycle_on_every_method_with_the_nominal_calibration(
 ) -> None:
     model, path = tmp_path / "loop.toml", tmp_path / "one.mcap"
     model.write_text(stack.toml(3, implementation), encoding="utf-8")
-    arguments = ["trial", "--peak", PEAK_N, "--period", PERIOD_S, "--cycles", 1, "--settle", 0, "--serial", 0, "--plant",
-                 stack.plant_name(3, 1, implementation), "--plant-model", model, "--json", "-o", path]
+    arguments = ["trial", "--peak", PEAK_N, "--period", PERIOD_S, "--cycles", 1, "--settle", 0, "--serial", 0,
+                 "--plant", stack.plant_name(3, 1, implementation), "--plant-model", model, "--json", "-o", path]
     assert run([str(argument) for argument in arguments]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["outcome"] == "completed", told["stop_reason"]
