@@ -31,6 +31,8 @@ from tests.plants.bench import (
     WRAP_SLOPE,
 )
 
+GREASE_N = 20.0
+"""Tension from which grease drags in full; a loose rope has `loose_viscous` alone."""
 TURNED_N = 3.0
 """Change of END tension over which a torn strand's direction turns over, N."""
 
@@ -47,6 +49,12 @@ def exponents(z, p, theta):
 def loaded(p, force):
     """Factor of the friction at a tension, N: 1 at the bench's reference, changing by the slope for each 40 N."""
     return max(0.05, 1.0 + p[LOAD] * (force - p[LOAD_N]) / 40.0)
+
+
+@njit
+def greased(tension):
+    """Share of the grease's drag at a tension, N: the film is sheared where the rope is pressed to the sheath."""
+    return min(1.0, max(0.0, tension) / GREASE_N)
 
 
 @njit

@@ -37,7 +37,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, looked_up, table
 
 SUBSTEP_S = 0.5e-3
@@ -122,7 +122,7 @@ def step(z, p, x, w, theta, dt):
         f2, a22, _, a21 = balance(t1, k_1 / torn, t2, k_2 / torn, s2, ds2, grip2)
         d1, c1 = loose(p, GRAVITY * mass, v1, t0 + t1)
         d2, c2 = loose(p, GRAVITY * mass, v2, t1 + t2)
-        grease = p[VISCOUS] * min(1.0, t0 + t1)
+        grease = p[VISCOUS] * greased(0.5 * (t0 + t1))
         r1 = f1 - mass * (v1 - z[V1]) / dt - (grease + light) * v1 - d1
         r2 = f2 - mass * (v2 - z[V2]) / dt - light * (v2 - surface) - d2
         j11, j22 = a11 * dt - mass / dt - grease - light - c1, a22 * dt - mass / dt - light - c2

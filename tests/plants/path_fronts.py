@@ -39,7 +39,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, looked_up, table
 
 SUBSTEP_S = 0.5e-3
@@ -111,7 +111,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
         up, down = z[t + i], z[t + i + 1]
         k_up, k_down = z[t + nodes + 1 + i], z[t + nodes + 2 + i]
         weight = p[LOOSE] * GRAVITY * p[MASS] / nodes
-        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, up + down) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * greased(0.5 * (up + down)) if sheathed else 0.0)
         force = up * low - down * high - s * weight - drag * slip / dt
         z[OWN + 5 * nodes + i] = force
         z[OWN + 6 * nodes + i] = k_up * low

@@ -40,7 +40,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, TOP_N, looked_up, table
 
 SUBSTEP_S = 10e-6
@@ -128,7 +128,7 @@ def glide(z, p, vw, nodes, dt):
         normal = z[t + i] + z[t + i + 1]
         mass = p[MASSES + i]
         s = z[OWN + 2 * nodes + i]
-        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, normal) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * greased(0.5 * normal) if sheathed else 0.0)
         rub = s * (z[OWN + 4 * nodes + i] * normal + p[LOOSE] * mass * GRAVITY / (1.0 + normal))
         v = z[OWN + nodes + i] + dt / mass * (
             z[t + i] - z[t + i + 1] - rub - drag * (z[OWN + nodes + i] - surface))

@@ -37,7 +37,7 @@ from tests.plants.bench import (
     VISCOUS,
 )
 from tests.plants.draws import stream
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import stretch
 
 SUBSTEP_S = 1e-3
@@ -85,7 +85,7 @@ def climb(z, p, i, nodes, travel, force, delta, exponent, ratio, viscous, dt):
         s += p[FIRST + cells + j] * z[new + j]
     z[NODES + 2 * nodes + i] = travel
     grip = exponent * loaded(p, force) * breakaway(p, ratio, z[NODES + nodes + i])
-    grease = viscous * moved / dt * min(1.0, force)
+    grease = viscous * moved / dt * greased(force)
     return max(0.0, force * math.exp(s * grip) + grease)
 
 
