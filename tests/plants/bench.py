@@ -138,7 +138,7 @@ class Bench:
         return self.mu1 * self.theta1 + self.mu2 * (self.wrap + self.wrap_slope * abs(LOADED_KNEE))
 
     def loose_drag_n(self, speed_m_s: float) -> float:
-        """What it costs to drag the rope without load through its sheath at a speed, N: its weight and its loose drag."""
+        """What it costs to drag the rope without load through its sheath at a speed, N: weight and loose drag."""
         return self.loose_drag * self.rope_kg * GRAVITY + self.loose_viscous * abs(speed_m_s)
 
 
