@@ -1,7 +1,8 @@
 """What stops the bench, and how: one table.
 
 The rule of this file: a condition names what went wrong, the table what is done about it.  No reaction
-holds the rope against the knee: while START is trusted it is unwound, otherwise the servo's torque goes off.
+holds the rope against the knee: while START is trusted it is unwound; where signals contradict each other, END is above
+its limit, a motion is not the commanded one or somebody else commands, the servo's torque goes off at once.
 """
 
 from __future__ import annotations
@@ -23,11 +24,16 @@ class Condition(Enum):
     BOOTED = "restarted by itself"
     NOT_ENABLED = "drive left OPERATION ENABLED"
     STALE = "inputs too old"
+    IMPLAUSIBLE = "signal implausible"
+    OFF_TARGET = "motion not as commanded"
+    OUT_OF_LIMITS = "motion outside its limits"
+    FOREIGN = "foreign command on the bus"
     SYNC_LOST = "SYNC missing"
     BUS_LOST = "bus failed"
     RECORDING = "recording failed"
     INTERRUPTED = "interrupted"
     REFUSED = "refused"
+    FAILED = "program failed"
 
 
 class Reaction(Enum):
@@ -44,6 +50,7 @@ class StopError(Exception):
     def __init__(self, condition: Condition, text: str, node_id: int = 0) -> None:
         super().__init__(f"{condition.value}: {text}" if text else condition.value)
         self.condition = condition
+        self.detail = text
         self.node_id = node_id
 
 
@@ -56,15 +63,22 @@ REACTIONS: Final = MappingProxyType({
     **{(Condition.EMERGENCY, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.BOOTED, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.STALE, node): reaction for node, reaction in _BY_NODE.items()},
+    **{(Condition.IMPLAUSIBLE, node): _RELEASE for node in (0, SERVO, KNEE, START, END)},
+    (Condition.OFF_TARGET, SERVO): _RELEASE,
+    (Condition.OFF_TARGET, KNEE): _RELEASE,
+    (Condition.OUT_OF_LIMITS, SERVO): _RELEASE,
+    (Condition.OUT_OF_LIMITS, KNEE): _RELEASE,
+    (Condition.FOREIGN, 0): _RELEASE,
     (Condition.NOT_ENABLED, SERVO): _RELEASE,
     (Condition.NOT_ENABLED, KNEE): _UNWIND,
     (Condition.START_LIMIT, START): _UNWIND,
-    (Condition.END_LIMIT, END): _UNWIND,
+    (Condition.END_LIMIT, END): _RELEASE,
     (Condition.SYNC_LOST, 0): _RELEASE,
     (Condition.BUS_LOST, 0): Reaction.ABANDON,
     (Condition.RECORDING, 0): _UNWIND,
     (Condition.INTERRUPTED, 0): _UNWIND,
     (Condition.REFUSED, 0): _UNWIND,
+    (Condition.FAILED, 0): _UNWIND,
 })
 """(condition, node) → reaction.  A node that is not of the bench unwinds."""
 
