@@ -116,9 +116,9 @@ def quick_stop(exchange: Exchange) -> None:
     exchange.command(0x0002, _OPERATE)
 
 
-def release(exchange: Exchange) -> None:
-    """The servo's torque off at once; the knee drive holds."""
-    exchange.command(0x0000, _OPERATE)
+def release(exchange: Exchange, knee_too: bool = False) -> None:
+    """The servo's torque off at once; the knee drive holds, unless its torque goes too."""
+    exchange.command(0x0000, 0x0000 if knee_too else _OPERATE)
 
 
 def set_home(exchange: Exchange, position_um: int) -> Inputs:

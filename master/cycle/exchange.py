@@ -157,7 +157,7 @@ class Exchange:
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
         self._told = sync_ns < 0
         if self._told:
-            self.guard.heed(self.link.clock())
+            self.guard.heed_strangers()
             raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
         return self._latch(sync_ns)
 

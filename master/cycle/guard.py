@@ -178,6 +178,12 @@ class Guard:
         if first is not None and self.active:
             raise first
 
+    def heed_strangers(self) -> None:
+        """Raise `StopError` where somebody else on the bus is why nothing comes any more."""
+        first = self._strangers()
+        if first is not None and self.active:
+            raise first
+
     def _strangers(self) -> StopError | None:
         first: StopError | None = None
         watch = self._link.watch

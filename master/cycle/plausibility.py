@@ -31,8 +31,8 @@ WINDOW: Final = 64
 """Greatest number of cycles in the window of `force`."""
 FORCE_TERMS, STRETCH_TERMS = 4, 3
 
-(T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START, OLD_END,
- PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES) = range(25)
+(T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
+ OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES) = range(25)
 """Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
 since the window began anew, repeated values, the window's place and sums, and what homing has told so far."""
 RATIOS = 25
@@ -51,7 +51,7 @@ STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
-KNEE_RAD, KNEE_S = 0.025, 6e-3
+KNEE_RAD, KNEE_S = 0.010, 2.5e-3
 RATIO_N, FORCE_N, FORCE_SHARE = 5.0, 12.0, 0.4
 STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.5e-3, 5.0, 0.04, 0.12
 WIDE: Final = 0.95

@@ -37,7 +37,7 @@ def safe_stop(exchange: Exchange, stop: StopError) -> None:
     exchange.log.event(exchange.link.clock(), "safety", "master", f"{stop}: {reaction.value}.")
     try:
         if reaction is not Reaction.UNWIND or not _unwind(exchange):
-            drives.release(exchange)
+            drives.release(exchange, knee_too=reaction is Reaction.RELEASE_BOTH)
             _await_slack(exchange)
         _finish(exchange)
     except (StopError, RefusedError, LinkError) as error:

@@ -41,6 +41,7 @@ class Reaction(Enum):
 
     UNWIND = "pay the rope out to below 2 N, then quick stop"
     RELEASE = "servo torque off, the rope goes slack"
+    RELEASE_BOTH = "torque off at both drives: the knee cannot be held by an angle that is not believed"
     ABANDON = "nothing can be sent: the drives react by 0x6007"
 
 
@@ -63,11 +64,10 @@ REACTIONS: Final = MappingProxyType({
     **{(Condition.EMERGENCY, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.BOOTED, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.STALE, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.IMPLAUSIBLE, node): _RELEASE for node in (0, SERVO, KNEE, START, END)},
+    **{(Condition.IMPLAUSIBLE, node): _RELEASE for node in (0, SERVO, START, END)},
     (Condition.OFF_TARGET, SERVO): _RELEASE,
-    (Condition.OFF_TARGET, KNEE): _RELEASE,
-    (Condition.OUT_OF_LIMITS, SERVO): _RELEASE,
-    (Condition.OUT_OF_LIMITS, KNEE): _RELEASE,
+    **{(condition, KNEE): Reaction.RELEASE_BOTH
+       for condition in (Condition.IMPLAUSIBLE, Condition.OFF_TARGET, Condition.OUT_OF_LIMITS)},
     (Condition.FOREIGN, 0): _RELEASE,
     (Condition.NOT_ENABLED, SERVO): _RELEASE,
     (Condition.NOT_ENABLED, KNEE): _UNWIND,
