@@ -102,7 +102,7 @@ class Axis:
 
     def step_to(self, raw: int) -> float:
         """Give the way, in counts, from the last target to a new one."""
-        return (self.position(raw) - self.state[law.TARGET]) / self.units.position
+        return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
 
     def target_velocity(self, raw: int) -> None:
         """Take over a velocity."""

@@ -132,8 +132,8 @@ def interpolate(s: Any, g: Any, dt_s: float) -> None:
 def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
     """Return the torque that follows the interpolated positions; tells of an error that outlasts its window's time.
 
-    While the tension's bound holds the axis back the error is nobody's fault and is not timed, as long as the axis moves
-    as fast as the bound allows, or the rope is near its limit: one that stands still below it has lost its track.
+    While the tension's bound holds the axis back the error is nobody's fault and is not timed, as long as the axis
+    moves as fast as the bound allows, or the rope is near its limit: what stands still below it has lost its track.
     """
     interpolate(s, g, dt_s)
     forward = g[FEED_FORWARD] * s[RAMP] + g[VELOCITY_OFFSET]

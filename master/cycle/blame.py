@@ -19,6 +19,8 @@ from master.cycle.plausibility import (
     RATIO,
     SERVO_TRACK,
     STILL_END,
+    STILL_KNEE,
+    STILL_SERVO,
     STILL_START,
     Finding,
 )
@@ -41,8 +43,10 @@ SUSPECTS: Final = (
     Suspect(SERVO, "the servo's torque, or START with its path", frozenset({FORCE})),
     Suspect(0, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
             frozenset({BY_START, BY_END})),
-    Suspect(END, "END, or a path between START and END that is jammed", frozenset({RATIO})),
-    Suspect(0, "a path that is jammed, or servo position", frozenset({RATIO, BY_START})),
+    Suspect(0, "START or END, or a path between them that is jammed", frozenset({RATIO})),
+    Suspect(START, "START, or a path that is jammed", frozenset({RATIO, BY_START})),
+    Suspect(START, "START, servo position, knee angle, or the calibration's swing_k", frozenset({BY_START})),
+    Suspect(END, "END, servo position, knee angle, or the calibration's swing_k", frozenset({BY_END})),
 )
 """In the order of their naming where patterns are equally near."""
 _TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
@@ -68,10 +72,19 @@ def blamed(finding: Finding) -> StopError:
         name, node, other = ("START", START, "END") if relation == STILL_START else ("END", END, "START")
         return StopError(Condition.IMPLAUSIBLE, f"{name} repeats one value while {other} went from {expected:.1f} to "
                                                 f"{seen:.1f} N", node)
+    if relation == STILL_SERVO:
+        return StopError(Condition.OFF_TARGET, f"servo position repeats one value while its target went from "
+                                               f"{1e3 * expected:.2f} to {1e3 * seen:.2f} mm", SERVO)
+    if relation == STILL_KNEE:
+        return StopError(Condition.OFF_TARGET, f"knee angle repeats one value while its target went from "
+                                               f"{_degrees(expected):.1f}° to {_degrees(seen):.1f}°", KNEE)
     suspect = suspected(finding)
     what, scale, unit = _TEXTS[relation]
+    swing = finding.swing_k_fits - finding.swing_k
+    fits = (f" (swing_k = {finding.swing_k:.4f} m/rad, {finding.swing_k_fits:.4f} would fit)"
+            if abs(swing) > 0.1 * finding.swing_k else "")
     return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
-                                            f"expected about {scale * expected:.1f} {unit}", suspect.node)
+                                            f"expected about {scale * expected:.1f} {unit}{fits}", suspect.node)
 
 
 def suspected(finding: Finding) -> Suspect:

@@ -154,9 +154,9 @@ class Exchange:
         elif self._misses:
             self._end_misses()
         if not self._told:
+            self._told = True
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
-        self._told = sync_ns < 0
-        if self._told:
+        if sync_ns < 0:
             self.guard.heed_strangers()
             raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
         return self._latch(sync_ns)
@@ -214,6 +214,7 @@ class Exchange:
     def _latch(self, sync_ns: int) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
         self._arrival_ns = [NAN, NAN, NAN, NAN]
+        self._told = False
         deadline = sync_ns + self._budget_ns
         receive, slots, missing = self.link.receive, self._slots, 0b1111
         self._doubled_sync = False
@@ -221,7 +222,10 @@ class Exchange:
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:
-                missing &= ~self._take(message, sync_ns)
+                if missing >> slots[can_id][0] & 1:
+                    missing &= ~self._take(message, sync_ns)
+                else:
+                    self._note_doubled(message, slots[can_id][0])
             elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
                 self._early_ns = stamp
                 break

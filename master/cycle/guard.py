@@ -31,7 +31,9 @@ LIMITED_NS = 300_000_000
 YIELDED_M = 2e-3
 """By how much further a servo that its tension bound holds back may be from where its targets lead."""
 ORDER = (SERVO, KNEE, START, END)
-_CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC)
+_CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
+REMEMBERED = 3
+"""Cycles for which a missed input still explains what a drive says of it."""
 
 
 class Guard:
@@ -54,6 +56,8 @@ class Guard:
         self._interrupted = interrupted
         self._watch_ns = 0
         self._limited_ns = [0, 0]
+        self._missed = [(0, 0)] * 4
+        self._period_ns = wire.period_ns
 
     def check(
         self, inputs: Inputs, late_in_row: Sequence[int], targets: tuple[float, float] = (0.0, 0.0),
@@ -62,8 +66,11 @@ class Guard:
         """Raise `StopError` where the inputs of one SYNC, or what came with them, break a limit."""
         link = self._link
         watch = link.watch
+        if inputs.missing:
+            self._missed = [(late, inputs.sync_ns) if late else was
+                            for late, was in zip(late_in_row, self._missed, strict=True)]
         if (watch is not None and watch.found) or link.emergencies or link.boots:
-            self.heed(inputs.sync_ns, late_in_row)
+            self.heed(inputs.sync_ns, reception)
         if not self.active:
             return
         limits = self.limits
@@ -162,7 +169,7 @@ class Guard:
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
                 raise StopError(Condition.NODE_LOST, f"{self._name(node)}, for {self._timeout_ns / 1e6:.0f} ms", node)
 
-    def heed(self, now_ns: int, late_in_row: Sequence[int] = (0, 0, 0, 0)) -> None:
+    def heed(self, now_ns: int, reception: Reception | None = None) -> None:
         """Tell what strangers, emergencies and boot-ups there were; raises `StopError` for the first that matters."""
         link, first = self._link, self._strangers()
         while link.emergencies:
@@ -170,7 +177,7 @@ class Guard:
             text = self._described(emergency)
             self._log.event(emergency.time_ns, "emcy", self._name(emergency.node_id), text)
             if emergency.code != Emcy.NO_ERROR:
-                first = first or self._cause(emergency, text, late_in_row)
+                first = first or self._cause(emergency, text, now_ns, reception)
         while link.boots:
             node = link.boots.popleft()
             self._log.event(now_ns, "nmt", self._name(node), "boot-up.")
@@ -194,15 +201,23 @@ class Guard:
                 first = first or StopError(Condition.FOREIGN, stranger.text)
         return first
 
-    def _cause(self, emergency: Emergency, text: str, late_in_row: Sequence[int]) -> StopError:
-        """What an emergency comes from: a drive that misses an input says so before the master gives up on it."""
-        if emergency.code in _CONSEQUENCES and any(late_in_row):
-            if min(late_in_row) > 0:
-                return StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late_in_row)} cycles ({text})")
-            late = max(range(4), key=late_in_row.__getitem__)
-            if ORDER[late] != emergency.node_id:
-                return StopError(Condition.STALE, f"{self._name(ORDER[late])} missed {late_in_row[late]} cycles in a "
-                                                  f"row ({text})", ORDER[late])
+    def _cause(self, emergency: Emergency, text: str, now_ns: int, reception: Reception | None) -> StopError:
+        """What an emergency comes from: a drive that misses or is told too much says so before the master gives up."""
+        if emergency.code in _CONSEQUENCES:
+            since = now_ns - REMEMBERED * self._period_ns
+            late = [count if at >= since else 0 for count, at in self._missed]
+            if min(late) > 0:
+                return StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late)} cycles ({text})")
+            worst = max(range(4), key=late.__getitem__)
+            if late[worst] and ORDER[worst] != emergency.node_id:
+                return StopError(Condition.STALE, f"{self._name(ORDER[worst])} missed {late[worst]} cycles in a row "
+                                                  f"({text})", ORDER[worst])
+        if emergency.code == Emcy.TENSION_LIMIT:
+            start = ORDER.index(START)
+            if reception is not None and reception.refused[start]:
+                return StopError(Condition.IMPLAUSIBLE, f"{self._name(START)} says {reception.refusal(start)} ({text})",
+                                 START)
+            return self._limit(Condition.EMERGENCY, text, SERVO)
         return StopError(Condition.EMERGENCY, text, emergency.node_id)
 
     def _described(self, emergency: Emergency) -> str:

@@ -9,7 +9,8 @@ and says which relation broke, by how much, and names nothing.  Relations, each 
     force    servo force − START against M·a + friction, over a window of `WINDOW_S`, N
     start    rope and knee against START by the stretch of the path, m
     end      rope and knee against END by the same stretch, m
-    still    a tension that repeats to the last bit while the other one changes, N
+    still    a tension that repeats to the last bit while the other one changes, N; a position that does so while its
+             target moves, m or rad
 
 Until `learn` is told that homing is over the last four run on wide assumed values, and the stretch not at all; homing's
 own pull and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
@@ -24,7 +25,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numba import njit
 
-SERVO_TRACK, KNEE_TRACK, RATIO, FORCE, BY_START, BY_END, STILL_START, STILL_END, RELATIONS = range(9)
+SERVO_TRACK, KNEE_TRACK, RATIO, FORCE, BY_START, BY_END, STILL_START, STILL_END, STILL_SERVO, STILL_KNEE, \
+    RELATIONS = range(11)
 """Relations, in the order of their slots; `RELATIONS` is their number."""
 
 WINDOW: Final = 64
@@ -32,10 +34,11 @@ WINDOW: Final = 64
 FORCE_TERMS, STRETCH_TERMS = 4, 3
 
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
- OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES) = range(25)
+ OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE) = range(31)
 """Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
 since the window began anew, repeated values, the window's place and sums, and what homing has told so far."""
-RATIOS = 25
+RATIOS = 31
 """The normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 SEEN = COUNTS + RELATIONS
@@ -52,13 +55,14 @@ STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
 KNEE_RAD, KNEE_S = 0.010, 2.5e-3
-RATIO_N, FORCE_N, FORCE_SHARE = 5.0, 12.0, 0.4
+RATIO_N, FORCE_N, FORCE_SHARE = 5.0, 8.0, 0.6
 STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.5e-3, 5.0, 0.04, 0.12
 WIDE: Final = 0.95
 """|ln(START/END)| that no healthy path passes; assumed for benches that have not been homed."""
 SLOW_M_S: Final = 5e-3
 TAUT_N: Final = 3.0
 SAME_FOR_S: Final = 0.012
+STILL_M, STILL_RAD, STILL_CYCLES = 0.5e-3, 3e-3, 6.0
 DOUBT: Final = 0.8
 """Normalised residual from which on a limit that was passed may be the consequence of something else."""
 
@@ -89,7 +93,19 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
     _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
     moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
     _compare(s, KNEE_TRACK, knee, s[K2], KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
+    _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M)
+    _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
+
+
+@njit(inline="always")
+def _standing(s: Any, g: Any, relation: int, same: int, value: float, target: float, room: float) -> None:
+    """An encoder that repeats itself to the last bit while its target has gone on."""
+    if value != s[same + 2] or s[FRESH] <= 1.0:
+        s[same], s[same + 2], s[same + 4] = 0.0, value, target
+    s[same] += 1.0
+    moved = target if s[same] > STILL_CYCLES else s[same + 4]
+    _compare(s, relation, moved, s[same + 4], room)
 
 
 @njit(inline="always")
@@ -264,6 +280,9 @@ class Finding(NamedTuple):
     seen: float
     expected: float
     ratios: tuple[float, ...]
+    swing_k: float = 0.0
+    swing_k_fits: float = 0.0
+    """The calibration's rope by radian of the knee, m/rad, and the one for which the stretch would be as expected."""
 
 
 @dataclass
@@ -334,12 +353,15 @@ class Plausibility:
 
     def finding(self, relation: int) -> Finding:
         """What the relations say now."""
-        s = self.s
-        return Finding(relation, float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1]),
-                       tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]))
+        s, g = self.s, self.g
+        seen, expected = float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1])
+        swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
+        fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
+        return Finding(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
+                       swing, fits)
 
     def learn(self, quadratic: float, linear: float) -> Learned:
-        """Take over what homing showed; `quadratic`, `linear`: the calibration's (10) without the rope's compliance."""
+        """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""
         s, g = self.s, self.g
         force = _solved(s, NORMAL_FORCE, FORCE_TERMS)
         rows = max(1.0, s[FORCE_ROWS])
@@ -352,7 +374,8 @@ class Plausibility:
         g[LOW] = min(low, -0.05) if low else -WIDE / 1.3
         g[HIGH] = max(high, 0.05) if high else WIDE / 1.3
         g[TOP_N], g[LEARNED] = max(10.0, s[TRUSTED]), LEARNT
-        ratio = (curve[1] * 30.0 + curve[2] * 1500.0) / (linear * 30.0 + quadratic * 1500.0)
+        found = (curve[1] + g[ROPE_COMPLIANCE]) * 30.0 + curve[2] * 1500.0
+        ratio = found / (linear * 30.0 + quadratic * 1500.0)
         return Learned(float(force[0]), float(force[1]), math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]),
                        float(ratio))
 

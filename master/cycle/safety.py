@@ -56,8 +56,9 @@ class StopError(Exception):
 
 
 _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
-_BY_NODE: Final = {SERVO: _RELEASE, KNEE: _UNWIND, START: _RELEASE, END: _UNWIND}
-"""Without START nothing says when the rope is slack; without the servo nothing can unwind it."""
+_BY_NODE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
+"""Without START nothing says when the rope is slack; without the servo nothing can unwind it; a knee that nobody holds
+loads the rope faster than it is paid out."""
 
 REACTIONS: Final = MappingProxyType({
     **{(Condition.NODE_LOST, node): reaction for node, reaction in _BY_NODE.items()},
@@ -70,7 +71,7 @@ REACTIONS: Final = MappingProxyType({
        for condition in (Condition.IMPLAUSIBLE, Condition.OFF_TARGET, Condition.OUT_OF_LIMITS)},
     (Condition.FOREIGN, 0): _RELEASE,
     (Condition.NOT_ENABLED, SERVO): _RELEASE,
-    (Condition.NOT_ENABLED, KNEE): _UNWIND,
+    (Condition.NOT_ENABLED, KNEE): _RELEASE,
     (Condition.START_LIMIT, START): _UNWIND,
     (Condition.END_LIMIT, END): _RELEASE,
     (Condition.SYNC_LOST, 0): _RELEASE,

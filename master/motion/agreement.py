@@ -29,8 +29,7 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
 
 def refuse_disagreement(exchange: Exchange, calibration: Calibration) -> None:
     """Take over what homing showed; raises `RefusedError` where it is not what the calibration says."""
-    learned = exchange.plausibility.learn(
-        calibration.stiffness_a, calibration.stiffness_b - calibration.cable_compliance)
+    learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
     sentence = disagreement(learned, calibration)
     if sentence is not None:
         raise RefusedError(sentence)

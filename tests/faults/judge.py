@@ -31,6 +31,7 @@ class Verdict(NamedTuple):
     said: str
     peak_start_n: float
     peak_end_n: float
+    apart_n: float
     unsaid_n: float
     slack_ms: float
     pulled: float
@@ -49,7 +50,7 @@ def judged(row: Row, told: Told, twin: Told) -> Verdict:
         after = np.zeros((1, 3))
     stop_ns = next((t for t, kind, _s, _x in told.events if kind == "safety" and t >= told.fault_ns), -1)
     peaks = after[:, 1].max(), after[:, 2].max()
-    unsaid = _unsaid(told, twin, detected_ns if detected_ns >= 0 else int(after[-1, 0]))
+    apart, unsaid = _unsaid(told, twin, detected_ns if detected_ns >= 0 else int(after[-1, 0]))
     slack = pulled = stop = float("nan")
     if stop_ns >= 0:
         later = true[true[:, 0] >= stop_ns]
@@ -64,7 +65,7 @@ def judged(row: Row, told: Told, twin: Told) -> Verdict:
     named = bool(re.search(row.named, said)) if said else False
     verdict = Verdict(
         row.name, told.moment, (detected_ns - told.fault_ns) * 1e-6 if detected_ns >= 0 else float("nan"), named,
-        said, *peaks, unsaid, slack, pulled, stop, told.whole, row.silent, ())
+        said, *peaks, apart, unsaid, slack, pulled, stop, told.whole, row.silent, ())
     return verdict._replace(faults=tuple(_faults(row, verdict, told)))
 
 
@@ -75,22 +76,24 @@ def detection(row: Row, told: Told) -> tuple[int, str]:
     for time_ns, kind, _source, text in told.events:
         if time_ns < told.fault_ns - 1_000_000 or kind in ("host", "warning"):
             continue
-        if kind == "safety" or row.event and re.search(row.named, text):
+        if kind == "safety" or (row.event and re.search(row.named, text)):
             return time_ns, told.reason if kind == "safety" and told.reason else text
     return (told.last_ns, told.reason) if told.reason else (-1, "")
 
 
-def _unsaid(told: Told, twin: Told, until_ns: int) -> float:
-    """Largest departure of true END from the twin's that lasts `UNSAID_MS`, before it was said."""
-    if not len(told.true) or not len(twin.true):
-        return 0.0
+def _unsaid(told: Told, twin: Told, until_ns: int) -> tuple[float, float]:
+    """Largest departure of true END from the twin's before it was said: for a moment, and for `UNSAID_MS`."""
+    if not len(told.true) or not len(twin.true) or told.moment == "start":
+        return 0.0, 0.0
     mine = told.true[(told.true[:, 0] > told.fault_ns) & (told.true[:, 0] <= until_ns)]
-    if len(mine) < UNSAID_MS or told.moment == "start":
-        return 0.0
+    if not len(mine):
+        return 0.0, 0.0
     other = np.interp(mine[:, 0], twin.true[:, 0], twin.true[:, 2])
     apart = np.abs(mine[:, 2] - other)
+    if len(mine) < UNSAID_MS:
+        return float(apart.max()), 0.0
     windows = np.lib.stride_tricks.sliding_window_view(apart, UNSAID_MS)
-    return float(windows.min(axis=1).max())
+    return float(apart.max()), float(windows.min(axis=1).max())
 
 
 def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:

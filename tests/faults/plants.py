@@ -1,4 +1,4 @@
-"""The simulated bench with things that break: a plug-in plant whose stage, path and sensors a row of the matrix changes.
+"""The simulated bench with things that break: a plug-in plant whose stage, path and sensors a row changes.
 
 The rule of this file: until a row breaks something it is the bench's own plant, bit by bit; what breaks is physics
 (torque, stiffness, friction, a slack element) or what a device feels, never a number on the wire.
@@ -25,7 +25,7 @@ made: list[Breakable] = []
 
 
 class Breakable(BowdenPlant):
-    """The bench's own plant; `stage` alters torques (ns, N·m, N·m), `sense` what is felt, `true` keeps both tensions."""
+    """The bench's own plant; `stage` alters torques (ns, N·m, N·m), `sense` what is felt, `true` keeps tensions."""
 
     __slots__ = ("sense", "stage", "true")
 

@@ -40,7 +40,8 @@ PERIOD_S, CYCLES, PEAK_N, SEED = 1.1, 2, 40.0, 3
 MOMENTS = {"start": -1.0, "ramp": 14.5, "peak": 20.0, "release": 26.0, "idle": 60.0}
 """Per cent of the first gait cycle at which a row's fault begins; "start": before the trial."""
 CYCLE, PERCENT = INDEX["cycle"], INDEX["gait_percent"]
-FLOOR_NS = 120_000_000
+COMMAND_NS = 600_000
+"""The master's turnaround, the controlword's frame and a drive's tick: no command acts sooner."""
 _CHANNELS = itertools.count()
 
 
@@ -161,8 +162,8 @@ class Told:
     off_ns: int
     crashed: str = ""
     floor_n: float = 0.0
-    """Greatest true tension from the stop's decision on with a servo that gives no torque from that instant: what
-    momentum and the knee bring, whatever a stop does."""
+    """Greatest true tension from the stop's decision on with a servo that gives no torque from `COMMAND_NS` after
+    it on: what momentum and the knee bring, whatever a stop does."""
 
 
 def trial(rows: Sequence[Row], jobs: int = 2, **bench: Any) -> tuple[list[Told], Told]:
@@ -185,6 +186,7 @@ class _Stage:
         self.numbers = itertools.count()
         self.me: tuple[Row, str, int, Path] | None = None
         self.scene: Scene | None = None
+        self.floor: Callable[[], None] | None = None
 
     def run(self) -> Told:
         """The unharmed trial, from bring-up to its end; in a child: that row's."""
@@ -220,6 +222,8 @@ class _Stage:
             told = self._told(sink, None, f"{type(error).__name__}: {error}")
             if self.me is None:
                 raise
+        if self.floor is not None:
+            self.floor()
         if self.me is not None:
             self._wait(0)
             floor = self.me[3].with_suffix(".floor")
@@ -244,14 +248,17 @@ class _Stage:
             return
         scene, path = self.scene, self.me[3].with_suffix(".floor")
         since = len(scene.plant.true)
-        scene.plant.stage = _without_servo(scene.plant.stage)
-        kernel = scene.bench.kernel
+        kernel, stage = scene.bench.kernel, scene.plant.stage
+
+        def die() -> None:
+            scene.plant.stage = _without_servo(stage)
 
         def end() -> None:
             path.write_text(str(max((max(row[1:]) for row in scene.plant.true[since:]), default=0.0)))
             os._exit(0)
 
-        kernel.at(kernel.now_ns + FLOOR_NS, TIMER, end)
+        self.floor = end
+        kernel.at(kernel.now_ns + COMMAND_NS, TIMER, die)
 
     def _moment(self, moment: str) -> None:
         if self.me is not None:
@@ -287,7 +294,7 @@ class _Stage:
         assert scene is not None
         row, moment, fault_ns = (self.me[0].name, self.me[1], self.me[2]) if self.me else ("twin", "", 0)
         times = [time_ns for time_ns, _values in sink.rows]
-        gaps = np.diff(times) if len(times) > 1 else np.zeros(1)
+        gaps = np.diff(times) if len(times) > 1 else np.ones(1)
         whole = not crashed and bool(np.all(gaps > 0)) and (reason is None or any(
             kind == "safety" for _t, kind, _s, _x in sink.events) or not times)
         servo = [values[INDEX["servo_statusword"]] for _t, values in sink.rows]

@@ -1,4 +1,4 @@
-"""What a drive refuses of a master: steps no speed allows, set-points and power without a heartbeat, a motion that is none."""
+"""What a drive refuses of a master: steps no speed allows, set-points and power without a heartbeat, no motion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ENABLED = State.OPERATION_ENABLED
 
 @pytest.mark.parametrize(("node_id", "limit"), [(SERVO, 10_000), (KNEE, 9_000)])
 def test_a_step_beyond_what_the_speed_limit_allows_is_refused(node_id: int, limit: int) -> None:
-    """The bench's set-up allows ten milliseconds of the greatest speed; the last target holds, and EMCY 8612h says so."""
+    """The bench's set-up allows ten milliseconds of the greatest speed; the last target holds, EMCY 8612h says so."""
     rig = DriveRig(node_id).enabled()
     assert rig.read(0x2017) == limit
     rig.target = 0
@@ -65,7 +65,7 @@ def test_no_drive_is_enabled_for_a_master_that_was_never_heard(node_id: int) -> 
 
 @pytest.mark.parametrize(("mode", "index"), [(Mode.CSP, 0x607A), (Mode.CSV, 0x60FF), (Mode.CST, 0x6071)])
 def test_set_points_are_taken_only_while_the_masters_heartbeat_lives(mode: Mode, index: int) -> None:
-    """With 0x6007 = 0 the drive stays enabled when its master is lost; it moves nothing for anybody until he is back."""
+    """With 0x6007 = 0 the drive stays enabled when its master is lost; it moves nothing until the master is back."""
     rig = DriveRig(SERVO)
     rig.setup(but=[(0x1400, 5), (0x6007, 0)])
     rig.write(0x6007, 0, 0)
