@@ -55,10 +55,13 @@ STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
 KNEE_RAD, KNEE_S = 0.010, 2.5e-3
-RATIO_N, FORCE_N, FORCE_SHARE = 5.0, 8.0, 0.6
-STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.5e-3, 5.0, 0.04, 0.12
+RATIO_N, RATIO_N_S_M, FORCE_N, FORCE_SHARE = 5.0, 15.0, 10.0, 0.7
+STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.8e-3, 5.0, 0.06, 0.25
+AGREES, ALONE = 0.6, 2.5
 WIDE: Final = 0.95
 """|ln(START/END)| that no healthy path passes; assumed for benches that have not been homed."""
+LEAST_FRICTION: Final = 0.1
+"""ln(START/END) of sliding that is assumed where homing shows less."""
 SLOW_M_S: Final = 5e-3
 TAUT_N: Final = 3.0
 SAME_FOR_S: Final = 0.012
@@ -126,7 +129,7 @@ def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
         low, high = -WIDE, WIDE
     pulled = max(end, 0.0)
     least, most = pulled * math.exp(low), pulled * math.exp(high)
-    room = RATIO_N + 0.05 * max(start, pulled)
+    room = RATIO_N + 0.05 * max(start, pulled) + RATIO_N_S_M * abs(step) / g[PERIOD_S]
     if start > most:
         _compare(s, RATIO, start, most, room)
     elif start < least:
@@ -195,10 +198,15 @@ def _curve(g: Any, force: float) -> float:
 
 
 @njit(inline="always")
-def _one_stretch(s: Any, g: Any, relation: int, stretch: float, force: float, spread: float, knee: float) -> None:
-    """The path's stretch against one tension; a slack path may be as long as it likes."""
+def _one_stretch(
+    s: Any, g: Any, relation: int, stretch: float, force: float, most: float, spread: float, knee: float
+) -> None:
+    """The path's stretch against one tension; a slack path may be as long as it likes.
+
+    `most`: the greatest mean tension that either sensor speaks of; beyond homing's, less is known of the stretch.
+    """
     expected = _curve(g, max(force, 0.0))
-    beyond = max(0.0, force - g[TOP_N])
+    beyond = max(0.0, most - g[TOP_N])
     room = (STRETCH_M + _slope(g, force) * (STRETCH_N + spread * max(force, 0.0)) + BEYOND * 1e-3 * beyond
             + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
     if force < TAUT_N and stretch < expected:
@@ -224,9 +232,20 @@ def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start:
                     s[RISE_LOW] += fade * (ratio - s[RISE_LOW]) if s[RISE_LOW] != 0.0 else ratio
         return
     half = math.exp(0.5 * middle)
-    spread = 0.25 * (g[HIGH] - g[LOW])
-    _one_stretch(s, g, BY_START, stretch, start / half, spread, knee)
-    _one_stretch(s, g, BY_END, stretch, end * half, spread, knee)
+    width, most = g[HIGH] - g[LOW], max(start, end)
+    counts = s[COUNTS + BY_START], s[COUNTS + BY_END]
+    _one_stretch(s, g, BY_START, stretch, start / half, most, 0.45 * width, knee)
+    _one_stretch(s, g, BY_END, stretch, end * half, most, 0.3 * width, knee)
+    _alone(s, BY_START, BY_END, counts[0])
+    _alone(s, BY_END, BY_START, counts[1])
+
+
+@njit(inline="always")
+def _alone(s: Any, relation: int, other: int, before: float) -> None:
+    """The stretch against one tension counts where the other one agrees, or at `ALONE` times its tolerance."""
+    size = abs(s[RATIOS + relation])
+    agrees = s[RATIOS + relation] * s[RATIOS + other] > 0.0 and abs(s[RATIOS + other]) > AGREES
+    s[COUNTS + relation] = before + 1.0 if size > 1.0 and (agrees or size > ALONE) else 0.0
 
 
 @njit(inline="always")
@@ -371,8 +390,8 @@ class Plausibility:
         g[[INERTIA, COULOMB, VISCOUS, OFFSET]] = force
         g[[C0, C1, C2]] = curve
         low, high = s[RISE_LOW], s[RISE_HIGH]
-        g[LOW] = min(low, -0.05) if low else -WIDE / 1.3
-        g[HIGH] = max(high, 0.05) if high else WIDE / 1.3
+        bound = max(abs(low), abs(high), LEAST_FRICTION) if low and high else WIDE / 1.3
+        g[LOW], g[HIGH] = -bound, bound
         g[TOP_N], g[LEARNED] = max(10.0, s[TRUSTED]), LEARNT
         found = (curve[1] + g[ROPE_COMPLIANCE]) * 30.0 + curve[2] * 1500.0
         ratio = found / (linear * 30.0 + quadratic * 1500.0)
