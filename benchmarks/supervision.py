@@ -70,7 +70,7 @@ def ran(job: Job) -> Ended:
     class Watched(plausibility.Plausibility):
         def check(self, *given: Any) -> Any:
             found = super().check(*given)
-            np.maximum(worst, np.abs(self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]), worst)
+            np.maximum(worst, np.abs(self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]), out=worst)
             return found
 
     from master.cycle import exchange
