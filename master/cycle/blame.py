@@ -39,7 +39,7 @@ class Suspect(NamedTuple):
 
 SUSPECTS: Final = (
     Suspect(START, "START", frozenset({RATIO, FORCE, BY_START})),
-    Suspect(END, "END", frozenset({RATIO, BY_END})),
+    Suspect(END, "END, or a rope that slipped or snapped", frozenset({RATIO, BY_END})),
     Suspect(SERVO, "the servo's torque, or START with its path", frozenset({FORCE})),
     Suspect(0, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
             frozenset({BY_START, BY_END})),

@@ -45,9 +45,9 @@ class Breakable(BowdenPlant):
             self.true.append((until_ns, float(m[SLOT.tension]), float(m[SLOT.tension + NODES])))
         return felt if self.sense is None else self.sense(until_ns, felt)
 
-    def snap(self, element: int) -> None:
-        """Let the rope's (0) or the fabric's (NODES) element end in nothing."""
-        self._memory[SLOT.free + element] += 1.0
+    def snap(self, element: int, by_m: float = 1.0) -> None:
+        """Make an element of the rope longer: by more than it ever stretches, it has snapped."""
+        self._memory[SLOT.free + element] += by_m
 
     def change(self, **numbers: float) -> None:
         """Give the plant other parameters from now on; its state stays."""

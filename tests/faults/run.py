@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -52,6 +53,8 @@ def main() -> int:
     asked.add_argument("--json", type=Path)
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
     found = verdicts(given.rows, given.jobs, tuple(given.moments))
     print(HEAD)
     for verdict in found:
