@@ -13,9 +13,9 @@ import pytest
 from master import settings
 from master.control import controller
 from master.control.controller_io import ControllerInput, Outputs
-from master.control.effect_correction import SCALARS, Correction, calibrated, correction
+from master.control.effect_correction import Correction, calibrated, correction
 from master.control.gait_table import GaitTable, tabulate
-from master.control.homing_fit import HomingFit
+from master.control.packaged import PaperController
 from master.motion import gait
 from master.motion.experiment import Experiment, run
 from master.network.link import Link
@@ -65,8 +65,13 @@ def test_a_stiffer_bench_stretches_less_all_along() -> None:
     assert not rest
 
 
-def test_every_slot_with_a_scalar_is_of_the_catalogue() -> None:
-    assert set(SCALARS) <= {p.name for effect in CATALOGUE.values() for p in effect.parameters}
+REPRESENTED = {"cable_friction", "fabric_friction", "fabric_wrap", "stribeck", "presliding", "stiffness",
+               "start_offset"}
+
+
+def test_a_calibration_says_what_its_scalars_can() -> None:
+    middle = {name: {p.name: sum(p.likely) / 2.0 for p in effect.parameters} for name, effect in CATALOGUE.items()}
+    assert {name for name in CATALOGUE if not calibrated(nominal(), {name: middle[name]})[1]} == REPRESENTED
 
 
 NEUTRAL = {name: values for name, effect in sorted(CATALOGUE.items())
@@ -97,7 +102,7 @@ def test_start_is_read_as_a_true_sensor_would() -> None:
 
 
 def test_the_rope_is_led_where_the_leg_asks_for_it() -> None:
-    found = tabulated({"moment_arm": {"moment_arm": 1.5e-3}})
+    found = tabulated({"moment_arm": {"rope_per_knee_quadratic": 1.5e-3}})
     knee = np.array(table().knee)
     # smoothing over 20 ms flattens the swing's turn by less than 20 µm
     np.testing.assert_allclose(found.rope_m, 1.5e-3 * (knee**2 - KNEE_AT_FIT**2), atol=20e-6)
@@ -124,14 +129,14 @@ def test_friction_that_homing_measures_is_not_counted_twice() -> None:
 
 
 def test_a_controller_without_effects_is_the_controller_itself() -> None:
-    plain = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit())
-    told = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit(),
-                                tabulated({"end_gain": {"end_gain": 1.05}}))
-    state, same = controller.initial(plain), controller.initial(told)
+    given = PaperController, nominal(), table(), controller.Conditions(settings.Impedance())
+    plain = controller.with_effects(*given, None)
+    told = controller.with_effects(*given, tabulated({"end_gain": {"end_gain": 1.05}}))
+    state, same = plain.initial(), told.initial()
     for sample in range(300):
         seen = ControllerInput(sample, 0.01, 0.0, table().knee[sample], 10.0)
-        outputs, state, _ = controller.step(seen, state, plain)
-        others, same, _ = controller.step(seen, same, told)
+        outputs, state, _ = plain.step(seen, state)
+        others, same, _ = told.step(seen, same)
         assert outputs == pytest.approx(others, abs=1e-12)
 
 

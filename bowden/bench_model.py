@@ -1,0 +1,59 @@
+"""Bench models for callers of the library: read, written, and handed to simulator, controller and diagnosis.
+
+The rule of this file: it alone knows how each of them takes a model; what a model is, `physics.bench_model` says.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from parameters import InputError
+from physics import bench_model
+from physics.bench_model import BenchModel, nominal
+
+__all__ = ["BenchModel", "Model", "extended", "given", "nominal", "read", "tables", "write"]
+
+Model = BenchModel | str | Path
+"""A bench model, or the file that holds one."""
+
+
+def read(path: str | Path, *, bench: str = "") -> BenchModel:
+    """Read a model that `bowden identify`, `bowden diagnose` or `write` wrote; raises `InputError`.
+
+    `bench`: the bench that it must belong to; "" for any.
+    """
+    return bench_model.read(path, bench=bench)
+
+
+def write(model: BenchModel, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a model as TOML; raises `InputError` for an existing file, unless `overwrite`."""
+    from bowden import output_files
+
+    path = Path(path)
+    output_files.refuse([path], overwrite=overwrite)
+    try:
+        path.write_text(model.text(), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give a writable place.") from None
+    return path
+
+
+def given(model: Model | None) -> BenchModel:
+    """Return a model however it was given; the packaged nominal one for None."""
+    if model is None:
+        return nominal()
+    return model if isinstance(model, BenchModel) else read(model)
+
+
+def tables(model: BenchModel) -> dict[str, Any]:
+    """Return a model as the tables of its file."""
+    return tomllib.loads(model.text())
+
+
+def extended(model: BenchModel, text: str) -> BenchModel:
+    """Return a model with the effects that the text of an extended.toml states, and what they were found on."""
+    found = bench_model.from_tables(tomllib.loads(text), "extended.toml")
+    return dataclasses.replace(model, effects=found.effects, found=found.found)
