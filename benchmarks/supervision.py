@@ -70,7 +70,8 @@ def ran(job: Job) -> Ended:
     class Watched(plausibility.Plausibility):
         def check(self, *given: Any) -> Any:
             found = super().check(*given)
-            np.maximum(worst, np.abs(self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]), out=worst)
+            ratios = self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]
+            np.maximum(worst, np.abs(ratios), out=worst)
             return found
 
     from master.cycle import exchange
