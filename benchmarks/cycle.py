@@ -48,7 +48,7 @@ class Paced:
 
     def __init__(self, recorder: Recorder, turn: Turn) -> None:
         self.frame, self.event = recorder.frame, recorder.event
-        self.frames = getattr(recorder, "frames", None)
+        self.frames = recorder.frames
         self._record, self._turn, self._left = recorder.cycle, turn, SKIP
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:

@@ -202,7 +202,7 @@ class Watched:
     EVERY = 200
 
     def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
-        self.frame, self.event = recorder.frame, recorder.event
+        self.frame, self.frames, self.event = recorder.frame, recorder.frames, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:

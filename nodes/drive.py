@@ -6,7 +6,8 @@ The rule of this file: it joins the device core to the state machine and the mod
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from eds.cia301 import Emcy, NmtState
 from eds.cia402 import Event, Mode, State
@@ -27,6 +28,8 @@ POSITION, VELOCITY, TORQUE, INCREMENTS = key(0x6064), key(0x606C), key(0x6077), 
 POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = key(0x6062), key(0x606B), key(0x6074)
 CURRENT, FOLLOWING, EFFORT = key(0x6078), key(0x60F4), key(0x60FA)
 _FIRST_PROFILE_KEY: Final = key(0x2000)
+KEEPS, FOLLOWS, FEELS = range(3)
+"""What taking an object does besides keeping its value: nothing, a new target (unit, origin), a tension (limit, N)."""
 
 
 class Drive(ModesOfOperation):
@@ -67,14 +70,18 @@ class Drive(ModesOfOperation):
 
     def latch(self, now_ns: int) -> None:
         """Bring position, velocity, torque, errors and statusword into the objects."""
-        values = self.values
         law.counts(self._s, self._g, self._out)
+        self.show_latched()
+
+    refresh = latch
+
+    def show_latched(self) -> None:
+        """Put what `law.counts` made into the objects."""
+        values = self.values
         (values[POSITION], values[VELOCITY], torque, values[POSITION_DEMAND], values[VELOCITY_DEMAND],
          values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self._out.tolist()
         values[TORQUE] = values[TORQUE_DEMAND] = values[CURRENT] = torque
         values[STATUSWORD] = self.base | self.mode_bits(flags)
-
-    refresh = latch
 
     def reset(self, now_ns: int) -> None:
         """Row 0: everything but home and a wired emergency stop is forgotten."""
@@ -120,6 +127,36 @@ class Drive(ModesOfOperation):
         """Return the torque demand, N·m at the output, for position and velocity in SI at the axis; 0 when off."""
         torque: float = law.step(self._s, self._g, now_ns, position, velocity)
         return self._notice(now_ns) if self._state[law.EVENTS] else torque
+
+    # ---- what a steady cycle needs ----
+
+    steady_sources = MappingProxyType({
+        POSITION: 0, VELOCITY: 1, TORQUE: 2, TORQUE_DEMAND: 2, CURRENT: 2, POSITION_DEMAND: 3, VELOCITY_DEMAND: 4,
+        FOLLOWING: 5, EFFORT: 6, INCREMENTS: 7, STATUSWORD: 8})
+    """Objects that a TPDO may carry, each with its place among `law.counts`; in that of the flags, the statusword."""
+
+    @property
+    def steady(self) -> bool:
+        """Nothing but values changes from tick to tick."""
+        return not self.changed and not self._state[law.EVENTS]
+
+    def steady_words(self) -> list[int]:
+        """Give the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
+        return [self.base | self.mode_bits(flags) for flags in range(16)]
+
+    def steady_taker(self, at: int) -> tuple[int, float, float] | None:
+        """Say what taking the object `at` from an RPDO does to the axis: `FOLLOWS`, `FEELS` or `KEEPS`, two numbers.
+
+        None where more may follow from it than that.
+        """
+        if at != TARGET_POSITION or self.number(0x60B0):
+            return None
+        return (FOLLOWS, self.axis.unit, self.axis.origin) if self.follows_positions else (KEEPS, 0.0, 0.0)
+
+    def adopt(self, s: Any, g: Any, out: Any) -> None:
+        """Keep the axis' numbers in this memory from now on."""
+        self.axis.adopt(s, g, out)
+        self._s, self._g, self._out, self._state = s, g, out, self.axis.state
 
     def _notice(self, now_ns: int) -> float:
         """Act on what a tick told; return the torque that is left."""

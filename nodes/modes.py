@@ -40,6 +40,11 @@ class ModesOfOperation(StateMachine):
         return self.phase is Phase.SEEKING
 
     @property
+    def follows_positions(self) -> bool:
+        """A target position moves the axis."""
+        return self._open is Mode.CSP
+
+    @property
     def _at_will(self) -> bool:
         """The drive function is on, and neither stops nor is halted."""
         return self.state is _ENABLED and self._at_rest is None and not self._halted

@@ -6,7 +6,7 @@ are those of the last drive tick before the SYNC that stamps them.  A disk that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Final
 
@@ -35,8 +35,12 @@ class Truth(Station):
         )
 
     def _latch(self, frame: Frame, now_ns: int) -> None:
+        self.row(now_ns, tuple(self._plant.truth().values()))
+
+    def row(self, now_ns: int, values: Sequence[float]) -> None:
+        """Write one row."""
         with suppress(RecordingError):
-            self._recorder.cycle(now_ns, tuple(self._plant.truth().values()))
+            self._recorder.cycle(now_ns, values)
 
     def close(self) -> None:
         """Close the file."""

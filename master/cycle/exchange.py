@@ -7,7 +7,9 @@ targets, records, and checks what safety checks.  An input that this SYNC did no
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol
 
 import can
 
@@ -59,6 +61,20 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
+WholeCycle = tuple[int, int, tuple[tuple[int, Any], ...]]
+"""Time stamps of SYNC and of the targets, ns; of each input in `ORDER` its time stamp and data."""
+
+
+class WholeCycles(Protocol):
+    """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
+
+    def run(self, data: bytes, until_ns: int) -> WholeCycle | None:
+        """Send targets and go on to the last input of the next SYNC, before `until_ns`; None: do it by hand."""
+
+    def heard(self) -> tuple[Any, int]:
+        """Give the frames since the last call, up to that SYNC, as bytes of `cdr.FRAME_ROW`s, and their number."""
+
+
 class Exchange:
     """The running cycle over a link; SYNC must have been started.
 
@@ -91,6 +107,9 @@ class Exchange:
         self._told = False
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
+        offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
+        self._whole_cycles = None if offer is None else offer(
+            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns)
 
     def begin(self) -> Inputs:
         """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
@@ -127,21 +146,52 @@ class Exchange:
         inputs = self.inputs
         if self.kept is not None and not inputs.missing:
             self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
+        data = self._pack_targets(servo_m, knee_rad)
+        if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
+            whole = self._whole_cycles.run(data, self.link.due_ns)
+            if whole is not None:
+                return self._at_once(whole, annotations)
         sent = self.link.try_send(can.Message(
-            arbitration_id=self.wire.targets.cob_id, data=self._pack_targets(servo_m, knee_rad), is_extended_id=False
+            arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False
         ))
         sync_ns = self._await_sync()
         self.log.drain()
+        self._record(sync_ns, sent, annotations)
+        self._told = sync_ns < 0
+        if self._told:
+            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
+        return self._latch(sync_ns)
+
+    def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
+        """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
+        sync_ns, target_ns, _ = whole
+        try:
+            if self.log.taps and self._whole_cycles is not None:
+                self.log.take(*self._whole_cycles.heard(), target_ns)
+            self._record(sync_ns, True, annotations)
+        except StopError:  # the recorder failed; the cycle was run all the same
+            with suppress(StopError):
+                self._latch_at_once(whole)
+            raise
+        return self._latch_at_once(whole)
+
+    def _latch_at_once(self, whole: WholeCycle) -> Inputs:
+        sync_ns, _, inputs = whole
+        self._arrival_ns = [NAN, NAN, NAN, NAN]
+        missing = 0b1111
+        for i, (stamp, data) in enumerate(inputs):
+            missing &= ~self._keep(i, data, stamp, sync_ns)
+        return self._latched(sync_ns, missing)
+
+    def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
+        """Record the cycle that a SYNC has ended."""
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
         if not sent or self.inputs.missing:
             self._note_miss(sent)
         if not self._told:
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
-        self._told = sync_ns < 0
-        if self._told:
-            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
-        return self._latch(sync_ns)
+        self._told = False
 
     def _await_sync(self) -> int:
         """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
@@ -163,12 +213,15 @@ class Exchange:
         i, size = self._slots[message.arbitration_id]
         if len(message.data) < size:
             return 0
-        values = self._unpack[i](bytes(message.data))
+        return self._keep(i, bytes(message.data), stamp_ns(message), sync_ns)
+
+    def _keep(self, i: int, data: Any, stamp: int, sync_ns: int) -> int:
+        values = self._unpack[i](data)
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
-        self._arrival_ns[i] = stamp_ns(message) - sync_ns
+        self._arrival_ns[i] = stamp - sync_ns
         return 1 << i
 
     def _latch(self, sync_ns: int) -> Inputs:
@@ -183,6 +236,10 @@ class Exchange:
             elif can_id == SYNC_COB_ID:
                 self._early_ns = stamp_ns(message)
                 break
+        return self._latched(sync_ns, missing)
+
+    def _latched(self, sync_ns: int, missing: int) -> Inputs:
+        """Make inputs of the values kept; then check safety."""
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 
@@ -26,6 +26,8 @@ class Sink(Protocol):
     def frame(
         self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
     ) -> None: ...
+
+    def frames(self, rows: Any, count: int) -> None: ...
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None: ...
 
@@ -58,7 +60,7 @@ class Log:
         self._tap = tap
         self._recorder = recorder
         self._targets_cob_id = targets_cob_id
-        self.taps = tap is not None
+        self.tap, self.taps = tap, tap is not None
         self._waiting: Callable[[], Iterable[Row]] = getattr(tap, "rows", None) or partial(_rows, tap)
         self.target_stamp_ns = -1
         self.quiet = False
@@ -78,6 +80,15 @@ class Log:
             raise LinkError(f"the recorder's tap failed: {error}") from error
         except _FAILURES as error:
             self._give_up(error)
+
+    def take(self, rows: Any, count: int, target_stamp_ns: int) -> None:
+        """Record frames that come as bytes of `cdr.FRAME_ROW`s, the last targets among them; raises `StopError`."""
+        self.target_stamp_ns = target_stamp_ns
+        if self._recorder is not None:
+            try:
+                self._recorder.frames(rows, count)
+            except _FAILURES as error:
+                self._give_up(error)
 
     def tell_lost(self, time_ns: int) -> None:
         """Say how many frames found the tap's receive queue full, where it counts them and there were any."""

@@ -121,6 +121,11 @@ class Link:
                 self._notice(message)
                 return message
 
+    @property
+    def due_ns(self) -> int:
+        """When the link itself has something to send next."""
+        return self._due_ns
+
     def _serve(self, now_ns: int) -> can.Message | None:
         """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
         paced = None
