@@ -22,7 +22,7 @@ from virtual_bus.kernel import NEVER
 from virtual_bus.options import options
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
-from virtual_bus.steady import Asked, Steady, Whole, makes_sense
+from virtual_bus.steady import Asked, Heartbeat, Steady, Whole, makes_sense
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -56,13 +56,13 @@ class Cycles:
     def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
 
-    def run(self, data: bytes, until_ns: int) -> Whole | None:
-        """Send the targets `data`, and go on to the last of the inputs, before `until_ns`.
+    def run(self, data: bytes, beat_ns: int) -> Whole | None:
+        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last of the inputs.
 
         None where this cycle may hold anything else: then nothing has happened.
         """
         with self._lock:
-            return self._steady.cycle(self._asked, data, until_ns)
+            return self._steady.cycle(self._asked, data, beat_ns)
 
     def heard(self) -> tuple[Any, int]:
         """Take the frames that the tap heard up to the last SYNC, as bytes of `cdr.FRAME_ROW`s, and their number."""
@@ -114,17 +114,20 @@ class BowdenBus(can.BusABC):
         return self._shared.bench
 
     def cycles(
-        self, tap: can.BusABC | None, targets_id: int, size: int, inputs: Sequence[int], budget_ns: int
+        self, tap: can.BusABC | None, targets_id: int, size: int, inputs: Sequence[int], budget_ns: int,
+        heartbeat: tuple[int, int, int],
     ) -> Cycles | None:
         """Offer whole control cycles at once to a master: see `Cycles`; None where this bench has none.
 
         `tap` is the bus on which everything is recorded; `targets_id` and `size` are of the frame that the master sends
-        in each, `inputs` the frames that it then waits for, within `budget_ns` of their SYNC.
+        in each, `inputs` the frames that it then waits for, within `budget_ns` of their SYNC; `heartbeat` is its own:
+        identifier, data, period in ns.
         """
         steady = self._steady
         if steady is None or not (tap is None or isinstance(tap, BowdenBus) and tap._shared is self._shared):
             return None
-        asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns)
+        asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns,
+                      Heartbeat(*heartbeat))
         return Cycles(steady, asked, self._lock)
 
     def time_ns(self) -> int:

@@ -7,7 +7,7 @@ heap, in the order (time, priority, serial number), in the thread of whoever wai
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Sized
+from collections.abc import Callable, Container, Iterable, Sized
 from heapq import heapify, heappop, heappush
 from typing import Final
 
@@ -60,9 +60,9 @@ class Kernel:
         if until_ns != NEVER:
             self.now_ns = max(self.now_ns, until_ns)
 
-    def withdraw(self, callback: Callable[[], None]) -> None:
-        """Take every event of `callback` off the heap."""
-        self._heap[:] = [event for event in self._heap if event[3] != callback]
+    def withdraw(self, owners: Container[int]) -> None:
+        """Take every event off the heap whose callback is a method of one of `owners`, by their `id`."""
+        self._heap[:] = [event for event in self._heap if id(getattr(event[3], "__self__", None)) not in owners]
         heapify(self._heap)
 
     def events(self) -> Iterable[tuple[int, int, int, Callable[[], None]]]:

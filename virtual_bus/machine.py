@@ -117,13 +117,13 @@ class Machine:
         """It runs, and every bridge is whole."""
         return bool(self._sample_ns) and not self._bridges
 
-    def leave_off(self) -> State:
-        """Cease to act, and say where it stands; whoever goes on in its place calls `go_on` in the end."""
-        self._kernel.withdraw(self._act)
+    @property
+    def state(self) -> State:
+        """Where it stands."""
         return State(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
 
     def go_on(self, state: State) -> None:
-        """Act again, from where somebody else has come."""
+        """Act again, from where somebody else has come who had taken its events off the heap."""
         self._tick_ns, self._sample_ns = state.tick_ns, list(state.sample_ns)
         self._servo_nm, self._knee_nm = state.torques_nm
         self._kernel.at(min(self._tick_ns, *self._sample_ns), TICK, self._act)

@@ -75,12 +75,8 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         return not more and self._modifier is None and self._stop_ns == NEVER and message.arbitration_id == SYNC \
             and not (message.is_extended_id or message.is_remote_frame or message.dlc or message.data)
 
-    def leave_off(self) -> None:
-        """Cease to act; whoever goes on in its place calls `go_on` in the end."""
-        self._kernel.withdraw(self._due)
-
     def go_on(self, next_ns: int) -> None:
-        """Send again, from `next_ns` on."""
+        """Send again, from `next_ns` on, after somebody else had taken its events off the heap."""
         self._sleep(next_ns)
 
     def _sleep(self, until_ns: int) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from eds.cia301 import NmtState
+from eds.cia301 import HEARTBEAT_BASE, NmtState
 from eds.frame import Frame
 from nodes import Device, Drive, TensionSensor, axis_law, channel_law
 from nodes.core.receive_pdo import ReceivePdo
@@ -40,15 +40,30 @@ _NOBODY: Final[frozenset[int]] = frozenset()
 
 
 class Whole(NamedTuple):
-    """One cycle: ends of SYNC and of the targets' frame, ns; of each input in the order asked for, end and data."""
+    """One cycle: ends of SYNC and of the targets' frame, ns; of each input in the order asked for, end and data.
+
+    `beats` has identifier, time and state of each heartbeat heard; for the master's own one, when it was sent.
+    """
 
     sync_ns: int
     targets_ns: int
     inputs: tuple[tuple[int, Any], ...]
+    beats: tuple[tuple[int, int, int], ...]
+
+
+class Heartbeat(NamedTuple):
+    """A master's heartbeat: identifier, its one byte, period, ns."""
+
+    can_id: int
+    data: int
+    period_ns: int
 
 
 class Asked(NamedTuple):
-    """What a master asks for: its socket, its tap's (None: none), its frame and its size, the inputs it waits for."""
+    """What a master asks for: its socket, its tap's (None: none), its frame and its size, the inputs it waits for.
+
+    They have to come within `budget_ns` of their SYNC.
+    """
 
     socket: Socket
     tap: Socket | None
@@ -56,6 +71,7 @@ class Asked(NamedTuple):
     size: int
     inputs: tuple[int, ...]
     budget_ns: int
+    heartbeat: Heartbeat
 
 
 def makes_sense(bench: Bench) -> bool:
@@ -94,14 +110,18 @@ class Steady:
         self._foreign_ns = self._span_ns = 0
         self._asked: Asked | None = None
         self._inputs: list[tuple[int, Any]] = []
+        self._targets = self._bytes[:0]
         self._sync: PeriodicTask | None = None
         self._run = 0
         self._adopted = False
 
     # ---- one cycle ----
 
-    def cycle(self, asked: Asked, data: bytes, until_ns: int) -> Whole | None:
-        """Run from here to the last input of the next SYNC, before `until_ns`; None where that is not for here."""
+    def cycle(self, asked: Asked, data: bytes, beat_ns: int) -> Whole | None:
+        """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
+
+        `beat_ns` is when the master's heartbeat is due.
+        """
         i = self.i
         if not self.warm:
             if not self._enter(asked):
@@ -109,16 +129,11 @@ class Steady:
         elif asked is not self._asked:
             self.leave()
             return None
-        limit = self._foreign_ns if self._foreign_ns < until_ns else until_ns
-        reach = i[law.SYNC_NS] + self._span_ns
-        if reach >= limit:
-            if reach >= until_ns or not self._rearmed(reach):
-                self.leave()
-                return None
-            limit = min(self._foreign_ns, until_ns)
-        at = 8 * law.TARGETS_DATA
-        self._bytes[at:at + asked.size] = data
-        i[law.LIMIT] = limit
+        if i[law.SYNC_NS] + self._span_ns >= self._foreign_ns:
+            self.leave()
+            return None
+        self._targets[:] = data
+        i[law.LIMIT], i[law.OWN_NS] = self._foreign_ns, beat_ns
         if law.cycle(*self._arguments) != law.DONE:
             self.leave()
             return None
@@ -126,9 +141,22 @@ class Steady:
         self._bench.kernel.now_ns = now_ns = i[law.NOW]
         sync_ns = i[law.SYNC_AT]
         self._span_ns = now_ns - sync_ns + SPAN_NS
-        if self._machine.truth is not None:
-            self._machine.truth.row(sync_ns, self._truth.tolist())
-        return Whole(sync_ns, i[law.TARGETS_AT], tuple([(i[at], view) for at, view in self._inputs]))
+        truth = self._machine.truth
+        if truth is not None:
+            truth.row(sync_ns, self._truth.tolist())
+        beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
+        return Whole(sync_ns, i[law.TARGETS_AT], tuple([(i[at], view) for at, view in self._inputs]), beats)
+
+    def _beats(self) -> tuple[tuple[int, int, int], ...]:
+        """Give the heartbeats of the last cycle."""
+        i, found = self.i, []
+        if i[law.OWN_AT] >= 0:
+            found.append((i[law.OWN_ID], i[law.OWN_AT], i[law.OWN_DATA]))
+        for place in range(law.NODES):
+            ended_ns = i[law.BEAT_NS + 2 * place + 1]
+            if ended_ns >= 0:
+                found.append((i[law.BEAT + 4 * place], ended_ns, i[law.BEAT + 4 * place + 1]))
+        return tuple(found)
 
     def heard(self) -> tuple[Any, int]:
         """Take the frames up to the last SYNC, as bytes of `FRAME_ROW`s, and their number."""
@@ -163,9 +191,11 @@ class Steady:
             and not asked.socket.own and (asked.tap is None or not asked.tap.filters)
             and (asked.tap is None or len(asked.tap.queue) <= WAITING and all(map(_plain, asked.tap.queue)))
             and all(map(asked.socket.accepts, (law.SYNC_ID, *asked.inputs)))
+            and all(asked.socket.accepts(HEARTBEAT_BASE + station.device.node_id) for station in self._stations)
+            and all(station.due_ns > bench.kernel.now_ns for station in self._stations)
             and {id(station) for station in wire.stations} == stations
             and all(station.deaf_to == _NOBODY for station in wire.stations)
-            and all(station.on and _at_work(station.device) for station in self._stations)
+            and all(station.on and _at_work(station.device, asked.heartbeat.can_id) for station in self._stations)
             and all(drive.steady for _, drive in self._axes) and all(sensor.steady for _, sensor in self._gauges)
         )
 
@@ -184,24 +214,12 @@ class Steady:
                 if sync is None and owner.sync:
                     sync = owner
                     continue
-            elif isinstance(owner, NodeStation) and owner.due_ns != time_ns:
+            elif isinstance(owner, NodeStation) and owner in self._stations:
                 continue
             if time_ns < foreign_ns:
                 foreign_ns = time_ns
         self._sync, self._foreign_ns = sync, foreign_ns
         return sync is not None
-
-    def _rearmed(self, reach_ns: int) -> bool:
-        """Let nodes whose timers only look late say when they have work; whether nothing else comes by `reach_ns`."""
-        kernel = self._bench.kernel
-        self._hand_back_deadlines()
-        for station in self._stations:
-            if kernel.now_ns < station.due_ns <= reach_ns:
-                station.rearm(kernel.now_ns)
-        sync = self._sync
-        self._scan()
-        self._sync = sync
-        return self._foreign_ns > reach_ns
 
     # ---- what ----
 
@@ -262,12 +280,19 @@ class Steady:
         for k, (_, drive) in enumerate(self._axes):
             self._i[law.WORDS + 16 * k:law.WORDS + 16 * (k + 1)] = drive.steady_words()
         for place, station in enumerate(self._stations):
-            i[law.TOLD + place] = station.device.now_ns
+            device, beat = station.device, law.BEAT + 4 * place
+            i[law.TOLD + place] = device.now_ns
+            i[law.BEAT_NS + 2 * place], i[beat + 2] = device.producer.due
+            i[beat], i[beat + 1] = HEARTBEAT_BASE + device.node_id, int(device.state)
+            i[law.WATCH_NS + place], i[beat + 3] = device.consumer.due
         for k, (_, sensor) in enumerate(self._gauges):
             i[law.INTERVAL + k] = sensor.interval_ns
         i[law.BIT_NS], i[law.MASTER_NS] = wire.bit_ns, bench.master_turnaround_ns
         i[law.NODE_NS], i[law.BUDGET] = self._stations[0].turnaround_ns, asked.budget_ns
         i[law.TARGETS_ID], i[law.TARGETS_SIZE], i[law.TARGETS_DATA] = asked.targets_id, asked.size, 0
+        i[law.OWN_ID], i[law.OWN_DATA], i[law.OWN_PERIOD] = asked.heartbeat
+        i[law.WAITING] = 0
+        self._targets = self._bytes[8 * law.TARGETS_DATA:8 * law.TARGETS_DATA + asked.size]
         i[law.HEARD], i[law.TRUTH] = int(asked.tap is not None), int(self._machine.truth is not None)
         i[law.NOW], i[law.PLANT_NS], i[law.IDLE_NS] = bench.kernel.now_ns, self._plant.now_ns, wire.idle_ns
         i[law.FRAMES], i[law.BUSY] = wire.frames, wire.busy_bits
@@ -279,13 +304,13 @@ class Steady:
         """Take the place of the machine, of SYNC's task, and of the tap's queue."""
         i, sync = self.i, self._sync
         assert sync is not None
-        stands = self._machine.leave_off()
+        self._bench.kernel.withdraw({id(each) for each in (self._machine, sync, *self._stations)})
+        stands = self._machine.state
         i[law.TICK_NS] = stands.tick_ns
         for k, sample_ns in enumerate(stands.sample_ns):
             i[law.SAMPLE_NS + k] = sample_ns
         self._f[law.F_TORQUE:law.F_KEPT] = stands.torques_nm
         i[law.SYNC_NS], i[law.PERIOD] = sync.next_ns, sync.period_ns
-        sync.leave_off()
         waiting = tap.queue if tap is not None else ()
         for n, message in enumerate(waiting):
             FRAME_STRUCT.pack_into(self.rows, n * _ROW, message.time_ns, message.arbitration_id, 0, len(message.data), 0,
@@ -313,18 +338,35 @@ class Steady:
         self._hand_back_deadlines()
         if self._run:
             self.cycles += self._run
-            for place, station in enumerate(self._stations):
-                station.device.now_ns = i[law.TOLD + place]
             for device in self._devices:
                 device.show_latched()
+        for place, station in enumerate(self._stations):
+            station.device.now_ns = i[law.TOLD + place]
+            station.rearm(bench.kernel.now_ns)
+        self._hand_back_waiting()
 
     def _hand_back_deadlines(self) -> None:
-        """Tell the RPDOs what they took last, and their deadlines."""
+        """Tell RPDOs what they took last and their deadlines, heartbeats when they are due and awaited."""
         i = self.i
+        for place, station in enumerate(self._stations):
+            station.device.producer.sent(i[law.BEAT_NS + 2 * place])
+            station.device.consumer.watched_until(i[law.WATCH_NS + place])
         for n, pdo in enumerate(self._taken):
             at = law.TOOK + 5 * n
             taken = bytes(self._bytes[8 * (at + 3):8 * (at + 3) + pdo.plan.size]) if i[at + 2] else None
             pdo.taken(taken, i[at + 4])
+
+    def _hand_back_waiting(self) -> None:
+        """Let the frames that wait for the wire wait there."""
+        i, host = self.i, self._bench.host
+        for n in range(i[law.WAITING]):
+            at = law.PENDING + n * law.PENDING_WIDTH
+            sender, data = i[at + 4], bytes(self._bytes[8 * (at + 3):8 * (at + 3) + i[at + 2]])
+            if sender <= law.FROM_NODE:
+                self._stations[law.FROM_NODE - sender].submit(Frame(i[at + 1], data), i[at])
+            else:
+                assert sender == law.FROM_OWN and self._asked is not None
+                host.submit(Frame(i[at + 1], data), i[at], self._asked.socket)
 
     def _hand_back_frames(self, tap: Socket | None) -> None:
         if tap is None:
@@ -339,10 +381,10 @@ def _plain(message: BowdenMessage) -> bool:
     return not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
 
 
-def _at_work(device: Device) -> bool:
-    """OPERATIONAL, nothing to send or to say, SYNC without a counter."""
-    return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent
-            and device.sync.steady)
+def _at_work(device: Device, beat_id: int) -> bool:
+    """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, no other heartbeat awaited."""
+    return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle
+            and device.sync.steady and device.consumer.watches_only(beat_id - HEARTBEAT_BASE))
 
 
 def _part(array: Any, first: int, place: int, size: int) -> Any:

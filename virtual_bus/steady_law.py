@@ -55,24 +55,35 @@ F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
 
 # ---- i: what a cycle changes first ----
 NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, TARGETS_AT, \
-    RETURNED = 0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14
-"""Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; how it
-ended.  `SAMPLE_NS` has `GAUGES` places."""
-TOLD: Final = 15
-"""Per node: when it was last told of a frame."""
-COUNTED: Final = TOLD + NODES
+    OWN_NS, OWN_AT, BEATS, WAITING = 0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17
+"""Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; the
+master's heartbeat: when it is due, when it was sent last; heartbeats heard; frames that wait.  `SAMPLE_NS` has `GAUGES`
+places."""
+TOLD: Final = WAITING + 1
+"""Per node: when it was last told of a frame, or of its heartbeat's time."""
+BEAT_NS: Final = TOLD + NODES
+"""Per node: when its next heartbeat is due; when the last one ended, −1 for none in this cycle."""
+WATCH_NS: Final = BEAT_NS + 2 * NODES
+"""Per node: when it will miss the master's heartbeat."""
+COUNTED: Final = WATCH_NS + NODES
 """Per axis `axis_law.COUNTS` integers of the last latch."""
 SENT: Final = COUNTED + AXES * axis_law.COUNTS
 """Per TPDO: when its frame ended, its data."""
 TOOK: Final = SENT + 2 * SENDS
 """Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
-I_KEPT: Final = TOOK + 5 * TAKES
+PENDING: Final = TOOK + 5 * TAKES
+PENDING_WIDTH: Final = 5
+"""Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
+WAIT: Final = SENDS + 2 * NODES + 6
+I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
 """Up to here a cycle that is given up is undone."""
-LIMIT, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH = range(
-    I_KEPT, I_KEPT + 11)
+LIMIT, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
+    OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 15)
 """A cycle ends before `LIMIT`, and within `BUDGET` of its SYNC; SYNC's period; bit time; turnarounds; the master's frame;
-whether frames are heard by a recorder, and truth by a file."""
-INTERVAL: Final = TRUTH + 1
+whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how the cycle ended."""
+BEAT: Final = RETURNED + 1
+"""Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
+INTERVAL: Final = BEAT + 4 * NODES
 SEED: Final = INTERVAL + GAUGES
 WORDS: Final = SEED + GAUGES
 """Per axis the statusword for each of 16 flags."""
@@ -84,14 +95,12 @@ TAKE_COUNT: Final = SEND + SENDS * SEND_WIDTH
 TAKE: Final = TAKE_COUNT + 1
 TAKE_WIDTH: Final = 12
 """Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
-PENDING: Final = TAKE + TAKES * TAKE_WIDTH
-PENDING_WIDTH: Final = 5
-"""Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of the master's)."""
-I_SIZE: Final = PENDING + (SENDS + 2) * PENDING_WIDTH
+I_SIZE: Final = TAKE + TAKES * TAKE_WIDTH
 
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
 """The statusword's place among an axis' counts, where the flags are."""
-FROM_TARGETS, FROM_SYNC = -1, -2
+FROM_TARGETS, FROM_SYNC, FROM_OWN, FROM_NODE = -1, -2, -3, -4
+"""Senders: the master's targets, SYNC, the master's heartbeat; from `FROM_NODE` down, nodes' heartbeats."""
 NEVER: Final = 1 << 62
 
 DONE, UNKNOWN, LATE = 1, 0, -1
@@ -145,16 +154,27 @@ def act(f: Any, i: Any, now: int) -> bool:
 
 
 @njit
-def put(i: Any, waiting: int, ready: int, can_id: int, size: int, data: int, sender: int) -> int:
-    """Let a frame wait for the wire; return how many wait."""
-    at = PENDING + waiting * PENDING_WIDTH
+def put(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> None:
+    """Let a frame wait for the wire."""
+    at = PENDING + i[WAITING] * PENDING_WIDTH
     i[at], i[at + 1], i[at + 2], i[at + 3], i[at + 4] = ready, can_id, size, data, sender
-    return waiting + 1
+    i[WAITING] += 1
 
 
 @njit
-def latch(f: Any, i: Any, now: int, waiting: int) -> int:
-    """Bring every node's values up to date and put its TPDOs; return how many wait, −1 where a value does not fit."""
+def put_own(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> bool:
+    """Let a frame of the computer wait; False where it must not pass another one there, for they leave in their order."""
+    for n in range(i[WAITING]):
+        at = PENDING + n * PENDING_WIDTH
+        if FROM_NODE < i[at + 4] < 0 and not (i[at] <= ready and i[at + 1] < can_id):
+            return False
+    put(i, ready, can_id, size, data, sender)
+    return True
+
+
+@njit
+def latch(f: Any, i: Any, now: int) -> bool:
+    """Bring every node's values up to date and put its TPDOs; False where a value does not fit its field."""
     for k in range(AXES):
         s = f[F_STATE + k * _STATE:F_STATE + (k + 1) * _STATE]
         g = f[F_SET + k * _SET:F_SET + (k + 1) * _SET]
@@ -171,12 +191,12 @@ def latch(f: Any, i: Any, now: int, waiting: int) -> int:
             signed = i[at + 6 + 3 * field]
             low = -(1 << (width - 1)) if signed else 0
             if not low <= value < low + (1 << width):
-                return -1
+                return False
             data |= (np.uint64(value) & np.uint64((1 << width) - 1)) << np.uint64(shift)
             shift += width
         i[SENT + 2 * n], i[SENT + 2 * n + 1] = 0, np.int64(data)
-        waiting = put(i, waiting, now + i[NODE_NS], i[at + 1], i[at + 2], np.int64(data), n)
-    return waiting
+        put(i, now + i[NODE_NS], i[at + 1], i[at + 2], np.int64(data), n)
+    return True
 
 
 @njit
@@ -226,19 +246,38 @@ def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
 
 
 @njit
-def synchronise(f: Any, i: Any, now: int, waiting: int) -> int:
-    """Act on a SYNC as every node does: latch, send, take over; return how many frames wait, −1 to give up."""
+def synchronise(f: Any, i: Any, now: int) -> bool:
+    """Act on a SYNC as every node does: latch, send, take over; False to give up."""
     for node in range(NODES):
         i[TOLD + node] = now
-    waiting = latch(f, i, now, waiting)
-    if waiting < 0:
-        return waiting
+    if not latch(f, i, now):
+        return False
     for n in range(i[TAKE_COUNT]):
         if i[TOOK + 5 * n] and not take(f, i, n):
-            return -1
+            return False
     if i[TRUTH]:
         _truth_row(f[F_PLANT:F_PLANT + SIZE], f[F_TRUTH:F_ACTION])
-    return waiting
+    return True
+
+
+@njit
+def beat(i: Any, now: int) -> None:
+    """Let every node whose heartbeat is due send it."""
+    for node in range(NODES):
+        if i[BEAT_NS + 2 * node] == now:
+            at = BEAT + 4 * node
+            i[TOLD + node] = now
+            i[BEAT_NS + 2 * node] = now + i[at + 2]
+            put(i, now + i[NODE_NS], i[at], 1, i[at + 1], FROM_NODE - node)
+
+
+@njit
+def watch(i: Any, now: int) -> None:
+    """Let every node that watches over the master hear its heartbeat."""
+    for node in range(NODES):
+        if i[BEAT + 4 * node + 3]:
+            i[TOLD + node] = now
+            i[WATCH_NS + node] = now + i[BEAT + 4 * node + 3]
 
 
 @njit
@@ -254,10 +293,10 @@ def frame_time(i: Any, at: int) -> int:
 
 
 @njit
-def winner(i: Any, waiting: int, now: int) -> int:
+def winner(i: Any, now: int) -> int:
     """Return the place of the frame that wins an arbitration at `now`."""
     best = -1
-    for n in range(waiting):
+    for n in range(i[WAITING]):
         at = PENDING + n * PENDING_WIDTH
         if i[at] <= now and (best < 0 or i[at + 1] < i[PENDING + best * PENDING_WIDTH + 1]):
             best = n
@@ -265,10 +304,10 @@ def winner(i: Any, waiting: int, now: int) -> int:
 
 
 @njit
-def earliest(i: Any, waiting: int) -> int:
+def earliest(i: Any) -> int:
     """Return when the first of the waiting frames is ready."""
     first = NEVER
-    for n in range(waiting):
+    for n in range(i[WAITING]):
         first = min(first, i[PENDING + n * PENDING_WIDTH])
     return first
 
@@ -278,26 +317,48 @@ def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
     """Keep a frame for the recorder."""
     row = i[LAST_ROW]
     rows[row, 0] = np.uint64(now)
-    sent = np.uint64(1) << np.uint64(56) if i[at + 4] < 0 else np.uint64(0)
+    sent = np.uint64(1) << np.uint64(56) if FROM_NODE < i[at + 4] < 0 else np.uint64(0)
     rows[row, 1] = np.uint64(i[at + 1]) | np.uint64(i[at + 2]) << np.uint64(40) | sent
     rows[row, 2] = np.uint64(data)
     i[LAST_ROW] = row + 1
 
 
 @njit
-def begin(i: Any, rows: Any) -> int:
-    """Move the rows that were left to the front, put the targets, and forget what the cycle before found."""
+def begin(i: Any, rows: Any) -> bool:
+    """Move the rows that were left to the front, forget what the cycle before found, put the targets.
+
+    False where something is overdue at once.  Deadlines are far beyond a cycle, or else they are its limit.
+    """
     kept = i[LAST_ROW] - i[FIRST_ROW]
     for row in range(kept):
         for word in range(3):
             rows[row, word] = rows[i[FIRST_ROW] + row, word]
-    i[FIRST_ROW], i[LAST_ROW], i[SYNC_AT], i[TARGETS_AT] = 0, kept, -1, -1
-    return put(i, 0, i[NOW] + i[MASTER_NS], i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS)
+    i[FIRST_ROW], i[LAST_ROW], i[SYNC_AT], i[TARGETS_AT], i[OWN_AT], i[BEATS] = 0, kept, -1, -1, -1, 0
+    for node in range(NODES):
+        i[BEAT_NS + 2 * node + 1] = -1
+        i[LIMIT] = min(i[LIMIT], i[WATCH_NS + node])
+        if i[BEAT_NS + 2 * node] <= i[NOW]:
+            return False
+    for n in range(i[TAKE_COUNT]):
+        i[LIMIT] = min(i[LIMIT], i[TOOK + 5 * n + 4])
+    if kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
+        return False
+    ready = i[NOW] + i[MASTER_NS]
+    if not put_own(i, ready, i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS):
+        return False
+    return i[OWN_NS] > i[NOW] or beat_own(i, i[NOW])
 
 
 @njit
-def deliver(f: Any, i: Any, rows: Any, now: int, at: int, waiting: int) -> int:
-    """Give a frame that has ended to everybody; return how many wait, −1 to give up."""
+def beat_own(i: Any, now: int) -> bool:
+    """Send the master's heartbeat, now; False where it must not pass another frame of the computer."""
+    i[OWN_NS], i[OWN_AT] = now + i[OWN_PERIOD], now
+    return put_own(i, now + i[MASTER_NS], i[OWN_ID], 1, i[OWN_DATA], FROM_OWN)
+
+
+@njit
+def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> bool:
+    """Give a frame that has ended to everybody; False to give up."""
     can_id, data, sender = i[at + 1], i[at + 3], i[at + 4]
     i[FRAMES] += 1
     if i[HEARD]:
@@ -305,22 +366,53 @@ def deliver(f: Any, i: Any, rows: Any, now: int, at: int, waiting: int) -> int:
     if sender == FROM_SYNC:
         i[SYNC_AT], i[SYNC_ROW] = now, i[LAST_ROW]
         i[LIMIT] = min(i[LIMIT], now + i[BUDGET] + 1)
-        return synchronise(f, i, now, waiting)
+        return synchronise(f, i, now)
+    if sender == FROM_OWN:
+        watch(i, now)
+        return True
+    if sender <= FROM_NODE:
+        i[BEAT_NS + 2 * (FROM_NODE - sender) + 1] = now
+        i[BEATS] += 1
+        return True
     if sender == FROM_TARGETS:
         i[TARGETS_AT] = now
     else:
         i[SENT + 2 * sender] = now
-    return waiting if hear(f, i, now, can_id, data) else -1
+    return hear(f, i, now, can_id, data)
+
+
+@njit
+def next_beat(i: Any) -> int:
+    """Return when the first of the nodes' heartbeats is due."""
+    first = NEVER
+    for node in range(NODES):
+        first = min(first, i[BEAT_NS + 2 * node])
+    return first
+
+
+@njit
+def arbitrate(i: Any, now: int, sending: int) -> int:
+    """Let the winner of an arbitration begin; return when it ends."""
+    place = winner(i, now)
+    for word in range(PENDING_WIDTH):
+        i[sending + word] = i[PENDING + place * PENDING_WIDTH + word]
+    i[WAITING] -= 1
+    for word in range(place * PENDING_WIDTH, i[WAITING] * PENDING_WIDTH):
+        i[PENDING + word] = i[PENDING + word + PENDING_WIDTH]
+    return now + frame_time(i, sending)
 
 
 @njit
 def run(f: Any, i: Any, rows: Any) -> int:
     """Run events in the kernel's order until every input of the next SYNC has been sent."""
-    waiting, sending, end, left = begin(i, rows), PENDING + (SENDS + 1) * PENDING_WIDTH, NEVER, i[SEND_COUNT]
+    if not begin(i, rows):
+        return LATE
+    sending, end, left = PENDING + WAIT * PENDING_WIDTH, NEVER, i[SEND_COUNT]
+    beating = next_beat(i)
     while True:
         tick = min(i[TICK_NS], min(i[SAMPLE_NS], i[SAMPLE_NS + 1]))
-        start = max(i[IDLE_NS], earliest(i, waiting)) if end == NEVER else NEVER
-        now = min(min(tick, end), min(i[SYNC_NS], start))
+        start = max(i[IDLE_NS], earliest(i)) if end == NEVER else NEVER
+        now = min(min(min(tick, end), min(i[SYNC_NS], start)), min(beating, i[OWN_NS]))
         if now >= i[LIMIT]:
             return LATE
         i[NOW] = now
@@ -330,25 +422,23 @@ def run(f: Any, i: Any, rows: Any) -> int:
         elif end == now:
             end = NEVER
             i[IDLE_NS] = now + INTERMISSION_BITS * i[BIT_NS]
-            waiting = deliver(f, i, rows, now, sending, waiting)
-            if waiting < 0:
+            if not deliver(f, i, rows, now, sending):
                 return UNKNOWN
             if i[sending + 4] >= 0:
                 left -= 1
                 if not left:
                     return DONE
         elif i[SYNC_NS] == now:
-            if waiting or end != NEVER:
-                return UNKNOWN
             i[SYNC_NS] = now + i[PERIOD]
-            waiting = put(i, waiting, now, SYNC_ID, 0, 0, FROM_SYNC)
-        else:
-            place = winner(i, waiting, now)
-            waiting -= 1
-            for word in range(PENDING_WIDTH):
-                i[sending + word] = i[PENDING + place * PENDING_WIDTH + word]
-                i[PENDING + place * PENDING_WIDTH + word] = i[PENDING + waiting * PENDING_WIDTH + word]
-            end = now + frame_time(i, sending)
+            if i[SYNC_AT] >= 0 or not put_own(i, now, SYNC_ID, 0, 0, FROM_SYNC):
+                return UNKNOWN
+        elif beating == now:
+            beat(i, now)
+            beating = next_beat(i)
+        elif start == now:
+            end = arbitrate(i, now, sending)
+        elif not beat_own(i, now):
+            return UNKNOWN
 
 
 def _compile(sources: int) -> Any:

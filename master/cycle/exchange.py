@@ -61,15 +61,16 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
-WholeCycle = tuple[int, int, tuple[tuple[int, Any], ...]]
-"""Time stamps of SYNC and of the targets, ns; of each input in `ORDER` its time stamp and data."""
+WholeCycle = tuple[int, int, tuple[tuple[int, Any], ...], tuple[tuple[int, int, int], ...]]
+"""Time stamps of SYNC and of the targets, ns; of each input in `ORDER` its time stamp and data; heartbeats as
+`Link.heed` takes them."""
 
 
 class WholeCycles(Protocol):
     """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
 
-    def run(self, data: bytes, until_ns: int) -> WholeCycle | None:
-        """Send targets and go on to the last input of the next SYNC, before `until_ns`; None: do it by hand."""
+    def run(self, data: bytes, beat_ns: int) -> WholeCycle | None:
+        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; None: by hand."""
 
     def heard(self) -> tuple[Any, int]:
         """Give the frames since the last call, up to that SYNC, as bytes of `cdr.FRAME_ROW`s, and their number."""
@@ -109,7 +110,8 @@ class Exchange:
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
         offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
         self._whole_cycles = None if offer is None else offer(
-            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns)
+            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns,
+            link.heartbeat)
 
     def begin(self) -> Inputs:
         """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
@@ -164,7 +166,9 @@ class Exchange:
 
     def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
         """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
-        sync_ns, target_ns, _ = whole
+        sync_ns, target_ns, _, beats = whole
+        if beats:
+            self.link.heed(beats)
         try:
             if self.log.taps and self._whole_cycles is not None:
                 self.log.take(*self._whole_cycles.heard(), target_ns)
@@ -176,7 +180,7 @@ class Exchange:
         return self._latch_at_once(whole)
 
     def _latch_at_once(self, whole: WholeCycle) -> Inputs:
-        sync_ns, _, inputs = whole
+        sync_ns, _, inputs, _ = whole
         self._arrival_ns = [NAN, NAN, NAN, NAN]
         missing = 0b1111
         for i, (stamp, data) in enumerate(inputs):
