@@ -162,17 +162,6 @@ def put(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> N
 
 
 @njit
-def put_own(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> bool:
-    """Let a frame of the computer wait; False where it must not pass another one there, for they leave in their order."""
-    for n in range(i[WAITING]):
-        at = PENDING + n * PENDING_WIDTH
-        if FROM_NODE < i[at + 4] < 0 and not (i[at] <= ready and i[at + 1] < can_id):
-            return False
-    put(i, ready, can_id, size, data, sender)
-    return True
-
-
-@njit
 def latch(f: Any, i: Any, now: int) -> bool:
     """Bring every node's values up to date and put its TPDOs; False where a value does not fit its field."""
     for k in range(AXES):
@@ -294,12 +283,19 @@ def frame_time(i: Any, at: int) -> int:
 
 @njit
 def winner(i: Any, now: int) -> int:
-    """Return the place of the frame that wins an arbitration at `now`."""
-    best = -1
+    """Return the place of the frame that wins an arbitration at `now`: of the computer's the oldest one takes part."""
+    best, oldest = -1, -1
     for n in range(i[WAITING]):
         at = PENDING + n * PENDING_WIDTH
-        if i[at] <= now and (best < 0 or i[at + 1] < i[PENDING + best * PENDING_WIDTH + 1]):
+        if i[at] > now:
+            continue
+        if FROM_NODE < i[at + 4] < 0:
+            if oldest < 0 or i[at] < i[PENDING + oldest * PENDING_WIDTH]:
+                oldest = n
+        elif best < 0 or i[at + 1] < i[PENDING + best * PENDING_WIDTH + 1]:
             best = n
+    if best < 0 or (oldest >= 0 and i[PENDING + oldest * PENDING_WIDTH + 1] < i[PENDING + best * PENDING_WIDTH + 1]):
+        return oldest
     return best
 
 
@@ -343,17 +339,17 @@ def begin(i: Any, rows: Any) -> bool:
         i[LIMIT] = min(i[LIMIT], i[TOOK + 5 * n + 4])
     if kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
         return False
-    ready = i[NOW] + i[MASTER_NS]
-    if not put_own(i, ready, i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS):
-        return False
-    return i[OWN_NS] > i[NOW] or beat_own(i, i[NOW])
+    put(i, i[NOW] + i[MASTER_NS], i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS)
+    if i[OWN_NS] <= i[NOW]:
+        beat_own(i, i[NOW])
+    return True
 
 
 @njit
-def beat_own(i: Any, now: int) -> bool:
-    """Send the master's heartbeat, now; False where it must not pass another frame of the computer."""
+def beat_own(i: Any, now: int) -> None:
+    """Send the master's heartbeat, now."""
     i[OWN_NS], i[OWN_AT] = now + i[OWN_PERIOD], now
-    return put_own(i, now + i[MASTER_NS], i[OWN_ID], 1, i[OWN_DATA], FROM_OWN)
+    put(i, now + i[MASTER_NS], i[OWN_ID], 1, i[OWN_DATA], FROM_OWN)
 
 
 @njit
@@ -430,15 +426,16 @@ def run(f: Any, i: Any, rows: Any) -> int:
                     return DONE
         elif i[SYNC_NS] == now:
             i[SYNC_NS] = now + i[PERIOD]
-            if i[SYNC_AT] >= 0 or not put_own(i, now, SYNC_ID, 0, 0, FROM_SYNC):
+            if i[SYNC_AT] >= 0:
                 return UNKNOWN
+            put(i, now, SYNC_ID, 0, 0, FROM_SYNC)
         elif beating == now:
             beat(i, now)
             beating = next_beat(i)
         elif start == now:
             end = arbitrate(i, now, sending)
-        elif not beat_own(i, now):
-            return UNKNOWN
+        else:
+            beat_own(i, now)
 
 
 def _compile(sources: int) -> Any:
