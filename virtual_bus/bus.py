@@ -64,10 +64,6 @@ class Cycles:
         with self._lock:
             return self._steady.cycle(self._asked, data, beat_ns)
 
-    def heard(self) -> tuple[Any, int]:
-        """Take the frames that the tap heard up to the last SYNC, as bytes of `cdr.FRAME_ROW`s, and their number."""
-        return self._steady.heard()
-
 
 class BowdenBus(can.BusABC):
     """One socket on a simulated bench; buses on the same `channel` share the bench, the first one's options make it.

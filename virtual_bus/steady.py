@@ -39,16 +39,10 @@ _ROW: Final = FRAME_STRUCT.size
 _NOBODY: Final[frozenset[int]] = frozenset()
 
 
-class Whole(NamedTuple):
-    """One cycle: ends of SYNC and of the targets' frame, ns; of each input in the order asked for, end and data.
-
-    `beats` has identifier, time and state of each heartbeat heard; for the master's own one, when it was sent.
-    """
-
-    sync_ns: int
-    targets_ns: int
-    inputs: tuple[tuple[int, Any], ...]
-    beats: tuple[tuple[int, int, int], ...]
+Whole = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
+"""One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends, and their data;
+identifier, time and state of each heartbeat heard, for the master's own one when it was sent; the frames that the tap
+heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  What is bytes here holds until the next call."""
 
 
 class Heartbeat(NamedTuple):
@@ -100,7 +94,8 @@ class Steady:
         self.i: Any = memoryview(self._i)
         self._bytes: Any = memoryview(self._i).cast("B")
         self.rows: Any = memoryview(self._rows).cast("B")
-        self._truth = self._f[law.F_TRUTH:law.F_ACTION]
+        self._truth = self._f[law.F_TRUTH:law.F_ACTION].reshape(law.TRUTHS, law.TRUTH_WIDTH)
+        self._kernel = bench.kernel
         self._axes = [(axis.station, cast(Drive, axis.drive)) for axis in machine.axes]
         self._gauges = [(gauge.station, cast(TensionSensor, gauge.sensor)) for gauge in machine.gauges]
         self._stations: list[NodeStation] = [station for station, _ in (*self._axes, *self._gauges)]
@@ -109,7 +104,8 @@ class Steady:
         self._taken: list[ReceivePdo] = []
         self._foreign_ns = self._span_ns = 0
         self._asked: Asked | None = None
-        self._inputs: list[tuple[int, Any]] = []
+        self._ends: list[int] = []
+        self._data: tuple[Any, ...] = ()
         self._targets = self._bytes[:0]
         self._sync: PeriodicTask | None = None
         self._run = 0
@@ -138,14 +134,21 @@ class Steady:
             self.leave()
             return None
         self._run += 1
-        self._bench.kernel.now_ns = now_ns = i[law.NOW]
-        sync_ns = i[law.SYNC_AT]
+        self._kernel.now_ns = now_ns = i[law.NOW]
+        sync_ns, first, end = i[law.SYNC_AT], i[law.FIRST_ROW], i[law.SYNC_ROW]
         self._span_ns = now_ns - sync_ns + SPAN_NS
+        i[law.FIRST_ROW] = end
+        if i[law.TRUTH_ROWS] == law.TRUTHS:
+            self._write_truth()
+        return (sync_ns, i[law.TARGETS_AT], [i[at] for at in self._ends], self._data,
+                self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else (), self.rows[_ROW * first:_ROW * end], end - first)
+
+    def _write_truth(self) -> None:
+        i, count = self.i, self.i[law.TRUTH_ROWS]
+        i[law.TRUTH_ROWS] = 0
         truth = self._machine.truth
-        if truth is not None:
-            truth.row(sync_ns, self._truth.tolist())
-        beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
-        return Whole(sync_ns, i[law.TARGETS_AT], tuple([(i[at], view) for at, view in self._inputs]), beats)
+        if truth is not None and count:
+            truth.rows(self._i[law.TRUTH_NS:law.TRUTH_NS + count], self._truth[:count])
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         """Give the heartbeats of the last cycle."""
@@ -157,13 +160,6 @@ class Steady:
             if ended_ns >= 0:
                 found.append((i[law.BEAT + 4 * place], ended_ns, i[law.BEAT + 4 * place + 1]))
         return tuple(found)
-
-    def heard(self) -> tuple[Any, int]:
-        """Take the frames up to the last SYNC, as bytes of `FRAME_ROW`s, and their number."""
-        i = self.i
-        first, end = i[law.FIRST_ROW], i[law.SYNC_ROW]
-        i[law.FIRST_ROW] = end
-        return self.rows[_ROW * first:_ROW * end], end - first
 
     # ---- when ----
 
@@ -291,14 +287,14 @@ class Steady:
         i[law.NODE_NS], i[law.BUDGET] = self._stations[0].turnaround_ns, asked.budget_ns
         i[law.TARGETS_ID], i[law.TARGETS_SIZE], i[law.TARGETS_DATA] = asked.targets_id, asked.size, 0
         i[law.OWN_ID], i[law.OWN_DATA], i[law.OWN_PERIOD] = asked.heartbeat
-        i[law.WAITING] = 0
+        i[law.WAITING] = i[law.TRUTH_ROWS] = 0
         self._targets = self._bytes[8 * law.TARGETS_DATA:8 * law.TARGETS_DATA + asked.size]
         i[law.HEARD], i[law.TRUTH] = int(asked.tap is not None), int(self._machine.truth is not None)
         i[law.NOW], i[law.PLANT_NS], i[law.IDLE_NS] = bench.kernel.now_ns, self._plant.now_ns, wire.idle_ns
         i[law.FRAMES], i[law.BUSY] = wire.frames, wire.busy_bits
         places = {row[1]: n for n, row in enumerate(sends)}
-        self._inputs = [(law.SENT + 2 * n, self._bytes[8 * (law.SENT + 2 * n + 1):8 * (law.SENT + 2 * n + 2)])
-                        for n in (places[can_id] for can_id in asked.inputs)]
+        found = [law.SENT + 2 * places[can_id] for can_id in asked.inputs]
+        self._ends, self._data = found, tuple([self._bytes[8 * at + 8:8 * at + 16] for at in found])
 
     def _stand_in(self, tap: Socket | None) -> None:
         """Take the place of the machine, of SYNC's task, and of the tap's queue."""
@@ -334,6 +330,7 @@ class Steady:
         servo_nm, knee_nm = self._f[law.F_TORQUE:law.F_KEPT].tolist()
         self._machine.go_on(State(i[law.TICK_NS], sample_ns, (servo_nm, knee_nm)))
         sync.go_on(i[law.SYNC_NS])
+        self._write_truth()
         self._hand_back_frames(self._asked.tap)
         self._hand_back_deadlines()
         if self._run:

@@ -48,16 +48,19 @@ F_TORQUE: Final = F_CONVERTER + GAUGES * CONVERTER
 F_KEPT: Final = F_TORQUE + AXES
 """Up to here a cycle that is given up is undone."""
 F_TRUTH: Final = F_KEPT
-F_ACTION: Final = F_TRUTH + len(truth_row.NAMES)
+TRUTHS: Final = 128
+"""How many rows of the truth wait before they are written."""
+TRUTH_WIDTH: Final = len(truth_row.NAMES)
+F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
 F_SENSOR: Final = F_ACTION + 2 * TAKES
 F_RING: Final = F_SENSOR + GAUGES * SENSOR
 F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
 
 # ---- i: what a cycle changes first ----
 NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, TARGETS_AT, \
-    OWN_NS, OWN_AT, BEATS, WAITING = 0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17
+    OWN_NS, OWN_AT, BEATS, TRUTH_ROWS, WAITING = 0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18
 """Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; the
-master's heartbeat: when it is due, when it was sent last; heartbeats heard; frames that wait.  `SAMPLE_NS` has `GAUGES`
+master's heartbeat: when it is due, when it was sent last; heartbeats heard; rows of the truth; frames that wait.  `SAMPLE_NS` has `GAUGES`
 places."""
 TOLD: Final = WAITING + 1
 """Per node: when it was last told of a frame, or of its heartbeat's time."""
@@ -95,7 +98,8 @@ TAKE_COUNT: Final = SEND + SENDS * SEND_WIDTH
 TAKE: Final = TAKE_COUNT + 1
 TAKE_WIDTH: Final = 12
 """Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
-I_SIZE: Final = TAKE + TAKES * TAKE_WIDTH
+TRUTH_NS: Final = TAKE + TAKES * TAKE_WIDTH
+I_SIZE: Final = TRUTH_NS + TRUTHS
 
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
 """The statusword's place among an axis' counts, where the flags are."""
@@ -245,7 +249,10 @@ def synchronise(f: Any, i: Any, now: int) -> bool:
         if i[TOOK + 5 * n] and not take(f, i, n):
             return False
     if i[TRUTH]:
-        _truth_row(f[F_PLANT:F_PLANT + SIZE], f[F_TRUTH:F_ACTION])
+        row = F_TRUTH + i[TRUTH_ROWS] * TRUTH_WIDTH
+        i[TRUTH_NS + i[TRUTH_ROWS]] = now
+        _truth_row(f[F_PLANT:F_PLANT + SIZE], f[row:row + TRUTH_WIDTH])
+        i[TRUTH_ROWS] += 1
     return True
 
 
@@ -337,7 +344,7 @@ def begin(i: Any, rows: Any) -> bool:
             return False
     for n in range(i[TAKE_COUNT]):
         i[LIMIT] = min(i[LIMIT], i[TOOK + 5 * n + 4])
-    if kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
+    if i[TRUTH_ROWS] == TRUTHS or kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
         return False
     put(i, i[NOW] + i[MASTER_NS], i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS)
     if i[OWN_NS] <= i[NOW]:

@@ -6,9 +6,12 @@ are those of the last drive tick before the SYNC that stamps them.  A disk that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from eds.frame import Frame
 from physics.plant.bench_plant import Plant
@@ -35,12 +38,13 @@ class Truth(Station):
         )
 
     def _latch(self, frame: Frame, now_ns: int) -> None:
-        self.row(now_ns, tuple(self._plant.truth().values()))
-
-    def row(self, now_ns: int, values: Sequence[float]) -> None:
-        """Write one row."""
         with suppress(RecordingError):
-            self._recorder.cycle(now_ns, values)
+            self._recorder.cycle(now_ns, tuple(self._plant.truth().values()))
+
+    def rows(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Write rows of SYNCs that were computed elsewhere: n times, (n, columns) values."""
+        with suppress(RecordingError):
+            self._recorder.cycles(times_ns, values)
 
     def close(self) -> None:
         """Close the file."""

@@ -61,9 +61,9 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
-WholeCycle = tuple[int, int, tuple[tuple[int, Any], ...], tuple[tuple[int, int, int], ...]]
-"""Time stamps of SYNC and of the targets, ns; of each input in `ORDER` its time stamp and data; heartbeats as
-`Link.heed` takes them."""
+WholeCycle = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` their time stamps, and their data; heartbeats as
+`Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them, and their number."""
 
 
 class WholeCycles(Protocol):
@@ -71,9 +71,6 @@ class WholeCycles(Protocol):
 
     def run(self, data: bytes, beat_ns: int) -> WholeCycle | None:
         """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; None: by hand."""
-
-    def heard(self) -> tuple[Any, int]:
-        """Give the frames since the last call, up to that SYNC, as bytes of `cdr.FRAME_ROW`s, and their number."""
 
 
 class Exchange:
@@ -166,25 +163,30 @@ class Exchange:
 
     def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
         """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
-        sync_ns, target_ns, _, beats = whole
+        sync_ns, target_ns, ends, data, beats, rows, count = whole
         if beats:
             self.link.heed(beats)
         try:
-            if self.log.taps and self._whole_cycles is not None:
-                self.log.take(*self._whole_cycles.heard(), target_ns)
+            if self.log.taps:
+                self.log.take(rows, count, sync_ns, target_ns)
             self._record(sync_ns, True, annotations)
         except StopError:  # the recorder failed; the cycle was run all the same
             with suppress(StopError):
-                self._latch_at_once(whole)
+                self._latch_at_once(sync_ns, ends, data)
             raise
-        return self._latch_at_once(whole)
+        return self._latch_at_once(sync_ns, ends, data)
 
-    def _latch_at_once(self, whole: WholeCycle) -> Inputs:
-        sync_ns, _, inputs, _ = whole
-        self._arrival_ns = [NAN, NAN, NAN, NAN]
-        missing = 0b1111
-        for i, (stamp, data) in enumerate(inputs):
-            missing &= ~self._keep(i, data, stamp, sync_ns)
+    def _latch_at_once(self, sync_ns: int, ends: list[int], data: tuple[Any, ...]) -> Inputs:
+        values = [unpack(each) for unpack, each in zip(self._unpack, data, strict=True)]
+        missing = 0
+        for i in (FIRST_SENSOR, FIRST_SENSOR + 1):
+            if values[i][0] <= self._no_value[i]:
+                values[i] = self._values[i]
+                missing |= 1 << i
+        latched, arrived = self._latched_ns, [end - sync_ns for end in ends]
+        self._latched_ns = [latched[i] if missing >> i & 1 else sync_ns for i in range(4)] if missing else [sync_ns] * 4
+        self._arrival_ns = [NAN if missing >> i & 1 else arrived[i] for i in range(4)] if missing else [*arrived]
+        self._values = values
         return self._latched(sync_ns, missing)
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
@@ -217,15 +219,12 @@ class Exchange:
         i, size = self._slots[message.arbitration_id]
         if len(message.data) < size:
             return 0
-        return self._keep(i, bytes(message.data), stamp_ns(message), sync_ns)
-
-    def _keep(self, i: int, data: Any, stamp: int, sync_ns: int) -> int:
-        values = self._unpack[i](data)
+        values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
-        self._arrival_ns[i] = stamp - sync_ns
+        self._arrival_ns[i] = stamp_ns(message) - sync_ns
         return 1 << i
 
     def _latch(self, sync_ns: int) -> Inputs:

@@ -27,7 +27,7 @@ class Sink(Protocol):
         self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
     ) -> None: ...
 
-    def frames(self, rows: Any, count: int) -> None: ...
+    def frames(self, rows: Any, count: int, last_ns: int) -> None: ...
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None: ...
 
@@ -81,12 +81,12 @@ class Log:
         except _FAILURES as error:
             self._give_up(error)
 
-    def take(self, rows: Any, count: int, target_stamp_ns: int) -> None:
-        """Record frames that come as bytes of `cdr.FRAME_ROW`s, the last targets among them; raises `StopError`."""
+    def take(self, rows: Any, count: int, last_ns: int, target_stamp_ns: int) -> None:
+        """Record frames up to `last_ns`, bytes of `cdr.FRAME_ROW`s, the last targets among them; raises `StopError`."""
         self.target_stamp_ns = target_stamp_ns
         if self._recorder is not None:
             try:
-                self._recorder.frames(rows, count)
+                self._recorder.frames(rows, count, last_ns)
             except _FAILURES as error:
                 self._give_up(error)
 
