@@ -189,8 +189,10 @@ def compile_laws(*, simulated: bool, quiet: bool) -> None:
     with terminal.waiting("preparing; a first run on a machine compiles the laws", shown=not quiet):
         inverse.prepare()
         if simulated:
+            from virtual_bus import steady_law
+
             nodes.prepare()
-            compiled = bench_plant.prepare()
+            compiled = bench_plant.prepare() | steady_law.prepare()
     if compiled:
         terminal.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")

@@ -126,6 +126,12 @@ class BowdenBus(can.BusABC):
                       Heartbeat(*heartbeat))
         return Cycles(steady, asked, self._lock)
 
+    @property
+    def whole_cycles(self) -> int:
+        """How many control cycles of this bench were run at once so far; see `cycles`."""
+        self._settle()
+        return 0 if self._steady is None else self._steady.cycles
+
     def time_ns(self) -> int:
         """Return the bus's own time: ns since the bench was switched on."""
         return self._kernel.now_ns

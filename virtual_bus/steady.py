@@ -33,6 +33,8 @@ SWITCH: Final = "BOWDEN_STEADY"
 """The environment's variable that turns it off: 0."""
 SPAN_NS: Final = 20_000
 """What a cycle may take longer than the last one before it is tried at all; it is only ever given up, never wrong."""
+ROOM: Final = 32
+"""Places that the computer's queues need for none of them ever to be full."""
 WAITING: Final = 12
 """Frames that may wait at the tap when it begins."""
 _ROW: Final = FRAME_STRUCT.size
@@ -84,6 +86,7 @@ class Steady:
     def __init__(self, bench: Bench) -> None:
         machine = bench.machine
         assert isinstance(machine, Machine) and isinstance(machine.plant, BowdenPlant)
+        law.prepare()
         self.warm = False
         self.cycles = 0
         self._bench, self._machine, self._plant = bench, machine, machine.plant
@@ -184,6 +187,7 @@ class Steady:
         return (
             wire.steady and bench.medium is wire and not asked.socket.queue and machine.steady
             and len(host.sockets) == len(known) and all(socket in host.sockets for socket in known)
+            and min(host.limit, *(socket.limit for socket in known)) >= ROOM
             and not asked.socket.own and (asked.tap is None or not asked.tap.filters)
             and (asked.tap is None or len(asked.tap.queue) <= WAITING and all(map(_plain, asked.tap.queue)))
             and all(map(asked.socket.accepts, (law.SYNC_ID, *asked.inputs)))

@@ -464,3 +464,11 @@ def _compile(sources: int) -> Any:
 
 cycle: Any = _compile(digest())
 """`cycle(f, i, rows, before_f, before_i)` → `DONE`, or why everything is as it was."""
+
+
+def prepare() -> bool:
+    """Compile the cycle, or load it from numba's cache; return whether it had to be compiled."""
+    before = sum(cycle.stats.cache_misses.values())
+    cycle(np.zeros(F_SIZE), np.zeros(I_SIZE, np.int64), np.zeros((ROWS, 3), np.uint64), np.zeros(F_KEPT),
+          np.zeros(I_KEPT, np.int64))
+    return bool(sum(cycle.stats.cache_misses.values()) > before)

@@ -1,4 +1,4 @@
-"""Runs on the virtual bench, each to the digest of its trial, of its truth file and of what a tap heard.
+"""Runs on the virtual bench, each to the digest of its trial and of its truth file.
 
 The rule of this file: a run is a whole experiment through the wire; nothing in it knows how its cycles are computed.
 """
@@ -36,20 +36,30 @@ class Case(NamedTuple):
     script: Mapping[int, Hook] | None = None
     cycles: int = 300
     faults: tuple[Fault, ...] = ()
+    controller: str = "paper"
 
 
-def digest(case: Case, folder: Path) -> str:
-    """Run a case and return the digest of both its files and of how it ended."""
+class Ran(NamedTuple):
+    """The digest of both files and of how the run ended; how many of its cycles were run at once; why it stopped."""
+
+    digest: str
+    whole_cycles: int
+    reason: str | None
+
+
+def ran(case: Case, folder: Path) -> Ran:
+    """Run a case in an empty folder."""
     network = Network(rate_hz=case.rate_hz)
     bus = BowdenBus(str(folder), rate_hz=case.rate_hz, truth=str(folder / "truth.mcap"), faults=case.faults,
                     **case.options)
     tap = BowdenBus(str(folder))
     bus.set_filters(WANTED)
     recorder = Recorder(folder / "trial.mcap", metadata={}, attachments={}, threaded=False, overwrite=True)
-    perform = _gait(network) if case.script is None else _scripted(case)
+    perform = _gait(network, case.controller) if case.script is None else _scripted(case)
     try:
         outcome = run_safely(Link(bus, bus.time_ns), tap, recorder, network, Limits(), perform)
         recorder.close({})
+        whole_cycles = bus.whole_cycles
         ends = (outcome, bus.time_ns(), bus.bench.wire.frames, bus.bench.wire.busy_bits, bus.lost, tap.lost)
     finally:
         tap.shutdown()
@@ -57,11 +67,11 @@ def digest(case: Case, folder: Path) -> str:
     told = hashlib.sha256(repr(ends).encode())
     for name in ("trial.mcap", "truth.mcap"):
         told.update((folder / name).read_bytes())
-    return told.hexdigest()
+    return Ran(told.hexdigest(), whole_cycles, outcome.reason)
 
 
-def _gait(network: Network) -> Callable[[Exchange], None]:
-    gait = Gait(peak_n=30.0, period_s=0.8, cycles=1, settle=0)
+def _gait(network: Network, controller: str) -> Callable[[Exchange], None]:
+    gait = Gait(peak_n=30.0, period_s=0.8, cycles=1, settle=0, controller=controller)
     return Planned(Experiment(paper_reference(30.0, 0.8), network, gait=gait)).perform
 
 
@@ -159,5 +169,13 @@ CASES: dict[str, Case] = {
     "power off": Case(script={}, cycles=400, faults=fault("power_off", 1.9, 1.95, node=KNEE)),
     "deaf": Case(script={}, cycles=400, faults=fault("deaf", 1.9, 1.92, node=SERVO, cob_id=0x183)),
     "cut": Case(script={}, cycles=400, faults=fault("cut", 1.9, 1.92, node=END)),
+    "another plant model": Case({"serial": 2, "plant_model": {
+        "plant": {"mu1": 0.14, "slack_m": 1e-3}, "end_sensor": {"delay_s": 0.004, "quantum_n": 0.5}}}),
+    "lost inputs": Case({"plant_model": {"bus": {"lost_share": 0.1}}}, script={}, cycles=200),
+    "extended controller": Case({"day": 2}, controller="extended"),
+    "two faults far apart": Case(script=SCRIPT, faults=(
+        *fault("drop", 1.7, 1.702, cob_id=0x183), *fault("power_off", 1.9003, 1.93, node=END))),
+    "stop while the knee moves": Case(rate_hz=1000, script={}, cycles=900, faults=fault(
+        "emergency_stop", 0.9012345, 0.95, node=KNEE)),
     "babble": Case(script={}, cycles=400, faults=fault("babble", 1.9, 1.95, cob_id=0x123, size=8, period_us=900.0)),
 }
