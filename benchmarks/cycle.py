@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -197,10 +198,8 @@ def profiled(turns: int = 10) -> pstats.Stats:
             profile.disable()
             raise DoneError
 
-    try:
+    with suppress(DoneError):
         ours(turn)
-    except DoneError:
-        pass
     return pstats.Stats(profile)
 
 

@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,8 +78,6 @@ def _serve(work: Work, pipe: Any, turns: int) -> None:
         pipe.recv()
         began = time.process_time_ns()
 
-    try:
+    with suppress(DoneError):
         work(turn)
-    except DoneError:
-        pass
     os._exit(0)

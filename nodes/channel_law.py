@@ -12,10 +12,11 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-MEAN, FACTOR, SHIFT, COUNTS_PER_N, LOW, HIGH, MIDDLE, VERDICT, FIELD, TENSION, PROCESS_16, PROCESS_32, REPEATS, LENGTH, \
-    SUM, COUNT, HEAD, FILLED, WINDOW = range(19)
+MEAN, FACTOR, SHIFT, COUNTS_PER_N, LOW, HIGH, MIDDLE, VERDICT, FIELD, TENSION, PROCESS_16, PROCESS_32, REPEATS, \
+    LENGTH, SUM, COUNT, HEAD, FILLED, WINDOW = range(19)
 """Slots of `c`: the filtered counts; the line and the integer's counts per newton; span (counts) and its middle (N);
-0x6150, −1 before the first sample; what the last `process` gave, and from which counts; the filter, `WINDOW` its first sample."""
+0x6150, −1 before the first sample; what the last `process` gave, and from which counts; the filter, `WINDOW` its first
+sample."""
 LONGEST: Final = 255
 SIZE: Final = WINDOW + LONGEST
 NO_VERDICT: Final = -1.0

@@ -109,7 +109,7 @@ class Recorder:
         block.count = at + 1
 
     def frames(self, rows: Any, count: int, last_ns: int) -> None:
-        """Record `count` frames at once: bytes of as many `cdr.FRAME_ROW`s, in the order of their times, to `last_ns`."""
+        """Record `count` frames at once: bytes of `cdr.FRAME_ROW`s, in the order of their times to `last_ns`."""
         block, size = self._frames, count * FRAME_BYTES
         at = block.count
         if last_ns < self._due_ns and at + count <= FRAMES_PER_CHUNK:

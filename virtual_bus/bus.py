@@ -22,7 +22,8 @@ from virtual_bus.kernel import NEVER
 from virtual_bus.options import options
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
-from virtual_bus.steady import Asked, Heartbeat, Steady, Whole, makes_sense
+from virtual_bus.steady import Steady, Whole, possible
+from virtual_bus.steady_arrays import Asked, Heartbeat
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -38,7 +39,7 @@ class Shared:
         self.bench = bench
         self.users = 0
         self.lock = threading.RLock()
-        self.steady = Steady(bench) if makes_sense(bench) else None
+        self.steady = Steady(bench) if possible(bench) else None
 
     def settle(self) -> None:
         """Let the bench's objects know all that has happened: before anybody looks at them or tells them something."""
@@ -120,7 +121,7 @@ class BowdenBus(can.BusABC):
         identifier, data, period in ns.
         """
         steady = self._steady
-        if steady is None or not (tap is None or isinstance(tap, BowdenBus) and tap._shared is self._shared):
+        if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
             return None
         asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns,
                       Heartbeat(*heartbeat))

@@ -41,9 +41,6 @@ class Device(Protocol):
     def next_ns(self) -> int | None:
         """Say when `poll` has work."""
 
-    def rearm(self, now_ns: int) -> None:
-        """Look anew when it has work."""
-
     def bus_off(self, now_ns: int) -> None:
         """Lose the bus."""
 
@@ -89,9 +86,8 @@ class NodeStation(Station):
         if due_ns is not None and due_ns < self.due_ns:
             self._wake_at(due_ns, now_ns)
 
-    def rearm(self, now_ns: int) -> None:
-        """Wake the device when it has work, not when it once thought it would have."""
-        self.device.rearm(now_ns)
+    def look_again(self, now_ns: int) -> None:
+        """Wake the device when it has work now, not when it once said it would have."""
         self.due_ns = NEVER
         self.settle(now_ns)
 

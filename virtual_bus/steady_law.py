@@ -57,11 +57,11 @@ F_RING: Final = F_SENSOR + GAUGES * SENSOR
 F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
 
 # ---- i: what a cycle changes first ----
-NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, TARGETS_AT, \
-    OWN_NS, OWN_AT, BEATS, TRUTH_ROWS, WAITING = 0, 1, 2, 3, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18
+NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, \
+    TARGETS_AT, OWN_NS, OWN_AT, BEATS, TRUTH_ROWS, WAITING = 0, 1, 2, 3, *range(3 + GAUGES, 17 + GAUGES)
 """Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; the
-master's heartbeat: when it is due, when it was sent last; heartbeats heard; rows of the truth; frames that wait.  `SAMPLE_NS` has `GAUGES`
-places."""
+master's heartbeat: when it is due, when it was sent last; heartbeats heard; rows of the truth; frames that wait.
+`SAMPLE_NS` has `GAUGES` places."""
 TOLD: Final = WAITING + 1
 """Per node: when it was last told of a frame, or of its heartbeat's time."""
 BEAT_NS: Final = TOLD + NODES
@@ -73,8 +73,9 @@ COUNTED: Final = WATCH_NS + NODES
 SENT: Final = COUNTED + AXES * axis_law.COUNTS
 """Per TPDO: when its frame ended, its data."""
 TOOK: Final = SENT + 2 * SENDS
+TOOK_WIDTH: Final = 5
 """Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
-PENDING: Final = TOOK + 5 * TAKES
+PENDING: Final = TOOK + TOOK_WIDTH * TAKES
 PENDING_WIDTH: Final = 5
 """Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
 WAIT: Final = SENDS + 2 * NODES + 6
@@ -82,8 +83,8 @@ I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
 """Up to here a cycle that is given up is undone."""
 LIMIT, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
     OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 15)
-"""A cycle ends before `LIMIT`, and within `BUDGET` of its SYNC; SYNC's period; bit time; turnarounds; the master's frame;
-whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how the cycle ended."""
+"""A cycle ends before `LIMIT`, and within `BUDGET` of its SYNC; SYNC's period; bit time; turnarounds; the master's
+frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how the cycle ended."""
 BEAT: Final = RETURNED + 1
 """Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
 INTERVAL: Final = BEAT + 4 * NODES
@@ -128,7 +129,7 @@ def digest() -> int:
 
 @njit
 def act(f: Any, i: Any, now: int) -> bool:
-    """Bring the plant up to `now`, tick the drives and sample the sensors that are due; False where one has an event."""
+    """Bring the plant up to `now`, tick the drives, sample the sensors that are due; False where one has an event."""
     steps = (now - i[PLANT_NS]) // step.STEP_NS
     i[PLANT_NS] += steps * step.STEP_NS
     m = f[F_PLANT:F_PLANT + SIZE]
@@ -193,7 +194,7 @@ def latch(f: Any, i: Any, now: int) -> bool:
 
 
 @njit
-def latched(f: Any, i: Any, node: int, source: int) -> int:
+def latched(f: Any, i: Any, node: int, source: int) -> Any:
     """Return the raw value that a node latched: one of an axis' counts, or a channel's integer."""
     if node >= AXES:
         return int(f[F_CHANNEL + (node - AXES) * channel_law.SIZE + source])
@@ -204,11 +205,11 @@ def latched(f: Any, i: Any, node: int, source: int) -> int:
 @njit
 def take(f: Any, i: Any, n: int) -> bool:
     """Take the data that waits in RPDO `n`; False where more follows from it than a new set-point."""
-    at, kept = TAKE + n * TAKE_WIDTH, TOOK + 5 * n
+    at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
     data = np.uint64(i[kept + 1])
     i[kept], i[kept + 2], i[kept + 3] = 0, 1, i[kept + 1]
     width = i[at + 7]
-    raw = np.int64((data >> np.uint64(i[at + 6])) & np.uint64((1 << width) - 1))
+    raw: Any = np.int64((data >> np.uint64(i[at + 6])) & np.uint64((1 << width) - 1))
     if i[at + 8] and raw >> (width - 1):
         raw -= 1 << width
     if i[at + 9] and not i[at + 10] <= raw <= i[at + 11]:
@@ -217,9 +218,8 @@ def take(f: Any, i: Any, n: int) -> bool:
     s = f[F_STATE + node * _STATE:F_STATE + (node + 1) * _STATE]
     if action == FOLLOWS:
         _target(s, f[F_ACTION + 2 * n], f[F_ACTION + 2 * n + 1], raw)
-    elif action == FEELS:
-        if raw == set_point_law.NO_TENSION or _feel(s, raw) > f[F_ACTION + 2 * n]:
-            return False
+    elif action == FEELS and (raw == set_point_law.NO_TENSION or _feel(s, raw) > f[F_ACTION + 2 * n]):
+        return False
     return True
 
 
@@ -227,7 +227,7 @@ def take(f: Any, i: Any, n: int) -> bool:
 def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
     """Give a frame to every RPDO that has its identifier; False where more follows from it than a new set-point."""
     for n in range(i[TAKE_COUNT]):
-        at, kept = TAKE + n * TAKE_WIDTH, TOOK + 5 * n
+        at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
         if i[at + 1] == can_id:
             i[TOLD + i[at]] = now
             i[kept], i[kept + 1] = 1, data
@@ -246,7 +246,7 @@ def synchronise(f: Any, i: Any, now: int) -> bool:
     if not latch(f, i, now):
         return False
     for n in range(i[TAKE_COUNT]):
-        if i[TOOK + 5 * n] and not take(f, i, n):
+        if i[TOOK + TOOK_WIDTH * n] and not take(f, i, n):
             return False
     if i[TRUTH]:
         row = F_TRUTH + i[TRUTH_ROWS] * TRUTH_WIDTH
@@ -277,9 +277,10 @@ def watch(i: Any, now: int) -> None:
 
 
 @njit
-def frame_time(i: Any, at: int) -> int:
+def frame_time(i: Any, at: int) -> Any:
     """Return how long a waiting frame takes, ns, and count its bits."""
-    size, word, payload = i[at + 2], np.uint64(i[at + 3]), np.uint64(0)
+    size, word = i[at + 2], np.uint64(i[at + 3])
+    payload: Any = np.uint64(0)
     for _ in range(size):
         payload = (payload << np.uint64(8)) | (word & np.uint64(0xFF))
         word >>= np.uint64(8)
@@ -307,7 +308,7 @@ def winner(i: Any, now: int) -> int:
 
 
 @njit
-def earliest(i: Any) -> int:
+def earliest(i: Any) -> Any:
     """Return when the first of the waiting frames is ready."""
     first = NEVER
     for n in range(i[WAITING]):
@@ -327,7 +328,7 @@ def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
 
 
 @njit
-def begin(i: Any, rows: Any) -> bool:
+def begin(i: Any, rows: Any) -> Any:
     """Move the rows that were left to the front, forget what the cycle before found, put the targets.
 
     False where something is overdue at once.  Deadlines are far beyond a cycle, or else they are its limit.
@@ -343,7 +344,7 @@ def begin(i: Any, rows: Any) -> bool:
         if i[BEAT_NS + 2 * node] <= i[NOW]:
             return False
     for n in range(i[TAKE_COUNT]):
-        i[LIMIT] = min(i[LIMIT], i[TOOK + 5 * n + 4])
+        i[LIMIT] = min(i[LIMIT], i[TOOK + TOOK_WIDTH * n + 4])
     if i[TRUTH_ROWS] == TRUTHS or kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
         return False
     put(i, i[NOW] + i[MASTER_NS], i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS)
@@ -360,7 +361,7 @@ def beat_own(i: Any, now: int) -> None:
 
 
 @njit
-def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> bool:
+def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
     """Give a frame that has ended to everybody; False to give up."""
     can_id, data, sender = i[at + 1], i[at + 3], i[at + 4]
     i[FRAMES] += 1
@@ -385,7 +386,7 @@ def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> bool:
 
 
 @njit
-def next_beat(i: Any) -> int:
+def next_beat(i: Any) -> Any:
     """Return when the first of the nodes' heartbeats is due."""
     first = NEVER
     for node in range(NODES):
@@ -394,7 +395,7 @@ def next_beat(i: Any) -> int:
 
 
 @njit
-def arbitrate(i: Any, now: int, sending: int) -> int:
+def arbitrate(i: Any, now: int, sending: int) -> Any:
     """Let the winner of an arbitration begin; return when it ends."""
     place = winner(i, now)
     for word in range(PENDING_WIDTH):

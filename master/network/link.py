@@ -133,7 +133,7 @@ class Link:
         return self._beat_due_ns if not self._pace_ns else 0
 
     def heed(self, beats: Iterable[tuple[int, int, int]]) -> None:
-        """Take heartbeats that a bus has run with whole cycles: identifier, time, state; of its own the time it left."""
+        """Take heartbeats of cycles that the bus has run: identifier, time, state; of the own one when it was sent."""
         for can_id, time_ns, state in beats:
             if can_id == self._heartbeat.arbitration_id:
                 self._beat_due_ns = self._due_ns = time_ns + (self._heartbeat_ns or NEVER)

@@ -116,7 +116,7 @@ class Consumer(Part):
 
     @property
     def due(self) -> tuple[int, int]:
-        """When the one node that is watched will be missed (`FAR_NS`: not awaited), and after how long; 0 for nobody."""
+        """When the one node that is watched will be missed (`FAR_NS`: not awaited), after how long; 0 for nobody."""
         return (self._watched[0].due_ns, self._watched[0].timeout_ns) if self._watched else (FAR_NS, 0)
 
     def watched_until(self, due_ns: int) -> None:

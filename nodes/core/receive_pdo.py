@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Taken(NamedTuple):
-    """How an RPDO is taken: its plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
+    """How an RPDO is taken: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
 
     pdo: ReceivePdo
     plan: PdoPlan
