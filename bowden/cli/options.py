@@ -33,7 +33,7 @@ Settle = Annotated[int | None, _given("First cycles left out of every figure (de
 SoftStart = Annotated[int | None, _given("Gait cycles before the first, over which the peak rises (default 0).",
                                          "--soft-start")]
 Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).")]
-Controller = Annotated[str | None, _given("paper, none, friction, impedance or extended (default paper).")]
+Controller = Annotated[str | None, _given("paper, none, friction, impedance, extended or module:Class (paper).")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("calibration.toml (default: the packaged nominal one).")]

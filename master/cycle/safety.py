@@ -26,6 +26,7 @@ class Condition(Enum):
     SYNC_LOST = "SYNC missing"
     BUS_LOST = "bus failed"
     RECORDING = "recording failed"
+    CONTROLLER = "controller failed"
     INTERRUPTED = "interrupted"
     REFUSED = "refused"
 
@@ -63,6 +64,7 @@ REACTIONS: Final = MappingProxyType({
     (Condition.SYNC_LOST, 0): _RELEASE,
     (Condition.BUS_LOST, 0): Reaction.ABANDON,
     (Condition.RECORDING, 0): _UNWIND,
+    (Condition.CONTROLLER, 0): _UNWIND,
     (Condition.INTERRUPTED, 0): _UNWIND,
     (Condition.REFUSED, 0): _UNWIND,
 })

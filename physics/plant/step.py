@@ -119,7 +119,9 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain", "plant/step")
+    "laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain",
+    "plant/step",
+)
 
 
 def digest() -> int:

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from bowden.replay.onto_controller_laws import OUTPUTS, replay, walked
-from master.settings import CONTROLLERS, Impedance
+from bowden.replay.onto_controller import OUTPUTS, replay, walked
+from master.control.controller import CONTROLLERS
+from master.settings import Impedance
 from parameters import InputError
 from trial.assemble import Content, write
 from trial.read import Trial

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from bowden.replay.onto_controller_laws import OUTPUTS, step_again, walked
-from master.settings import CONTROLLERS
+from bowden.replay.onto_controller import OUTPUTS, step_again, walked
+from master.control.controller import CONTROLLERS
 from trial import read
 
 FOLDER = Path(__file__).parent / "golden"
