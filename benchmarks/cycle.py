@@ -115,8 +115,8 @@ class Stock:
             bench.add_node(far)
             for pdo in described.pdos(node_id):
                 if pdo.number == 1:
-                    _mapped((far.rpdo if pdo.base == RPDO else far.tpdo)[1], pdo)
-                    _mapped((near.rpdo if pdo.base == RPDO else near.tpdo)[1], pdo)
+                    map_pdo((far.rpdo if pdo.base == RPDO else far.tpdo)[1], pdo)
+                    map_pdo((near.rpdo if pdo.base == RPDO else near.tpdo)[1], pdo)
             near.tpdo[1].add_callback(lambda _pdo: self._there.release())
             bench.subscribe(SYNC_COB_ID, partial(self._answer, far.tpdo[1]))
             if node_id in DRIVES:
@@ -171,7 +171,7 @@ def _pump(network: Any) -> None:
         network.notify(message.arbitration_id, message.data, message.timestamp)
 
 
-def _mapped(pdo: Any, planned: Pdo) -> None:
+def map_pdo(pdo: Any, planned: Pdo) -> None:
     """Give canopen's PDO the bench's mapping."""
     pdo.clear()
     for word in planned.mapping:
