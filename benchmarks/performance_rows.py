@@ -28,6 +28,7 @@ from master.motion.experiment import Experiment, run
 from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
+from virtual_bus.bits import INTERMISSION_BITS, bits_of
 from virtual_bus.bus import BowdenBus
 from virtual_bus.steady import SWITCH
 
@@ -84,7 +85,8 @@ def pdos() -> Iterator[Row]:
         targets.map[0].raw, targets.map[1].raw = 10_000, -11_459
 
     for name, unit in (("decoded and encoded", own), ("decoded to SI and encoded from it", own_si)):
-        compared = compare(partial(_turns, unit=unit, units=500), partial(_turns, unit=peer, units=500), units=500, turns=30)
+        works = [partial(_turns, unit=each, units=500) for each in (unit, peer)]
+        compared = compare(works[0], works[1], units=500, turns=30)
         yield compared.row(f"PDOs of a cycle {name}, µs", "canopen `PdoVariable.raw`")
 
 
@@ -92,7 +94,12 @@ def wire_load() -> Iterator[Row]:
     """What a cycle takes of the wire."""
     bound = bus_load.refuse(wire(Network()))
     with tempfile.TemporaryDirectory() as folder:
-        figures = simulate(5, Path(folder))
+        simulate(5, Path(folder))
+        opened = trial.open(Path(folder) / "trial.mcap")
+        first, last = opened.time_ns[0], opened.time_ns[-1]
+        inside = opened.frames[(opened.frames["time_ns"] > first) & (opened.frames["time_ns"] <= last)]
+        bits = bits_of(inside["can_id"], inside["dlc"], inside["data"], inside["flags"] & 1, inside["flags"] & 2)
+        figures = float((bits.sum() + INTERMISSION_BITS * len(bits)) * 1_000 * 100 / (last - first))
     yield ("load of the wire at 1 kHz and 1 Mbit/s, %", f"{figures:.1f}", "its bound, every frame at worst stuffing",
            f"{bound.load_percent:.1f}", f"{bound.load_percent / figures:.2f}")
 
@@ -161,26 +168,18 @@ def size() -> Iterator[Row]:
            f"{peer:.2f} + {columns:.2f}", f"{(peer + columns) / own:.1f}")
 
 
-def simulate(seconds: int, folder: Path | None = None) -> float:
-    """Run a trial that long into `folder`; return the load of the wire while it ran, %."""
+def simulate(seconds: int, folder: Path | None = None) -> None:
+    """Run a trial about that long into `folder`."""
     with tempfile.TemporaryDirectory() as name:
-        at = folder or Path(name)
-        cycles = max(1, (seconds - 4) // 2)
-        experiment = Experiment(paper_reference(40.0, 2.0), Network(), gait=Gait(cycles=cycles, settle=0))
+        experiment = Experiment(
+            paper_reference(40.0, 2.0), Network(), gait=Gait(cycles=max(1, (seconds - 4) // 2), settle=0))
         bus, tap = BowdenBus("simulate"), BowdenBus("simulate")
         bus.set_filters(WANTED)
-        recorder = trial.Recorder(at / "trial.mcap", metadata={}, attachments={}, threaded=False)
+        recorder = trial.Recorder((folder or Path(name)) / "trial.mcap", metadata={}, attachments={}, threaded=False)
         run(Link(bus, bus.time_ns), tap, recorder, experiment)
         recorder.close({})
-        opened = trial.open(at / "trial.mcap")
-        first, last = opened.time_ns[0], opened.time_ns[-1]
-        inside = opened.frames[(opened.frames["time_ns"] > first) & (opened.frames["time_ns"] <= last)]
-        from virtual_bus.bits import INTERMISSION_BITS, bits_of
-
-        bits = bits_of(inside["can_id"], inside["dlc"], inside["data"], inside["flags"] & 1, inside["flags"] & 2)
         tap.shutdown()
         bus.shutdown()
-        return float((bits.sum() + INTERMISSION_BITS * len(bits)) * 1_000 * 100 / (last - first))
 
 
 ROOMS: dict[str, str] = {

@@ -19,6 +19,7 @@ from nodes.axis import Axis
 from nodes.core.device import Device
 from nodes.homing import Phase
 from nodes.modes import MODE_DISPLAY, ModesOfOperation
+from nodes.set_point_law import Taker
 from nodes.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
@@ -28,8 +29,6 @@ POSITION, VELOCITY, TORQUE, INCREMENTS = key(0x6064), key(0x606C), key(0x6077), 
 POSITION_DEMAND, VELOCITY_DEMAND, TORQUE_DEMAND = key(0x6062), key(0x606B), key(0x6074)
 CURRENT, FOLLOWING, EFFORT = key(0x6078), key(0x60F4), key(0x60FA)
 _FIRST_PROFILE_KEY: Final = key(0x2000)
-KEEPS, FOLLOWS, FEELS = range(3)
-"""What taking an object does besides keeping its value: nothing, a new target (unit, origin), a tension (limit, N)."""
 
 
 class Drive(ModesOfOperation):
@@ -144,14 +143,9 @@ class Drive(ModesOfOperation):
         """Give the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
-    def steady_taker(self, at: int) -> tuple[int, float, float] | None:
-        """Say what taking the object `at` from an RPDO does to the axis: `FOLLOWS`, `FEELS` or `KEEPS`, two numbers.
-
-        None where more may follow from it than that.
-        """
-        if at != TARGET_POSITION or self.number(0x60B0):
-            return None
-        return (FOLLOWS, self.axis.unit, self.axis.origin) if self.follows_positions else (KEEPS, 0.0, 0.0)
+    def steady_taker(self, at: int) -> Taker | None:
+        """Say what taking the object `at` from an RPDO does to the axis; None where more may follow from it."""
+        return self.position_taker() if at == TARGET_POSITION else None
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
         """Keep the axis' numbers in this memory from now on."""

@@ -14,6 +14,7 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import homing
 from nodes.homing import Phase
+from nodes.set_point_law import FOLLOWS, KEEPS, Taker
 from nodes.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
@@ -38,11 +39,6 @@ class ModesOfOperation(StateMachine):
     def seeking(self) -> bool:
         """Homing is under way."""
         return self.phase is Phase.SEEKING
-
-    @property
-    def follows_positions(self) -> bool:
-        """A target position moves the axis."""
-        return self._open is Mode.CSP
 
     @property
     def _at_will(self) -> bool:
@@ -117,6 +113,12 @@ class ModesOfOperation(StateMachine):
         """Take 0x607A, with the offset 0x60B0."""
         if self._open is Mode.CSP:
             self.axis.target_position(self.number(0x607A) + self.number(0x60B0))
+
+    def position_taker(self) -> Taker | None:
+        """Say what `to_position` does to the axis at every target, as things are; None where it may do more."""
+        if self._open is not Mode.CSP:
+            return Taker(KEEPS)
+        return None if self.number(0x60B0) else Taker(FOLLOWS, self.axis.unit, self.axis.origin)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Take 0x60FF."""

@@ -14,8 +14,8 @@ from eds.cia301 import Emcy
 from eds.dictionary import key
 from nodes import axis_law as law
 from nodes.core.device import Device
-from nodes.drive import FEELS, Drive
-from nodes.set_point_law import NEWTON, NO_TENSION, feel
+from nodes.drive import Drive
+from nodes.set_point_law import FEELS, NEWTON, NO_TENSION, Taker, feel
 
 TENSION: Final = key(0x2011)
 HYSTERESIS_N: Final = 1.0
@@ -72,11 +72,11 @@ class ServoDrive(Drive):
         if tension > self._limit or self._above:
             self._press(tension, now_ns)
 
-    def steady_taker(self, at: int) -> tuple[int, float, float] | None:
+    def steady_taker(self, at: int) -> Taker | None:
         """Take START's tension besides, up to the rope's limit and while nothing is wrong with it."""
         if at != TENSION:
             return super().steady_taker(at)
-        return None if self._no_tension or self._above else (FEELS, self._limit, 0.0)
+        return None if self._no_tension or self._above else Taker(FEELS, most=self._limit)
 
     def _press(self, tension: float, now_ns: int) -> None:
         above = tension > self._limit - (HYSTERESIS_N if self._above else 0.0)

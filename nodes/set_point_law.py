@@ -6,7 +6,8 @@ decided by whoever calls them.
 
 from __future__ import annotations
 
-from typing import Any, Final
+import math
+from typing import Any, Final, NamedTuple
 
 from numba import njit
 
@@ -18,11 +19,31 @@ NO_TENSION: Final = -(1 << 15)
 """What a sensor without a valid value sends."""
 
 
+KEEPS, FOLLOWS, FEELS = range(3)
+"""What taking an object does besides keeping its value: nothing; a new target; a tension."""
+
+
+class Taker(NamedTuple):
+    """What taking an object does, and where that ends: `FOLLOWS` by `unit` from `origin` over at most `most` counts;
+    `FEELS` up to `most` N.  Beyond, more happens than that."""
+
+    action: int
+    unit: float = 0.0
+    origin: float = 0.0
+    most: float = math.inf
+
+
 @njit(cache=True)
 def target(s: Any, unit: float, origin: float, raw: int) -> None:
     """Begin the straight line to a new target: `raw` counts of `unit`, m or rad, from `origin`."""
     s[TARGET] = raw * unit + origin
     s[FRESH] = 1.0
+
+
+@njit(cache=True)
+def way(s: Any, unit: float, origin: float, raw: int) -> float:
+    """Return how far a new target is from the last one, counts."""
+    return float(abs(raw * unit + origin - s[TARGET]) / abs(unit))
 
 
 @njit(cache=True)

@@ -162,7 +162,7 @@ class Arrays:
         self._taken = tables.taken
         for n, (taken, pdo) in enumerate(zip(tables.takes, tables.taken, strict=True)):
             _part(table, law.TAKE, n, law.TAKE_WIDTH)[:] = taken.row
-            _part(self.f, law.F_ACTION, n, 2)[:] = taken.numbers
+            _part(self.f, law.F_ACTION, n, law.ACTION_WIDTH)[:] = taken.taker[1:]
             at = law.TOOK + law.TOOK_WIDTH * n
             i[at], i[at + 2], i[at + 4] = 0, 0, pdo.due_ns
         places = {row[1]: n for n, row in enumerate(tables.sends)}

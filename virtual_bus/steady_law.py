@@ -52,7 +52,9 @@ TRUTHS: Final = 128
 """How many rows of the truth wait before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
 F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
-F_SENSOR: Final = F_ACTION + 2 * TAKES
+ACTION_WIDTH: Final = 3
+"""Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
+F_SENSOR: Final = F_ACTION + ACTION_WIDTH * TAKES
 F_RING: Final = F_SENSOR + GAUGES * SENSOR
 F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
 
@@ -112,11 +114,11 @@ DONE, UNKNOWN, LATE = 1, 0, -1
 """How a cycle ended: whole; given up for an event it does not know; given up because it would reach its limit."""
 
 SYNC_ID: Final = 0x080
-KEEPS, FOLLOWS, FEELS = 0, 1, 2
 
 _advance, _axis_step, _axis_counts = step.advance, axis_law.step, axis_law.counts
 _convert, _sample, _process = converter.convert, channel_law.sample, channel_law.process
-_target, _feel, _truth_row = set_point_law.target, set_point_law.feel, truth_row.truth_row
+_target, _way, _feel, _truth_row = set_point_law.target, set_point_law.way, set_point_law.feel, truth_row.truth_row
+FOLLOWS, FEELS = set_point_law.FOLLOWS, set_point_law.FEELS
 _stuffed_bits = bits._stuffed_bits
 
 
@@ -203,7 +205,7 @@ def latched(f: Any, i: Any, node: int, source: int) -> Any:
 
 
 @njit
-def take(f: Any, i: Any, n: int) -> bool:
+def take(f: Any, i: Any, n: int) -> Any:
     """Take the data that waits in RPDO `n`; False where more follows from it than a new set-point."""
     at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
     data = np.uint64(i[kept + 1])
@@ -216,10 +218,13 @@ def take(f: Any, i: Any, n: int) -> bool:
         return False
     node, action = i[at], i[at + 5]
     s = f[F_STATE + node * _STATE:F_STATE + (node + 1) * _STATE]
+    unit, origin, most = F_ACTION + ACTION_WIDTH * n, F_ACTION + ACTION_WIDTH * n + 1, F_ACTION + ACTION_WIDTH * n + 2
     if action == FOLLOWS:
-        _target(s, f[F_ACTION + 2 * n], f[F_ACTION + 2 * n + 1], raw)
-    elif action == FEELS and (raw == set_point_law.NO_TENSION or _feel(s, raw) > f[F_ACTION + 2 * n]):
-        return False
+        if _way(s, f[unit], f[origin], raw) > f[most]:
+            return False
+        _target(s, f[unit], f[origin], raw)
+    elif action == FEELS:
+        return raw != set_point_law.NO_TENSION and _feel(s, raw) <= f[most]
     return True
 
 

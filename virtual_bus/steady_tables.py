@@ -11,6 +11,7 @@ from nodes import Drive, TensionSensor
 from nodes.core.receive_pdo import ReceivePdo
 from nodes.core.transmit_pdo import TransmitPdo
 from nodes.rules import RULES
+from nodes.set_point_law import Taker
 from virtual_bus import steady_law as law
 
 WIDEST = 32
@@ -18,10 +19,10 @@ WIDEST = 32
 
 
 class Taking(NamedTuple):
-    """An RPDO's row, and the two numbers of its action."""
+    """An RPDO's row, and what taking it does."""
 
     row: list[int]
-    numbers: tuple[float, float]
+    taker: Taker
 
 
 def sending(place: int, device: Drive | TensionSensor, pdo: TransmitPdo) -> list[int] | None:
@@ -54,12 +55,12 @@ def taking(place: int, device: Drive | TensionSensor, pdo: ReceivePdo, size: int
         shift += field.bits
     if found is None or found.key in RULES or taken.watched != (found.key,):
         return None
-    action = device.steady_taker(found.key)
-    if action is None or any(at != found.key for at, _, _ in taken.bounds):
+    taker = device.steady_taker(found.key)
+    if taker is None or any(at != found.key for at, _, _ in taken.bounds):
         return None
     _, low, high = taken.bounds[0] if taken.bounds else (0, None, None)
     least = -(1 << WIDEST) if low is None else int(low)
     greatest = (1 << WIDEST) if high is None else int(high)
-    row = [place, pdo.can_id, size, int(taken.synchronous), taken.deadline_ns, action[0], begins, found.bits,
+    row = [place, pdo.can_id, size, int(taken.synchronous), taken.deadline_ns, taker.action, begins, found.bits,
            int(found.signed), int(bool(taken.bounds)), least, greatest]
-    return Taking(row, action[1:])
+    return Taking(row, taker)

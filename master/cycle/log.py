@@ -62,6 +62,7 @@ class Log:
         self._targets_cob_id = targets_cob_id
         self.tap, self.taps = tap, tap is not None
         self._waiting: Callable[[], Iterable[Row]] = getattr(tap, "rows", None) or partial(_rows, tap)
+        self._block: Callable[[int], tuple[Any, int, int, int]] | None = getattr(tap, "block", None)
         self.target_stamp_ns = -1
         self.quiet = False
 
@@ -71,6 +72,11 @@ class Log:
             return
         recorder, targets = self._recorder, self._targets_cob_id
         try:
+            if self._block is not None:
+                rows, count, last_ns, target_ns = self._block(targets)
+                if count:
+                    self.take(rows, count, last_ns, target_ns if target_ns >= 0 else self.target_stamp_ns)
+                return
             for time_ns, can_id, data, flags, sent in self._waiting():
                 if can_id == targets:
                     self.target_stamp_ns = time_ns
