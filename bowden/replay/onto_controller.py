@@ -155,7 +155,7 @@ def walked(recorded: Trial) -> range:
 def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:
     """What homing found; the default for a controller that does not use it."""
     found = (recorded.result or {}).get("day")
-    if isinstance(found, list) and len(found) == len(HomingFit._fields):
+    if isinstance(found, list) and 4 <= len(found) <= len(HomingFit._fields):
         return HomingFit(*map(float, found))
     if kind.uses_homing_fit and not experiment.dry_run:
         raise InputError(f"{recorded.path}: its result has no day, which the controller {experiment.gait.controller} "
