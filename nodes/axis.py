@@ -111,6 +111,10 @@ class Axis:
         """Begin the straight line to a new target."""
         set_point_law.target(self.s, self.unit, self.origin, raw)
 
+    def step_to(self, raw: int) -> float:
+        """Give the way, in counts, from the last target to a new one."""
+        return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
+
     def target_velocity(self, raw: int) -> None:
         """Take over a velocity."""
         self.settings[law.TARGET_VELOCITY] = self._velocity(raw)

@@ -57,13 +57,13 @@ class Cycles:
     def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
 
-    def run(self, data: bytes, beat_ns: int) -> Whole | None:
-        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last of the inputs.
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
 
         None where this cycle may hold anything else: then nothing has happened.
         """
         with self._lock:
-            return self._steady.cycle(self._asked, data, beat_ns)
+            return self._steady.cycle(self._asked, data, beat_ns, after_ns)
 
 
 class BowdenBus(can.BusABC):

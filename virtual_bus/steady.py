@@ -64,10 +64,10 @@ class Steady:
         self._asked: Asked | None = None
         self._sync: PeriodicTask | None = None
 
-    def cycle(self, asked: Asked, data: bytes, beat_ns: int) -> Whole | None:
+    def cycle(self, asked: Asked, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
         """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
 
-        `beat_ns` is when the master's heartbeat is due.
+        `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
         """
         i, arrays = self._i, self._arrays
         if not (self.warm or self._enter(asked)):
@@ -76,7 +76,7 @@ class Steady:
             self.leave()
             return None
         arrays.targets[:] = data
-        i[law.LIMIT], i[law.OWN_NS] = self._foreign_ns, beat_ns
+        i[law.LIMIT], i[law.OWN_NS], i[law.AFTER] = self._foreign_ns, beat_ns, after_ns
         if law.cycle(*arrays.call) != law.DONE:
             self.leave()
             return None
@@ -171,6 +171,8 @@ def _plain(message: BowdenMessage) -> bool:
 
 
 def _at_work(device: Device, asked: Asked) -> bool:
-    """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, no other heartbeat awaited."""
+    """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, its master alive and alone."""
+    consumer = device.consumer
     return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle
-            and device.sync.steady and device.consumer.watches_only(asked.heartbeat.can_id - HEARTBEAT_BASE))
+            and device.sync.steady and consumer.all_live()
+            and consumer.watches_only(asked.heartbeat.can_id - HEARTBEAT_BASE))

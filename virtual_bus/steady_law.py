@@ -83,10 +83,11 @@ PENDING_WIDTH: Final = 5
 WAIT: Final = SENDS + 2 * NODES + 6
 I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
 """Up to here a cycle that is given up is undone."""
-LIMIT, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
-    OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 15)
-"""A cycle ends before `LIMIT`, and within `BUDGET` of its SYNC; SYNC's period; bit time; turnarounds; the master's
-frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how the cycle ended."""
+LIMIT, AFTER, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
+    OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 16)
+"""A cycle ends before `LIMIT`, its SYNC after `AFTER`, the rest within `BUDGET` of that; SYNC's period; bit time;
+turnarounds; the master's frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how
+the cycle ended."""
 BEAT: Final = RETURNED + 1
 """Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
 INTERVAL: Final = BEAT + 4 * NODES
@@ -372,6 +373,8 @@ def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
     i[FRAMES] += 1
     if i[HEARD]:
         write_row(i, rows, now, at, data)
+    if sender == FROM_SYNC and now <= i[AFTER]:
+        return False
     if sender == FROM_SYNC:
         i[SYNC_AT], i[SYNC_ROW] = now, i[LAST_ROW]
         i[LIMIT] = min(i[LIMIT], now + i[BUDGET] + 1)
