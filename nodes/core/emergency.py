@@ -44,6 +44,11 @@ class Emergency(Part):
         self.checks = {HISTORY: _check_history, COB_ID: self._check_cob_id}
         self.applied = {HISTORY: lambda _sub, _value, _now: self._forget()}
 
+    @property
+    def silent(self) -> bool:
+        """Nothing is held back."""
+        return not self._pending
+
     def reset(self, now_ns: int) -> None:
         """Forget communication errors and what was not sent; a device error outlives a communication reset."""
         self._pending.clear()

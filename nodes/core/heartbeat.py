@@ -37,6 +37,15 @@ class Producer(Part):
         elif self._due_ns == FAR_NS:
             self._restart(now_ns + self._period_ns())
 
+    @property
+    def due(self) -> tuple[int, int]:
+        """When the next heartbeat is due, and the period, ns."""
+        return self._due_ns, self._period_ns()
+
+    def sent(self, due_ns: int) -> None:
+        """Hear that all heartbeats up to `due_ns` were sent elsewhere."""
+        self._due_ns = due_ns
+
     def poll(self, now_ns: int) -> int:
         """Send what is due."""
         if self._due_ns <= now_ns:
@@ -100,6 +109,20 @@ class Consumer(Part):
         if watched.lost:
             watched.lost = False
             self._device.emcy.clear(Emcy.HEARTBEAT, watched.node_id)
+
+    def watches_only(self, node_id: int) -> bool:
+        """Say whether nobody but this node is watched, and nobody is lost."""
+        return all(watched.node_id == node_id and not watched.lost for watched in self._watched)
+
+    @property
+    def due(self) -> tuple[int, int]:
+        """When the one node that is watched will be missed (`FAR_NS`: not awaited), after how long; 0 for nobody."""
+        return (self._watched[0].due_ns, self._watched[0].timeout_ns) if self._watched else (FAR_NS, 0)
+
+    def watched_until(self, due_ns: int) -> None:
+        """Hear when the one node that is watched will be missed: its heartbeats were heard elsewhere."""
+        if self._watched:
+            self._watched[0].due_ns = due_ns
 
     def all_live(self) -> bool:
         """Say whether every node that 0x1016 lists has been heard and is not overdue; true where it lists none."""

@@ -7,7 +7,7 @@ moves outside OPERATIONAL.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from eds.cia301 import NmtState, Service
 from eds.datatype import Value
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 
 _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""
+
+
+class Steady(NamedTuple):
+    """TPDOs in their order, each sent at every SYNC, and the RPDOs that there are, by identifier."""
+
+    transmit: tuple[TransmitPdo, ...]
+    receive: dict[int, ReceivePdo]
 
 
 class Pdos(Part):
@@ -140,6 +147,14 @@ class Pdos(Part):
         for pdo in self._on_event:
             due_ns = min(due_ns, pdo.poll(now_ns))
         return due_ns
+
+    def steady(self) -> Steady | None:
+        """Say what every SYNC does; None while any PDO waits, counts, or goes by events."""
+        if not self._running or self._waiting or self._acyclic or self._on_event or self.arrived:
+            return None
+        if any(pdo.every != 1 or pdo.left > 1 for pdo in self._cyclic):
+            return None
+        return Steady(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
 
     def _start_counting(self, counter: int) -> None:
         """Let the TPDOs begin whose SYNC start value this counter is: it is their first SYNC."""

@@ -70,6 +70,11 @@ class SdoServer(Part):
             self._abort(refused.code, _about(data) if transfer is None else transfer.key)
         self._await(now_ns)
 
+    @property
+    def idle(self) -> bool:
+        """No transfer is under way."""
+        return self._transfer is None
+
     def poll(self, now_ns: int) -> int:
         """Send block segments that are due; abort a transfer whose client went silent."""
         transfer = self._transfer

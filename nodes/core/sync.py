@@ -81,6 +81,11 @@ class Sync(Part):
             self.receive(data, now_ns)
         return self._due_ns
 
+    @property
+    def steady(self) -> bool:
+        """A SYNC without data does nothing but what the PDOs do at it."""
+        return not (self._length or self._fault or self._window_ns or self._making)
+
     def _right_length(self, data: bytes) -> bool:
         """Report the first SYNC of a wrong length, and the first right one after it."""
         self._fault = len(data) != self._length

@@ -24,7 +24,7 @@ class TransmitPdo:
     """TPDO `number` (from 1), compiled from 0x1800 + number − 1; `can_id` is 0 while it does not exist."""
 
     __slots__ = ("_device", "_event_ns", "_inhibit_ns", "_last", "_requested", "_timer_due_ns", "can_id", "every",
-                 "free_ns", "left", "number", "payload", "requestable", "start")
+                 "free_ns", "left", "number", "payload", "plan", "requestable", "start")
 
     def __init__(self, device: Device, number: int) -> None:
         self._device, self.number = device, number
@@ -41,6 +41,7 @@ class TransmitPdo:
         self.start = objects.number(key(index, 6))
         self._inhibit_ns = objects.number(key(index, 3)) * 100 * US
         self._event_ns = objects.number(key(index, 5)) * MS
+        self.plan = plan
         self.payload = packer(plan)
         self.stop()
 
