@@ -138,10 +138,19 @@ class HasProfile(Protocol):
     def refresh(self, now_ns: int) -> None: ...
 
 
+class HeartbeatWatch(Protocol):
+    """The heartbeat consumer, as far as a profile asks it."""
+
+    def all_live(self) -> bool: ...
+
+
 class ProfileHost(HasObjects, Protocol):
     """What a device profile may use of its device."""
 
     now_ns: int
+
+    @property
+    def consumer(self) -> HeartbeatWatch: ...
 
     def emergency(self, code: int, register: int, vendor: bytes = b"") -> None: ...
 
