@@ -121,7 +121,7 @@ class Planned:
         self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
         start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
-        self.warning = " ".join([slowed] * bool(slowed) + said_of(calibration, start_n)) or None
+        self.warning = " ".join(filter(None, (slowed, *said_of(calibration, start_n)))) or None
         inverse.prepare()
         self._rehearse()
 
