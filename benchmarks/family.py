@@ -3,8 +3,9 @@
     python -m benchmarks.family [--set-aside] [--serials 0,1,3] [--own 1,3] [--workers N] [--page]
 
 The rule of this file: a bench is identified on day 0 and walked on day 1, through the wire, by the controller as it
-ships; each bench is a row of out/family-*.csv, so that what was interrupted goes on.  Serials with serial % 3 == 2 are
-set aside: nothing is tuned on them, they are run once, by --set-aside.  `--page` prints the tables of what there is.
+ships; each bench is a row of docs/unseen.csv, so that what was interrupted goes on, and docs/unseen.md is made from it
+alone (`--page` does only that).  Serials with serial % 3 == 2 are set aside: nothing is tuned on them, they are run
+once, by --set-aside.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-OUT = ROOT / "out"
+DOCS = ROOT / "docs"
 PEAKS_N = (40.0, 50.0, 60.0)
 PERIODS_S = (2.0, 1.1)
 CYCLES, SETTLE = 9, 7
@@ -37,6 +38,8 @@ DRIVE_N = 88.0
 DEVELOPMENT = (0, 1, 3, 4, 6, 7, 10, 13, 15, 19, 22, 24)
 SET_ASIDE = tuple(range(2, 122, 3))
 OWN = (1, 3, 5)
+AS_FAR = 2e-3
+"""Difference in ln(START/END) that a walk's noise makes of nothing."""
 TRUE = "true_relative_rmse_percent"
 WINDOW = "true_relative_rmse_window_percent"
 COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
@@ -180,6 +183,12 @@ def walks(benches: Sequence[Mapping[str, Any]], period: float) -> list[dict[str,
             if f"{period:g}" in bench and bench[f"{period:g}"].get("outcome") == "completed"]
 
 
+def _no_farther(walk: Mapping[str, Any]) -> bool:
+    """Whether friction as followed is no farther from the truth than as homed; nothing was told where nothing slid."""
+    homed, followed = walk["homed_away"], walk["followed_away"]
+    return homed is None or followed is None or followed <= homed + AS_FAR
+
+
 def reached(bench: Mapping[str, Any]) -> bool:
     """Whether the servo can pull as much as the peak takes on this bench."""
     return float(bench["needs_n"]) <= DRIVE_N
@@ -216,7 +225,7 @@ def _group(chosen: Sequence[Mapping[str, Any]]) -> str:
             spread(w["true_max_idle_tension_n"] for w in all_), spread(w["loose"] for w in all_),
             spread(100.0 * w["true_peak_jump_n"] / w["bench"]["peak_n"] for w in all_),
             spread(max(w["by_cycle"]) - w["by_cycle"][0] for w in all_),
-            f"{sum(w['followed_away'] <= w['homed_away'] + 1e-3 for w in all_)} of {len(all_)}"])
+            f"{sum(_no_farther(w) for w in all_)} of {len(all_)}"])
     text = table(("period", "walks", "RMSE (%)", "RMSE within 10…30 % (%)", "paper (%)", "START ignored (%)",
                   "END at idle (N)", "of a loose rope (N)", "jump (% of peak)", "RMSE above cycle 0's (points)",
                   "friction no farther from truth than homing's"), rows)
@@ -256,13 +265,11 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
             apart.append(abs(value - true) / max(abs(true), 1e-9))
         met = "met" if inside >= 0.9 * len(identified) else "**not met**"
         rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %", met])
-    squares = {name: spread(b["calibration"][f"{name}"].get("r_squared") for b in identified)
+    squares = {name: [b["calibration"][name].get("r_squared", math.nan) for b in identified]
                for name in ("stiffness_b", "swing_k")}
-    least = {name: min((b["calibration"][name].get("r_squared", math.nan) for b in identified), default=math.nan)
-             for name in squares}
     return table(("constant", "within", "median error", "90 % of the benches"), rows) + (
-        f"\n\nR² as measured, median and least: (10) {squares['stiffness_b'].split(' / ')[0]} and "
-        f"{least['stiffness_b']:.2f}, (11) {squares['swing_k'].split(' / ')[0]} and {least['swing_k']:.2f}.")
+        f"\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "
+        f"{min(squares['stiffness_b']):.3f}, (11) {median(squares['swing_k']):.4f} and {min(squares['swing_k']):.4f}.")
 
 
 def _interval(scalars: Mapping[str, Any], name: str) -> tuple[float, float, float]:
@@ -303,15 +310,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--page", action="store_true", help="only print the tables of what has been run")
     options = parser.parse_args(arguments)
-    OUT.mkdir(exist_ok=True)
-    path = OUT / "family.csv"
+    path = DOCS / "unseen.csv"
     done = read(path)
     if not options.page:
         chosen = _serials(options.serials, SET_ASIDE if options.set_aside else DEVELOPMENT)[:options.count]
         wanted = [("family", s) for s in chosen] + [("own", s) for s in _serials(options.own, OWN)]
         _run([each for each in wanted if each not in done], path, options.workers)
         done = read(path)
-    sys.stdout.write(page(list(done.values())))
+    text = page(list(done.values()))
+    (DOCS / "unseen.md").write_text(text, encoding="utf-8")
+    sys.stdout.write(text)
+
+
+def _short(value: Any) -> Any:
+    """The same with five digits, and None for what is no number."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _short(each) for key, each in value.items() if key not in ("date", "trial", "unit", "stop_reason")}
+    return [_short(each) for each in value] if isinstance(value, list) else value
 
 
 def _serials(given: str | None, otherwise: Sequence[int]) -> list[int]:
@@ -323,7 +340,8 @@ def _run(wanted: Sequence[tuple[str, int]], path: Path, workers: int) -> None:
         for future in as_completed([crew.submit(measure, *each) for each in wanted]):
             found = future.result()
             with path.open("a", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerow([found["kind"], found["serial"], json.dumps(found)])
+                csv.writer(file, lineterminator="\n").writerow(
+                    [found["kind"], found["serial"], json.dumps(_short(found))])
             sys.stderr.write(f"{found['kind']} {found['serial']}: {found.get('failed', 'done')}\n")
 
 
