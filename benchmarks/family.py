@@ -38,6 +38,8 @@ DRIVE_N = 88.0
 DEVELOPMENT = (0, 1, 3, 4, 6, 7, 10, 13, 15, 19, 22, 24)
 SET_ASIDE = tuple(range(2, 122, 3))
 OWN = (1, 3, 5)
+LOADED = 0.2
+"""Share of the gait cycle in which a force is desired."""
 AS_FAR = 2e-3
 """Difference in ln(START/END) that a walk's noise makes of nothing."""
 TRUE = "true_relative_rmse_percent"
@@ -183,6 +185,18 @@ def walks(benches: Sequence[Mapping[str, Any]], period: float) -> list[dict[str,
             if f"{period:g}" in bench and bench[f"{period:g}"].get("outcome") == "completed"]
 
 
+def loaded(walk: Mapping[str, Any], of: str = TRUE) -> float:
+    """What of the RMSE is made while a force is desired, %, by the whole cycle: without the loose rope's drag.
+
+    Another controller's is its own RMSE less what END is at idle, which the rope makes and no controller.
+    """
+    own = walk[WINDOW] * math.sqrt(LOADED)
+    if of == TRUE:
+        return float(own)
+    idle = max(walk[TRUE] ** 2 - own**2, 0.0)
+    return math.sqrt(max(walk[of] ** 2 - idle, 0.0))
+
+
 def _no_farther(walk: Mapping[str, Any]) -> bool:
     """Whether friction as followed is no farther from the truth than as homed; nothing was told where nothing slid."""
     homed, followed = walk["homed_away"], walk["followed_away"]
@@ -201,7 +215,10 @@ def page(benches: Sequence[Mapping[str, Any]]) -> str:
               "family, set aside": [b for b in benches if b["kind"] == "family" and b["serial"] % 3 == 2]}
     parts = ["# Benches that the controller was not made on\n",
              "Each bench is identified on day 0 and walked on day 1; 40, 50 or 60 N by serial; true END; two gait "
-             "cycles after seven of learning. Median / worst; `python -m benchmarks.family` runs and prints this.\n"]
+             "cycles after seven of learning. Median / worst; `python -m benchmarks.family` runs what is lacking and "
+             "prints this. The loaded part is what of the RMSE is made at 10…30 %, by the whole cycle: a rope that is "
+             "not pushed drags at END when the knee pulls it through its sheath, which no controller can take away; "
+             "what it drags with 20 mm of slack stands beside END at idle.\n"]
     for name, chosen in groups.items():
         if chosen:
             parts += [f"## {name}: {len(chosen)} benches\n", _group(chosen)]
@@ -220,21 +237,51 @@ def _group(chosen: Sequence[Mapping[str, Any]]) -> str:
     for period in PERIODS_S:
         all_ = walks(within, period)
         rows.append([
-            f"{period:g} s", str(len(all_)), spread(w[TRUE] for w in all_), spread(w[WINDOW] for w in all_),
-            spread(w["paper"] for w in all_), spread(w["blind"] for w in all_),
+            f"{period:g} s", str(len(all_)), spread(w[TRUE] for w in all_), spread(map(loaded, all_)),
+            spread(loaded(w, "paper") for w in all_), spread(loaded(w, "blind") for w in all_),
             spread(w["true_max_idle_tension_n"] for w in all_), spread(w["loose"] for w in all_),
             spread(100.0 * w["true_peak_jump_n"] / w["bench"]["peak_n"] for w in all_),
             spread(max(w["by_cycle"]) - w["by_cycle"][0] for w in all_),
             f"{sum(_no_farther(w) for w in all_)} of {len(all_)}"])
-    text = table(("period", "walks", "RMSE (%)", "RMSE within 10…30 % (%)", "paper (%)", "START ignored (%)",
-                  "END at idle (N)", "of a loose rope (N)", "jump (% of peak)", "RMSE above cycle 0's (points)",
-                  "friction no farther from truth than homing's"), rows)
+    text = table(("period", "walks", "RMSE (%)", "loaded part (%)", "paper, loaded part (%)",
+                  "START ignored, loaded part (%)", "END at idle (N)", "of a loose rope (N)", "jump (% of peak)",
+                  "RMSE above cycle 0's (points)", "friction no farther from truth than homing's"), rows)
+    text += "\n\n" + table(("target", "found", "bound", ""), [
+        [what, f"{found:.2f}", f"{bound:g}", "met" if found <= bound else "**not met**"]
+        for what, found, bound in _targets(within)])
     for bench in beyond:
         text += (f"\n\nSerial {bench['serial']}: {bench['peak_n']:g} N takes {bench['needs_n']:.0f} N at START, beyond "
                  f"the servo's {DRIVE_N:g} N; left out of the table.")
     for bench in failed:
         text += f"\n\nSerial {bench['serial']} was not identified: {bench['failed']}"
     return text + "\n"
+
+
+def _targets(within: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float]]:
+    """What is aimed at on benches within reach, what was found, and the bound that it is to stay at or below."""
+    slow, fast = walks(within, 2.0), walks(within, 1.1)
+    all_ = slow + fast
+    if not all_:
+        return []
+    playing = [w for w in all_ if str(w["bench"]["structure"]).endswith("knee play")]
+    steady = [w for w in all_ if w not in playing]
+    jumps = sorted(100.0 * w["true_peak_jump_n"] / w["bench"]["peak_n"] for w in all_)
+    ignored = median(loaded(w, "blind") / loaded(w) for w in all_)
+    found = [
+        ("median RMSE at 2.0 s (%)", median(w[TRUE] for w in slow), 0.35),
+        ("median RMSE at 1.1 s (%)", median(w[TRUE] for w in fast), 0.5),
+        ("median of the loaded part at 2.0 s (%)", median(map(loaded, slow)), 0.35),
+        ("median of the loaded part at 1.1 s (%)", median(map(loaded, fast)), 0.5),
+        ("worst loaded part, knees without play (%)", max(map(loaded, steady), default=math.nan), 1.0),
+        ("worst loaded part, knees with play (%)", max(map(loaded, playing), default=math.nan), 1.3),
+        ("END at idle by that of a loose rope, at least 0.5 N, worst", max(
+            w["true_max_idle_tension_n"] / max(w["loose"], 0.5 / 1.5) for w in all_), 1.5),
+        ("jump at the peak, 95 % of the walks (% of peak)", jumps[math.ceil(0.95 * len(jumps)) - 1], 1.5),
+        ("jump at the peak, worst (% of peak)", jumps[-1], 2.5),
+        ("RMSE above that of cycle 0, worst (points)", max(max(w["by_cycle"]) - w["by_cycle"][0] for w in all_), 0.05),
+        ("walks whose followed friction is farther from the truth", float(sum(not _no_farther(w) for w in all_)), 0.0),
+        ("loaded part by that with START ignored, median", 1.0 / ignored, 1.0 / 1.5)]
+    return [each for each in found if math.isfinite(each[1])]
 
 
 def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
@@ -245,8 +292,8 @@ def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
         method, stretch, breakaway, knee = str(bench["structure"]).split(", ")
         for word in (method, f"stretch {stretch}", breakaway, knee):
             kinds.setdefault(word, []).extend(walks([bench], 2.0) + walks([bench], 1.1))
-    return table(("structure", "walks", "RMSE (%)", "RMSE within 10…30 % (%)", "idle (N)", "jump (% of peak)"), [
-        [word, str(len(w)), spread(x[TRUE] for x in w), spread(x[WINDOW] for x in w),
+    return table(("structure", "walks", "RMSE (%)", "loaded part (%)", "idle (N)", "jump (% of peak)"), [
+        [word, str(len(w)), spread(x[TRUE] for x in w), spread(map(loaded, w)),
          spread(x["true_max_idle_tension_n"] for x in w),
          spread(100.0 * x["true_peak_jump_n"] / x["bench"]["peak_n"] for x in w)] for word, w in sorted(kinds.items())])
 
