@@ -22,12 +22,11 @@ from parameters import InputError, read_toml
 from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
     from master.motion.experiment import Experiment, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
-    from physics.calibration import Calibration
+    from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -91,13 +90,14 @@ def reference(
 
 
 def prepare(
-    sections: Mapping[str, Any], reference: Reference, calibration: Path | Calibration | None, chosen: BusSettings,
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
     script: str | None = None,
 ) -> Prepared:
     """Join sections to an experiment that can be run; raises `InputError` where it cannot.
 
-    `calibration`, `controller_model` (the effects that the controller knows of): files, or what is in them.
+    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it knows of
+    too: files, or what is in them.
     """
     from bowden import provenance
     from eds import bus_load
@@ -105,7 +105,8 @@ def prepare(
     from master.control import controller
     from master.motion.experiment import Experiment
     from master.motion.scripted_experiments import checked
-    from physics.calibration import nominal, read, refuse_beyond_validity
+    from physics.bench_model import nominal
+    from physics.calibration import refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
@@ -116,23 +117,38 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    if isinstance(calibration, Path):
-        calibration = read(calibration, bench=chosen.bench)
-    measured = calibration or nominal()
+    bench = _bench(chosen)
+    model, told = _read(calibration, bench), _read(controller_model, bench)
+    measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
-                            known=known_effects(controller_model), **sections)
-    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
+                            known={**known_effects(model), **known_effects(told)}, **sections)
+    attached = controller_model or (model if known_effects(model) else None)
+    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
                     script or "", controller.signals(kind))
 
 
-def known_effects(controller_model: Path | BenchModel | None) -> Effects:
-    """The effects that a controller model states; none without one."""
-    if controller_model is not None and not isinstance(controller_model, Path):
-        return controller_model.effects
-    from physics.effects.effects_table import stated
+def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
+    from physics import bench_model
 
-    return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
+    return bench_model.read(given, bench=bench) if isinstance(given, Path) else given
+
+
+def _bench(chosen: BusSettings) -> str:
+    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    from physics import bench_model
+
+    simulated = chosen.arguments.get("plant_model")
+    if simulated is None:
+        return chosen.bench
+    tables = read_toml(Path(simulated)) if isinstance(simulated, str) else simulated
+    return bench_model.from_tables(tables, str(simulated)).bench or chosen.bench
+
+
+def known_effects(model: Path | BenchModel | None) -> Effects:
+    """The effects that a bench model states; none without one."""
+    found = _read(model)
+    return {} if found is None else found.effects
 
 
 def perform(

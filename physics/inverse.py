@@ -15,17 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from physics import laws
 from physics.calibration import Calibration
+from physics.laws import Array
+from physics.path_laws import capstan, load_dependence, presliding, slowness
 from physics.stretch import SHORT_N, WIDE_N, coefficients
 
-Array = NDArray[np.float64]
-
-LOAD_N = 40.0
-"""Tension at which the exponents are what the calibration says."""
-LEAST_LOAD = 0.05
 TAUT_N = 1.0
 """Tension below which the drag of a slack rope fades."""
 CLOSE_N, CLOSE = 1e-9, 1e-9
@@ -119,27 +115,6 @@ def adapted(law: Law, friction: float, breakaway: float) -> Law:
 
 
 @njit(cache=True)
-def turned(state: float, travel: float, length: float) -> float:
-    """Pre-sliding state after `travel`, m: ds/dx = (1 − s·sgn v)/δ, integrated exactly."""
-    if travel == 0.0:
-        return state
-    goal = 1.0 if travel > 0.0 else -1.0
-    return goal - (goal - state) * math.exp(-abs(travel) / length)
-
-
-@njit(cache=True)
-def slowness(speed: float, scale: float) -> float:
-    """e^(−(v/vs)²), both per sample."""
-    return math.exp(-((speed / scale) ** 2))
-
-
-@njit(cache=True)
-def loaded(slope: float, force: float) -> float:
-    """The friction's factor at a tension, N."""
-    return max(LEAST_LOAD, 1.0 + slope * (force / LOAD_N - 1.0))
-
-
-@njit(cache=True)
 def elongation(law: Any, force: float) -> Any:
     """(stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
     quadratic, linear, short, wide, reach = law[1:6]
@@ -178,21 +153,21 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
     on_knee = (1.0 - share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
-        fabric = turned(fabric, on_knee - knee_x, fabric_travel)
+        fabric = presliding(fabric, on_knee - knee_x, fabric_travel)
         fabric_speed += fade * (on_knee - knee_x - fabric_speed)
     knee_slow = slowness(fabric_speed, breakaway_travel)
     by_knee = ((fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + fabric_breakaway * knee_slow)
-               * loaded(load_slope, force))
-    tension = force * math.exp(by_knee)
+               * load_dependence(load_slope, force))
+    tension = capstan(force, by_knee)
     in_sheath = swing_k * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
     moved = 0.0
     if not math.isnan(rope_x):
         moved = in_sheath - rope_x
-        rope = turned(rope, moved, rope_travel)
+        rope = presliding(rope, moved, rope_travel)
         rope_speed += fade * (moved - rope_speed)
     sheath_slow = slowness(rope_speed, breakaway_travel)
-    by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow) * loaded(load_slope, tension)
-    start = tension * math.exp(by_sheath) + drag * moved * min(1.0, tension / TAUT_N)
+    by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow) * load_dependence(load_slope, tension)
+    start = capstan(tension, by_sheath) + drag * moved * min(1.0, tension / TAUT_N)
     position = constant + in_sheath + rope_compliance * start
     return position, start, by_sheath, by_knee, sheath_slow, knee_slow, (
         rope, fabric, in_sheath, on_knee, rope_speed, fabric_speed)
@@ -207,7 +182,7 @@ def held_by_position(law: Any, position: float, knee: float, start: float, drag:
     constant, share, rope_compliance = law[0], law[7], law[6]
     swing_k, knee_home = law[13], law[14]
     stretched = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
-    tension = max(start - drag, 0.0) * math.exp(-by_sheath)
+    tension = capstan(max(start - drag, 0.0), -by_sheath)
     after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
     if after <= 0.0:
         return math.nan
@@ -236,21 +211,21 @@ def _end_from_start(
         in_sheath = position[i] - rope_compliance * start[i]
         moved = in_sheath - before
         before = in_sheath
-        rope = turned(rope, moved, rope_travel)
+        rope = presliding(rope, moved, rope_travel)
         rope_speed += fade * (moved - rope_speed)
         grip = cable_exponent * rope * (1.0 + breakaway * slowness(rope_speed, breakaway_travel))
         pulled = max(start[i] - drag * moved * min(1.0, max(start[i], 0.0) / TAUT_N), 0.0)
-        tension = pulled * math.exp(-grip)
+        tension = capstan(pulled, -grip)
         for _ in range(2):
-            tension = pulled * math.exp(-grip * loaded(load_slope, tension))
+            tension = capstan(pulled, -grip * load_dependence(load_slope, tension))
         whole = (fabric_offset + fabric_slope * abs(knee[i])) * (
             1.0 + fabric_breakaway * slowness(fabric_speed, breakaway_travel))
         low, high, at_low, at_high, side = -1.0, 1.0, 2.0, -2.0, 0
         slip = fabric
         for _step in range(40):
-            force = tension * math.exp(-whole * slip * loaded(load_slope, tension * math.exp(-whole * slip)))
+            force = tension * math.exp(-whole * slip * load_dependence(load_slope, tension * math.exp(-whole * slip)))
             on_knee = (1.0 - share) * elongation(law, force)[0]
-            left = turned(fabric, on_knee - knee_x, fabric_travel) - slip
+            left = presliding(fabric, on_knee - knee_x, fabric_travel) - slip
             if abs(left) < CLOSE:
                 break
             if left > 0.0:

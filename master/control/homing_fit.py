@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from physics import inverse
 from physics.calibration import Calibration
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 SMOOTHED = 4
 """Control cycles averaged into one point of the fit: START's noise must not turn the friction over."""

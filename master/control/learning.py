@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 CUTOFF_HZ = 8.0
 GAIN = 0.7

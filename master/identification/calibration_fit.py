@@ -18,7 +18,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
@@ -27,8 +26,7 @@ from master.identification.jackknife import Line, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
 from physics.calibration import Calibration, Evidence
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 POINT_M = 0.4e-3
 """Rope travel averaged into one point of the joint fit."""

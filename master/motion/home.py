@@ -17,7 +17,7 @@ from eds.bench import START
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange, Inputs
-from master.motion import moves
+from master.motion import agreement, moves
 from master.network.bringup import RefusedError
 from master.network.sdo import SdoError
 from master.settings import Homing
@@ -54,9 +54,11 @@ def home(
     Raises `RefusedError` where the rope does not tighten, or the loop has no crossing.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+    agreement.begin(exchange, calibration, knee_home)
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
+    agreement.refuse_disagreement(exchange, calibration)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)

@@ -18,6 +18,7 @@ from master.motion import gait
 from master.settings import Impedance
 from physics import inverse, laws
 from physics.calibration import nominal
+from physics.path_laws import presliding
 from physics.reference import paper_reference
 
 SAMPLES, PERIOD_S = 2000, 1e-3
@@ -60,10 +61,10 @@ def test_sliding_friction_is_series_friction() -> None:
 
 
 def test_pre_sliding_turns_over_with_travel_not_with_steps() -> None:
-    whole = inverse.turned(1.0, -3e-4, 1e-4)
+    whole = presliding(1.0, -3e-4, 1e-4)
     parts = 1.0
     for _ in range(30):
-        parts = inverse.turned(parts, -1e-5, 1e-4)
+        parts = presliding(parts, -1e-5, 1e-4)
     assert parts == pytest.approx(whole, abs=1e-12)
     assert whole == pytest.approx(-1.0 + 2.0 * math.exp(-3.0))
 

@@ -21,6 +21,7 @@ KNEE_AT_FIT = -0.4964
 """Knee angle at 13 % of gait, rad (paper, (1): −28.44°): where the leg's anchor counts as displaced by nothing."""
 LOADED_KNEE = -0.5
 """Knee angle, rad, at which the total exponent is drawn: about that of the loading, 13–20 % of gait."""
+GRAVITY = 9.81
 EDS_DRUM_M = 0.020
 """Radius by which the servo's unit objects (0x6092, feed constant) turn torque into force at the rope."""
 
@@ -58,8 +59,9 @@ class Bench:
     fabric_ratio: float = 1.0
     stribeck_speed: float = 0.01  # m/s
     stribeck_memory: float = 0.01  # s
-    load_slope: float = 0.0
-    load_reference: float = 40.0  # N
+    breakaway_room: float = 1.0  # share of a day's breakaway that this bench takes
+    load_slope: float = 0.0  # relative change of the friction for each 40 N
+    load_reference: float = 40.0  # tension at which mu1 and mu2 are what they say, N
     viscous: float = 0.0  # N·s/m, whole sheath
     friction_drift: float = 0.0
     drift_s: float = 20.0
@@ -79,6 +81,7 @@ class Bench:
     # rope
     rope_kg: float = 0.02
     loose_drag: float = 0.3  # friction of the loose rope against its own weight, as a coefficient
+    loose_viscous: float = 0.3  # drag of the whole path without load, N·s/m
     slack: float = 0.0
     # knee
     moment_arm: float = 0.0405  # m/rad
@@ -134,16 +137,18 @@ class Bench:
         """Total friction exponent at the loaded knee."""
         return self.mu1 * self.theta1 + self.mu2 * (self.wrap + self.wrap_slope * abs(LOADED_KNEE))
 
+    def loose_drag_n(self, speed_m_s: float) -> float:
+        """What it costs to drag the rope without load through its sheath at a speed, N: weight and loose drag."""
+        return self.loose_drag * self.rope_kg * GRAVITY + self.loose_viscous * abs(speed_m_s)
 
-(E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT, DRIFT_S,
- LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN, MASS, LOOSE, N1, N2,
- CELLS, FIRST) = range(36)
+
+(E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT,
+ DRIFT_S, LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN,
+ MASS, LOOSE, LIGHT, N1, N2, CELLS, FIRST) = range(37)
 """Places in the path's flat parameter array; an implementation's own numbers begin at FIRST."""
 
 START, MIDDLE, END, OLD_X, OLD_W, GAMMA, RISING, TIME, OWN = range(9)
-"""Places in the path's flat state: tensions at START, before the knee and at END, then memory; OWN: the method's own."""
-
-GRAVITY = 9.81
+"""Places in the path's flat state: tensions at START, before the knee and at END, then memory; OWN: the method's."""
 
 
 def pack(bench: Bench) -> np.ndarray:
@@ -157,7 +162,7 @@ def pack(bench: Bench) -> np.ndarray:
         bench.drift_s, bench.lead / bench.stiffness, bench.sheath / bench.stiffness, STRETCHES.index(s.stretch),
         curve, linear, bench.bend_n, bench.power, 1.0 / bench.stiffness, bench.before,
         1.0 - bench.before - bench.after, bench.after, bench.creep, bench.creep_s, bench.torn, bench.rope_kg,
-        bench.loose_drag, s.sheath_nodes, s.fabric_nodes, s.cells])
+        bench.loose_drag, bench.loose_viscous, s.sheath_nodes, s.fabric_nodes, s.cells])
 
 
 def _stretch(bench: Bench) -> tuple[float, float]:
@@ -165,7 +170,7 @@ def _stretch(bench: Bench) -> tuple[float, float]:
     from tests.plants.stretch import curved
 
     kind = STRETCHES.index(bench.structure.stretch)
-    at_60 = float(curved(60.0, kind, bench.bend_n, bench.power))
+    at_60 = float(curved.py_func(60.0, kind, bench.bend_n, bench.power))
     return bench.curve * bench.stretch_60 / at_60, (1.0 - bench.curve) * bench.stretch_60 / 60.0
 
 

@@ -18,6 +18,14 @@ SET_ASIDE = 3
 """Serials with serial % SET_ASIDE == SET_ASIDE − 1 are set aside: used once, at the end."""
 
 
+MOST_START_N = 95.0
+"""Greatest START tension at 60 N END while everything slides, on the worst day."""
+MOST_STUCK_N = 105.0
+"""The same at rest, with breakaway; the master stops at 120 N."""
+MOST_RATIO, BREAKAWAY = 1.6, 0.3
+"""Greatest static over sliding friction as drawn, and what a day adds to it at most."""
+
+
 def stream(name: str, *numbers: int) -> np.random.Generator:
     """The random numbers that belong to a name and some numbers, in any process the same."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([zlib.crc32(name.encode()), *numbers])))
@@ -58,7 +66,7 @@ CONSTANTS: dict[str, Callable[[float], float]] = {
     "lead": _log(1.2e-5, 4e-5), "sheath": _log(0.4e-5, 1.6e-5),
     "before": _even(0.15, 0.4), "after": _even(0.25, 0.45), "power": _even(0.35, 0.7),
     "creep": _even(0.0, 0.5e-5), "creep_s": _log(0.5, 20.0),
-    "rope_kg": _log(0.005, 0.05), "loose_drag": _even(0.1, 0.5),
+    "rope_kg": _log(0.005, 0.05), "loose_drag": _even(0.1, 0.5), "loose_viscous": _log(0.05, 0.5),
     "moment_arm": _even(0.0385, 0.0425), "moment_arm2": _even(-0.5e-3, 0.5e-3), "play_s": _log(3e-3, 12e-3),
     "play_nm": _even(0.1, 0.5), "leg_inertia": _even(0.035, 0.06), "leg_weight": _even(0.5, 1.3),
     "knee_rub": _even(0.15, 0.45), "knee_viscous": _even(0.05, 0.2), "knee_lag": _log(0.5e-3, 2e-3),
@@ -90,15 +98,36 @@ def draw(serial: int, day: int = 0, implementation: str | None = None) -> Bench:
         ("exponent", 0.10, 0.45), ("sheath share", 0.3, 0.8)))
     values["mu1"] = total * share / values["theta1"]
     values["mu2"] = total * (1.0 - share) / (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))
-    values |= _stribeck(kind, serial) | _curve(kind, values, serial)
+    less = _reachable(values)
+    values["mu1"], values["mu2"] = less * values["mu1"], less * values["mu2"]
+    values["breakaway_room"] = _room(values)
+    values |= _stribeck(kind, values["breakaway_room"], serial) | _curve(kind, values, serial)
     values["play"] = 0.0 if kind.knee == "none" else math.radians(0.2) * u("constant play", serial)
     bench = Bench(kind, serial, day, **values)
     return on_day(bench) if day else bench
 
 
-def _stribeck(kind: Structure, serial: int) -> dict[str, float]:
-    ratio = {side: 1.05 + 0.55 * u(f"constant {side} ratio", serial) for side in ("sheath", "fabric")}
+def _stribeck(kind: Structure, room: float, serial: int) -> dict[str, float]:
+    excess = _even(0.05, MOST_RATIO - 1.0)
+    ratio = {side: 1.0 + room * excess(u(f"constant {side} ratio", serial)) for side in ("sheath", "fabric")}
     return {f"{side}_ratio": value if kind.stribeck in (side, "both") else 1.0 for side, value in ratio.items()}
+
+
+def _loaded(values: dict[str, float]) -> float:
+    """The total exponent of the worst day at the load of 60 N END, sliding."""
+    fabric = values["mu2"] * (values["wrap"] + values["wrap_slope"] * abs(LOADED_KNEE))
+    return 1.1 * (1.0 + values["load_slope"] * (75.0 - values["load_reference"]) / 40.0) * (
+        values["mu1"] * values["theta1"] + fabric)
+
+
+def _reachable(values: dict[str, float]) -> float:
+    """Factor of the friction that keeps START below `MOST_START_N` at 60 N END, sliding, on the worst day."""
+    return min(1.0, math.log(MOST_START_N / 60.0) / _loaded(values))
+
+
+def _room(values: dict[str, float]) -> float:
+    """Share of the drawn breakaway that keeps START below `MOST_STUCK_N` at 60 N END, at rest, on the worst day."""
+    return min(1.0, max(0.0, math.log(MOST_STUCK_N / 60.0) / _loaded(values) - 1.0) / (MOST_RATIO - 1.0 + BREAKAWAY))
 
 
 def _curve(kind: Structure, values: dict[str, float], serial: int) -> dict[str, float]:
@@ -110,11 +139,11 @@ def _curve(kind: Structure, values: dict[str, float], serial: int) -> dict[str, 
 
 
 def on_day(bench: Bench) -> Bench:
-    """What a day changes: friction ± 10 % each, stiffness ± 3 %, zero ± 0.1 mm, START ± 0.2 N, creep, breakaway, play."""
+    """What a day changes: friction ± 10 % each, stiffness ± 3 %, zero ± 0.1 mm, START ± 0.2 N, creep, breakaway."""
     def swing(name: str) -> float:
         return 2.0 * u(f"day {name}", bench.serial, bench.day) - 1.0
 
-    breakaway = 0.15 * (1.0 + swing("breakaway"))
+    breakaway = 0.5 * BREAKAWAY * bench.breakaway_room * (1.0 + swing("breakaway"))
     kind = bench.structure
     return replaced(
         bench, mu1=bench.mu1 * (1.0 + 0.1 * swing("mu1")), mu2=bench.mu2 * (1.0 + 0.1 * swing("mu2")),
