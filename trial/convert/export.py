@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from parameters import InputError
+from parameters.files import replaced
 from trial.assemble import Progress, silent
 from trial.convert import candump
 from trial.read import Trial
@@ -30,17 +31,8 @@ def export(trial: Trial, target: str | Path, *, overwrite: bool = False, progres
     """
     target = Path(target)
     write = _writer(target)
-    if target.exists() and not overwrite:
-        raise InputError(f"{target}: the file exists; give another name or --overwrite.")
-    part = target.with_name(f".part-{target.name}")
-    try:
-        count = write(trial, part, progress)
-        part.replace(target)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error.strerror}); give a writable path.") from None
-    finally:
-        part.unlink(missing_ok=True)
-    return count
+    with replaced(target, overwrite=overwrite) as part:
+        return write(trial, part, progress)
 
 
 def _writer(target: Path) -> Writer:
