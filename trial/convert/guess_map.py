@@ -19,18 +19,23 @@ from trial.convert.csv_table import Source
 from trial.convert.sheet import TO_SI, Floats, Sheet, unit_of
 from trial.signals import MOTION_AND_FORCE
 
-FORCE = frozenset("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz".split())
-TARGET = frozenset("target desired reference ref set setpoint command commanded cmd soll demand goal".split())
-ROPE = frozenset("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
-                 "weg seil length travel".split())
-SPEED = frozenset("velocity vel speed geschwindigkeit".split())
-KNEE = frozenset("knee knie joint angle winkel flexion gelenk theta".split())
-NEAR = frozenset("start input in proximal prox motorside upstream near front 1 a antrieb eingang source".split())
-FAR = frozenset("end output out distal dist loadside downstream far rear 2 b abtrieb ausgang tip".split())
-GUESS = frozenset("estimate estimated est model predicted".split())
-TIME = frozenset("time t timestamp zeit clock elapsed seconds sec".split())
-PERCENT = frozenset("gait phase percent pct gang".split())
-COUNT = frozenset("cycle cycles stride rep repetition zyklus step".split())
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz")
+TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal")
+ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
+                 "weg seil length travel")
+SPEED = _words("velocity vel speed geschwindigkeit")
+KNEE = _words("knee knie joint angle winkel flexion gelenk theta")
+NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source")
+FAR = _words("end output out distal dist loadside downstream far rear 2 b abtrieb ausgang tip")
+GUESS = _words("estimate estimated est model predicted")
+TIME = _words("time t timestamp zeit clock elapsed seconds sec")
+PERCENT = _words("gait phase percent pct gang")
+COUNT = _words("cycle cycles stride rep repetition zyklus step")
 
 
 class Words(NamedTuple):
@@ -144,8 +149,9 @@ def text(sheet: Sheet, map_name: str) -> str:
     if not found:
         raise InputError(f"{sheet.path}: no column's name, unit or range looks like a signal ("
                          f"{', '.join(sheet.names[:20])}); write a map by hand, docs/trials.md shows one.")
-    lines = [f"# Map of {sheet.path.name}: {len(sheet)} rows, {len(sheet.names)} columns. Guessed from names, units and "
-             "ranges:", "# check every table, above all signs and which sensor is START and which END, then say",
+    lines = [f"# Map of {sheet.path.name}: {len(sheet)} rows, {len(sheet.names)} columns.",
+             "# Guessed from names, units and ranges: check every table, above all signs and which",
+             "# sensor is START and which END, then say",
              f"#   bowden import {sheet.path} --map {map_name} -o trial.mcap", ""]
     lines += _how(sheet)
     for guess in found:
