@@ -33,19 +33,27 @@ def refuse_special(path: str | Path) -> None:
         raise InputError(f"{path}: cannot be read, it is {_KINDS.get(kind, 'no file')}; give the path of a file.")
 
 
-def content(path: Path, what: str, *, limit: int = READ_LIMIT) -> bytes:
+def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = False) -> bytes:
     """Return the bytes of a file, unpacked where its name ends in .gz; `what` says what was expected.
 
     Raises `InputError` for a file that is absent, no regular file, unreadable, longer than `limit` bytes or, packed,
-    much longer than it looks.
+    much longer than it looks; where `lines` are expected also for one that is endless.
     """
     refuse_special(path)
     try:
         if path.suffix.lower() == ".gz":
-            return _unpacked(path)
-        if path.stat().st_size > limit:
+            raw = _unpacked(path)
+        elif path.stat().st_size > limit:
             raise InputError(f"{path}: is longer than {limit} bytes; cut it, or give {what}.")
-        return path.read_bytes()
+        else:
+            with path.open("rb") as file:
+                head = file.read(2 * LONGEST_LINE) if lines else b""
+                if lines:
+                    refuse_long_lines(path, head)
+                raw = head + file.read()
+        if lines:
+            refuse_long_lines(path, raw)
+        return raw
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of {what}.") from None
     except (OSError, EOFError) as error:

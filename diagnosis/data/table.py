@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
+from parameters.files import refuse_special
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE
@@ -59,6 +60,7 @@ def read(path: str | Path) -> Table:
     Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.
     """
     path = Path(path)
+    refuse_special(path)
     if path.suffix.lower() == ".mcap":
         return _read_mcap(path)
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]

@@ -25,6 +25,7 @@ _LINE = re.compile(
 _SCREEN = re.compile(
     r"(?:\((-?\d+)\.(\d{1,9})\)\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
     r"(?:\s+remote request|((?:\s+[0-9A-Fa-f]{2}){0,64}))(?:\s.*)?$")
+LONGEST = 400  # characters that candump writes for a frame of 64 bytes, at most
 REMEDY = "record it with candump -L"
 _FD_LINE = re.compile(r"\(-?\d+\.\d+\) \S+ [0-9A-Fa-f]+##")
 ERROR_BIT, EXTENDED_MASK = 0x20000000, 0x1FFFFFFF
@@ -45,6 +46,9 @@ def read(lines: Iterable[str]) -> Frames:
     counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
     for line in lines:
         text = line.strip()
+        if len(text) > LONGEST:
+            counts["malformed_lines"] += 1
+            continue
         found = _LINE.match(text)
         row = _row(found, channels, counts) if found is not None else _shown(text, channels, counts)
         if row is not None:

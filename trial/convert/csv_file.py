@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError, parameter
-from parameters.files import LONGEST_LINE, content, refuse_long_lines
+from parameters.files import content
 from trial.convert import times
 from trial.convert.sheet import Floats, Sheet, unique, unit_of
 from trial.signals import UNITS
@@ -57,8 +57,7 @@ def reserved(name: str) -> bool:
 def read(path: Path, dialect: Dialect | None = None) -> Sheet:
     """Read a CSV file, gzipped or not; raises `InputError` with the row where it makes no sense."""
     given = dialect or Dialect()
-    raw = content(path, "a CSV file, gzipped or not")
-    refuse_long_lines(path, raw)
+    raw = content(path, "a CSV file, gzipped or not", lines=True)
     try:
         return _Reading(path, raw, given).sheet()
     except (csv.Error, RecursionError) as error:
@@ -372,4 +371,4 @@ def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] 
     return values, fault
 
 
-__all__ = ["LONGEST_LINE", "Dialect", "decoded", "read", "reserved"]
+__all__ = ["Dialect", "decoded", "read", "reserved"]

@@ -27,7 +27,7 @@ def _words(text: str) -> frozenset[str]:
 FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz")
 TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal")
 ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
-                 "weg seil length travel")
+                 "weg seil seilweg length travel")
 SPEED = _words("velocity vel speed geschwindigkeit")
 KNEE = _words("knee knie joint angle winkel flexion gelenk theta")
 NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source")
@@ -105,18 +105,23 @@ def _guess(sheet: Sheet, name: str, signal: str, si: str) -> Guess | None:
         return None
     words = _tokens(bare)
     wanted = WORDS[signal]
-    if words & wanted.never and name != signal:
+    if _met(words, wanted.never) and name != signal:
         return None
-    met = sum(bool(words & group) for group in wanted.needs)
+    met = sum(bool(_met(words, group)) for group in wanted.needs)
     if met < len(wanted.needs) and name != signal and not (name in sheet.begins_ns and signal == "time_s"):
         return None
     values = sheet.column(name)
     known = values[np.isfinite(values)]
     if not len(known) or (signal == "time_s" and (np.diff(known) < 0).mean() > 0.01):
         return None
-    score = 10.0 * (name == signal) + 2 * met + 0.5 * len(words & wanted.likes) + bool(unit) - 0.1 * len(words)
+    score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)
     return Guess(signal, name, chosen, scale, why, score)
+
+
+def _met(words: set[str], group: frozenset[str]) -> int:
+    """Return how many words are of the group; German runs words together, so longer ones may be part of one."""
+    return sum(word in group or any(len(one) > 3 and one in word for one in group) for word in words)
 
 
 def _tokens(name: str) -> set[str]:

@@ -24,6 +24,7 @@ from trial.assemble import Content, Progress, silent
 from trial.convert import candump, clock, csv_table, foreign_mcap, sheets
 from trial.convert.csv_table import Source
 from trial.convert.frames import Frames, oddities
+from trial.convert.sheet import Sheet
 from trial.mcap_file import cdr
 from trial.signals import UNITS
 
@@ -108,6 +109,17 @@ def _reader(source: Path) -> Reader:
     raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
 
 
+def table_of(source: Path) -> Sheet:
+    """Return the table in a file; raises `InputError` where it holds CAN frames or is a trial."""
+    refuse_special(source)
+    if not source.exists():
+        raise InputError(f"{source}: no such file; give the path of a table.")
+    if _reader(source) is not _from_table:
+        raise InputError(f"{source}: holds no table but CAN frames or topics, which need no map; say bowden import "
+                         f"{source} -o trial.mcap.")
+    return sheets.sheet_of(source)
+
+
 def first_lines(source: Path, count: int = 20) -> list[str]:
     """Return the first lines of a text, few and short; none of a file that is not there."""
     import gzip
@@ -189,6 +201,8 @@ def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) ->
     limit = unpacked_limit(source)
     for number, line in enumerate(iter(lambda: lines.readline(LONGEST_LINE), ""), start=1):
         unpacked += len(line)
+        if len(line) == LONGEST_LINE:
+            raise InputError(f"{source}: line {number} is longer than {LONGEST_LINE} characters; it is no log.")
         if unpacked > limit:
             raise InputError(f"{source}: unpacks to more than {limit} bytes; it is no measured log, do not open it.")
         if not number % LINES_TOLD:
