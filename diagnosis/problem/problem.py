@@ -20,7 +20,7 @@ from diagnosis.problem.candidates import Candidate, candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
-from diagnosis.problem.healthy_fit import fit_healthy
+from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from physics.relations.relation import RELATIONS
 
@@ -61,7 +61,7 @@ class Setting:
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
 
 
-def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
     """Decide what can be checked on `trials` and against what."""
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
@@ -76,16 +76,13 @@ def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration
 
 
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-           folds: list[frozenset[int]], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+           folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
     reference = of_bench(calibration)
     declared = reference.values
     floors, correlation_length = {n: FLOORS[n] for n in checked}, {n: CORRELATION_LENGTH[n] for n in checked}
     measured = None
     if healthy:
-        taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
-                  for t in healthy]
-        healthy_fit = fit_healthy(taught, reference, candidates(checked, declared, reference.nuisance), floors,
-                                  correlation_length)
+        healthy_fit = healthy.fit(checked, reference)
         reference = healthy_fit.reference
         measured = {n: max(healthy_fit.floors[n], LEAST_FLOOR[n]) if n in healthy_fit.floors else floors[n]
                     for n in checked}
