@@ -40,12 +40,12 @@ def import_(
 
     Example: bowden import candump.log -o trial.mcap
     """
-    from bowden.cli import outputs
+    from bowden import output_files
     from parameters import InputError
     from trial.convert.csv_table import read_map
     from trial.convert.imports import import_file
 
-    outputs.refuse([output], overwrite=overwrite, inputs=[source, columns])
+    output_files.refuse([output], overwrite=overwrite, inputs=[source, columns])
     if guess:
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
@@ -97,11 +97,11 @@ def export(
 
     Example: bowden export trial.mcap -o trial.csv
     """
-    from bowden.cli import outputs
+    from bowden import output_files
     from trial.convert.export import export as exported
     from trial.read import open as opened
 
-    outputs.refuse([output], overwrite=overwrite, inputs=[trial])
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     with terminal.progress(f"exporting {trial}", shown=not json) as update:
         rows = exported(opened(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
     terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
