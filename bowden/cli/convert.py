@@ -109,20 +109,32 @@ def export(
 
 
 @app.command()
-def compare(a: A, b: B, json: options.Json = False) -> int:
+def compare(
+    a: A, b: B, report: Page = None, overwrite: options.Overwrite = False, json: options.Json = False
+) -> int:
     """Show what differs between two trials.
 
-    Configuration, calibration, figures and signals.
+    Configuration, calibration, figures and signals; exit status 1 where any channel differs.
 
-    Example: bowden compare a.mcap b.mcap
+    Example: bowden compare a.mcap b.mcap --report compared.html
     """
+    from bowden import output_files
     from trial.compare import compare as compared
     from trial.read import open as opened
 
+    output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
     with terminal.waiting("comparing", shown=not json):
-        found = compared(opened(a), opened(b))
+        one, other = opened(a), opened(b)
+        found = compared(one, other)
+        if report is not None:
+            from trial.report import compare_page
+
+            compare_page.write(one, other, found, report, overwrite=overwrite)
     terminal.emit(found.as_json()) if json else _tell(found)
-    return 0
+    if report is not None and not json:
+        print(f"Page: {report}")
+    return 0 if found.same else 1
 
 
 def _tell(found: Comparison) -> None:

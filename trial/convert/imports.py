@@ -120,6 +120,20 @@ def table_of(source: Path) -> Sheet:
     return sheets.sheet_of(source)
 
 
+def raw_content(source: Path) -> Frames | Sheet:
+    """Return the frames or the table in a file as they are; raises `InputError`, also for MCAP."""
+    reader = _reader(source)
+    if reader is _from_table:
+        return sheets.sheet_of(source)
+    if reader is _from_candump:
+        return _candump_frames(source, silent)
+    if reader is _from_python_can:
+        from trial.convert.python_can import read_log
+
+        return read_log(source)
+    raise InputError(f"{source}: is an MCAP file; it is read as one.")
+
+
 def first_lines(source: Path, count: int = 20) -> list[str]:
     """Return the first lines of a text, few and short; none of a file that is not there."""
     import gzip
@@ -175,6 +189,10 @@ def _ordered(
 
 
 def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
+    return _from_log(source, _candump_frames(source, asked.progress), report, asked.wire)
+
+
+def _candump_frames(source: Path, progress: Progress) -> Frames:
     import gzip
     import io
 
@@ -182,7 +200,7 @@ def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
         with source.open("rb") as raw:
             unpacked = gzip.GzipFile(fileobj=raw) if source.suffix == ".gz" else raw
             lines = io.TextIOWrapper(unpacked, encoding="ascii", errors="replace")
-            frames = candump.read(_followed(lines, raw, source, asked.progress))
+            frames = candump.read(_followed(lines, raw, source, progress))
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; give the path of a CAN log.") from None
     except InputError as error:
@@ -192,7 +210,7 @@ def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
     if frames.counts["malformed_lines"] > len(frames.rows):
         raise InputError(f"{source}: {frames.counts['malformed_lines']} lines are not as candump -L writes them; "
                          "give such a log.")
-    return _from_log(source, frames, report, asked.wire)
+    return frames
 
 
 def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) -> Iterator[str]:
