@@ -53,8 +53,9 @@ def cut(
         with replaced(target, overwrite=overwrite) as part, part.open("wb") as file:
             writer = _Writer(file)
             _carry(reader, writer, "", {})
-            for schema, channel, message in reader.iter_messages(start_time=begin, end_time=end):
-                writer.message(schema, channel, message)
+            for schema, channel, message in reader.iter_messages():
+                if begin <= message.log_time and (end is None or message.log_time < end):
+                    writer.message(schema, channel, message)
             if not writer.found.messages:
                 raise InputError(f"{source}: nothing was recorded there; it lasts {_length(reader, first_ns):.3f} s.")
             writer.finish({"outcome": "cut", **told})
