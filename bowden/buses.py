@@ -39,6 +39,13 @@ class BusSettings:
     own_bench: bool = False
 
     @property
+    def told(self) -> str:
+        """Which bus it is, in words that nobody takes a simulation for a bench by."""
+        if self.simulated:
+            return "SIMULATED"
+        return " ".join(str(self.arguments[name]) for name in ("interface", "channel") if self.arguments.get(name))
+
+    @property
     def bench(self) -> str:
         """The bench's name in a calibration; "" where nobody told."""
         return "" if self.serial is None else f"virtual {self.serial}"

@@ -46,6 +46,15 @@ def _identity(path: Path) -> tuple[int, int]:
     return told.st_dev, told.st_ino
 
 
+PICTURES = (".png", ".svg", ".svgz", ".pdf", ".ps", ".eps", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+"""Endings of pictures that can be drawn."""
+
+
+def refuse_picture(path: Path | None) -> None:
+    """Raise `InputError` for a picture of an unknown kind, before anything is run for it."""
+    refuse_ending(path, *PICTURES, what="a picture")
+
+
 def refuse_ending(path: Path | None, *endings: str, what: str) -> None:
     """Raise `InputError` where a file's ending says that it holds something else than `what`."""
     if path is not None and path.suffix.lower() not in endings:

@@ -152,7 +152,8 @@ def perform(
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
-        recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+                                              **provenance.metadata(prepared.experiment, prepared.script)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite)
@@ -164,11 +165,26 @@ def perform(
             result = prepared.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
+    if result.stop_reason is not None and never_ran(output):
+        for path in (output, truth):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        return report.refused(prepared, result, wall_s)
     kept = recorder.failure is None
     figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
     if picture is not None and kept:
         report.picture(output, picture, prepared)
     return figures
+
+
+def never_ran(output: Path) -> bool:
+    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    from trial import read
+
+    try:
+        return not len(read.open(output).time_ns)
+    except InputError:
+        return False  # a disk that is full: what is there is kept
 
 
 def closed(recorder: Recorder, result: Result) -> Result:

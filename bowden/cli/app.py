@@ -1,4 +1,4 @@
-"""The Typer application and its exit statuses: 0 done, 1 the answer is bad, 2 bad input, 130 Ctrl-C."""
+"""The Typer application and its exit statuses: 0 done, 1 the answer is bad, 2 bad input, 128 + n ended by signal n."""
 
 from __future__ import annotations
 
@@ -29,22 +29,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; messages are one sentence on stderr, never a box or a traceback."""
-    from bowden.cli import commands
+    from bowden.cli import commands, ending
 
     commands.load()
+    ending.quiet_libraries()
     warnings.showwarning = _remark
+    with ending.as_ctrl_c() as ended:
+        try:
+            return ended.status(_run(arguments))
+        except (KeyboardInterrupt, typer.Abort):
+            print(ended.told(), file=sys.stderr)
+            return ended.status(ending.CTRL_C)
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         status = app(list(arguments) or ["--help"], standalone_mode=False)
     except InputError as error:
         return _refuse(str(error))
     except typer.exceptions.TyperException as error:
         return _refuse(_sentence(error))
-    except (KeyboardInterrupt, typer.Abort):
-        print("bowden: interrupted.", file=sys.stderr)
-        return 130
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except MemoryError:
+        return _refuse("this computer's memory is too small for that; cut the input.")
+    except RecursionError:
+        return _refuse("the input is nested too deeply to be read; give another.")
     return status if isinstance(status, int) else 0
 
 

@@ -12,6 +12,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from diagnosis.finder import Diagnosis
@@ -78,7 +79,10 @@ def diagnose(
     chosen = _trials(trials, asked, given)
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
-    output_files.refuse([output, report], overwrite=overwrite)
+    output_files.refuse([output, report], overwrite=overwrite, inputs=[
+        *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    output_files.refuse_ending(output, ".toml", what="what was found")
     began = time.perf_counter()
     with terminal.waiting("diagnosing", shown=not json):
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
@@ -147,7 +151,7 @@ def _diagnosed(
     if found.verdict == "refused":
         return found
     if output is not None:
-        output.write_text(extension.text(found, groups[0]), encoding="utf-8")
+        write_whole(output, extension.text(found, groups[0]), overwrite=True)
     if report is not None:
         from diagnosis.report import page
 

@@ -43,11 +43,12 @@ def backup(
     """
     from bowden import output_files
     from master.network import dcf
+    from parameters.files import write_whole
 
     output_files.refuse([output], overwrite=overwrite)
     with _bench(name, reached, config) as (link, entry):
         values = {**dcf.backup(link, entry), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
-    output.write_text(dcf.as_dcf(entry.dictionary, entry.node_id, values), encoding="utf-8")
+    write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if json:
         terminal.emit({"node": name, "file": str(output), "parameters": len(values)})
     else:

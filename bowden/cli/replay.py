@@ -85,7 +85,7 @@ def replay(
     given = opened(trial)
     if onto == "controller":
         return _controller(given, json=json)
-    chosen = reached.chosen(simulated)
+    chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
         return _plant(given, chosen, output, overwrite=overwrite, json=json)
     network = recorded.sections(given)["network"]

@@ -65,7 +65,9 @@ def build(
 def _head(trial: Trial) -> Page:
     told, result = trial.metadata, trial.result
     title = " ".join(("Trial", trial.path.name))
-    parts = [told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
+    bus = told.get("bus", "")
+    where = "SIMULATED bench" if bus == "SIMULATED" else f"bus {bus}" if bus else ""
+    parts = [where, told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
              _of(told, "cycles", "gait cycles"), _of(told, "rate_hz", "Hz"),
              f"controller {told['controller']}" if "controller" in told else "",
              f"calibration {told['calibration']}" if "calibration" in told else "",
