@@ -139,9 +139,12 @@ def known_effects(controller_model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, announce: str = "",
 ) -> dict[str, Any]:
-    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
+
+    `announce` is remarked when the bus is open, before anything is sent.
+    """
     from bowden import figures as report
     from bowden import provenance
     from master.network.link import Link
@@ -158,6 +161,8 @@ def perform(
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite)
         began = time.perf_counter()
+        if announce:
+            progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:

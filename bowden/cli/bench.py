@@ -13,7 +13,8 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, grouped
 
-Interface = Annotated[str, typer.Option(help="python-can interface, such as socketcan, udp_multicast or virtual.")]
+Interface = Annotated[str, typer.Option(
+    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 
 

@@ -29,7 +29,8 @@ Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
 Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="With --each: processes (default: one a processor).")]
+Workers = Annotated[int | None, typer.Option(
+    metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Planned = Annotated[str | None, typer.Option(

@@ -66,11 +66,12 @@ def identify(
     recording = output.with_suffix(".mcap")
     output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
         calibration, config, simulated.plant_model])
-    if not json:
-        terminal.remark(f"bench on {chosen.told}.")
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
-    return _ended(found, output, str(recording), picture, json)
+    status = _ended(found, output, str(recording), picture, json)
+    if not json:
+        print(f"Bench: {chosen.told}")
+    return status
 
 
 def _drawable(what: str, picture: Path | None) -> None:

@@ -15,7 +15,8 @@ from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
 
 LOOK_S = 0.05  # between two looks at the clock
-Interface = Annotated[str, typer.Option(help="python-can interface, such as socketcan, udp_multicast or virtual.")]
+Interface = Annotated[str, typer.Option(
+    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 Frames = Annotated[int | None, typer.Option(metavar="N", min=1, help="End after so many frames.")]
 MaxSize = Annotated[float | None, typer.Option(metavar="MB", min=0.01, help="A new file after so many MB.")]

@@ -31,15 +31,18 @@ TAKES = {
 }
 """Options by what a trial is replayed onto; the others are refused."""
 Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
-Onto = Annotated[str, typer.Option(help="bus, controller or plant.", show_default=False)]
-Speed = Annotated[float, typer.Option(help="bus: recorded by played time.")]
+Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
+Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
 Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: play it exactly so often.")]
 From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there; nodes and PDOs are brought there.")]
 To = Annotated[float | None, typer.Option("--to", metavar="S", help="bus: end there.")]
 Step = Annotated[bool, typer.Option("--step", help="bus: one frame for each line of standard input.")]
-Node = Annotated[list[int] | None, typer.Option(help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
-CobId = Annotated[list[str] | None, typer.Option(help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
-Direction = Annotated[str | None, typer.Option(help="bus: rx (what the recorder heard) or tx (what it sent).")]
+Node = Annotated[list[int] | None, typer.Option(
+    metavar="NODE", help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
+CobId = Annotated[list[str] | None, typer.Option(
+    metavar="ID", help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
+Direction = Annotated[str | None, typer.Option(
+    metavar="WAY", help="bus: rx (what the recorder heard) or tx (what it sent).")]
 Map = Annotated[list[str] | None, typer.Option("--map", metavar="N=CHANNEL", help="bus: recorded channel → channel.")]
 NodesOnly = Annotated[bool, typer.Option("--nodes-only", help="bus: the nodes' frames, answering a live master.")]
 Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="plant: residuals, MCAP.")]

@@ -21,11 +21,12 @@ Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…",
     "Repeatable."))]
 Draw = Annotated[list[str] | None, typer.Option("--draw", metavar="NAME=LOW:HIGH[:log]", help=(
     "A number drawn at random. Repeatable."))]
-Draws = Annotated[int, typer.Option(help="Random draws for each point of the grid.")]
-DrawSeed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Draws = Annotated[int, typer.Option(metavar="COUNT", help="Random draws for each point of the grid.")]
+DrawSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.")]
 Identify = Annotated[bool, typer.Option("--identify", help="Identify each bench on its day 0 first.")]
 Keep = Annotated[Path | None, typer.Option(metavar="DIR", help="Keep the recordings there (default: none is kept).")]
-Workers_ = Annotated[int | None, typer.Option("--workers", help="Processes (default: one a processor).")]
+Workers_ = Annotated[int | None, typer.Option(
+    "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
 Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
 

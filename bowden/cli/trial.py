@@ -53,9 +53,8 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    if not json:
-        terminal.remark(_where(chosen))
-    result = session.perform(prepared, output, picture, overwrite=overwrite, progress=terminal.Terminal(shown=not json))
+    result = session.perform(prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
+                             progress=terminal.Terminal(shown=not json))
     if json:
         terminal.emit(result)
     elif result["trial"] is None:

@@ -56,13 +56,12 @@ def verify(
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse(files.values(), overwrite=overwrite, inputs=[
         model, calibration, config, simulated.plant_model])
-    if not json:
-        terminal.remark(f"bench on {chosen.told}.")
     prepared = {
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}
     progress = terminal.Terminal(shown=not json)
-    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress)
+    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress,
+                                     announce="" if json else f"{name}, bench on {chosen.told}.")
                for name, path in files.items()}
     result = _compared(model, prepared["after"].experiment.known, figures)
     terminal.emit(result) if json else _tell(result, figures)

@@ -11,7 +11,9 @@ import gzip
 import io
 import math
 import os
+import shutil
 import struct
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -95,13 +97,21 @@ class McapReader(BinaryIOMessageReader):
 class McapWriter(SizedMessageWriter):
     """Writes CAN messages as a trial without cycles, from a thread of its own; an existing file is replaced.
 
+    A file object opened for writing bytes gets the whole file when the writer stops; it stays open.
+
     CAN FD frames do not fit `can_msgs/msg/Frame` and are left out, counted in the result as `fd_frames`.
     """
 
-    def __init__(self, file: str | os.PathLike[str], append: bool = False, **_options: Any) -> None:
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO, append: bool = False, **_options: Any) -> None:
+        name = getattr(file, "name", file)
         if append:
-            raise InputError(f"{file}: a trial cannot be appended to; give a new name.")
-        self._path = Path(file)
+            raise InputError(f"{name}: a trial cannot be appended to; give a new name.")
+        self._handed: Any = file if hasattr(file, "write") else None
+        if self._handed is None:
+            self._path = Path(str(file))
+        else:  # a recording needs a file of its own while it grows; the object gets it whole
+            self._folder = tempfile.TemporaryDirectory(prefix="bowden-")
+            self._path = Path(self._folder.name) / "recording.mcap"
         self._recorder = Recorder(self._path, metadata={"source": "python-can"}, attachments={}, overwrite=True,
                                   signals=())
         self._channels = ChannelNumbers()
@@ -118,6 +128,10 @@ class McapWriter(SizedMessageWriter):
     def stop(self) -> None:
         """Write what is waiting and close the file."""
         self._recorder.close({"fd_frames": self._fd_frames, "channels": self._channels.names})
+        if self._handed is not None and self._path.exists():
+            with self._path.open("rb") as whole:
+                shutil.copyfileobj(whole, self._handed)
+            self._folder.cleanup()
 
     def file_size(self) -> int:
         """Return the size of the file now, in bytes."""
