@@ -86,6 +86,7 @@ def replay(
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     given = opened(trial)
+    _refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, json=json)
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
@@ -108,6 +109,26 @@ def replay(
         return _played(given, playing.played(), json=json)
 
 
+def _refuse_imported(recorded: Trial, onto: str) -> None:
+    """Raise `InputError`, with what can be done instead, for what a log or table of others cannot be replayed onto."""
+    source = recorded.metadata.get("imported_from")
+    if source is None:
+        return
+    said = f"{recorded.path}: was imported from {source}"
+    if not len(recorded.frames):
+        raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
+                         "it, and bowden report shows it.")
+    from eds.bench import Network, wire
+
+    commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
+    others = "--onto bus" + (" or --onto plant" if commands else "")
+    if onto == "controller":
+        raise InputError(f"{said}, which carries neither the calibration nor the configuration that the controller's "
+                         f"steps need; replay it {others}.")
+    if onto == "plant" and not commands:
+        raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")
+
+
 def _controller(recorded: Trial, *, json: bool) -> int:
     from bowden.recorded import experiment
     from bowden.replay import onto_controller
@@ -119,6 +140,10 @@ def _controller(recorded: Trial, *, json: bool) -> int:
         terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()})
         return 0 if found.same else 1
     print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
+    if recorded.recovered is not None:
+        whole = onto_controller.whole_rows(recorded)
+        print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
+              f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
     if found.first is None:
         print("The same, bit for bit.")
         return 0
