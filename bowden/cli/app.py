@@ -11,7 +11,7 @@ from typing import Annotated, Any, TextIO
 import typer
 import typer.exceptions
 
-from parameters import InputError, RenamedWarning
+from parameters import InputError, Remark
 
 app = typer.Typer(
     name="bowden",
@@ -113,7 +113,7 @@ def _failed(error: Exception) -> int:
 def _remark(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
             line: str | None = None) -> None:
     """Say a remark on what was read as one line; any other warning as Python does."""
-    if issubclass(category, RenamedWarning):
+    if issubclass(category, Remark):
         print(f"bowden: {message}", file=sys.stderr)
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)

@@ -34,20 +34,20 @@ SoftStart = Annotated[int | None, _given("Gait cycles before the first, over whi
                                          "--soft-start", metavar="COUNT")]
 Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).", metavar="HZ")]
 Controller = Annotated[str | None, _given(
-    "paper, none, friction, impedance or extended (default paper).", metavar="NAME")]
+    "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
-Calibration = Annotated[Path | None, _file("calibration.toml (default: the packaged nominal one).")]
+Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
     "--experiment", metavar="NAME", help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTS)}.")]
-ControllerModel = Annotated[Path | None, _file("extended.toml: effects that the controller knows of.")]
+ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 
 Serial = Annotated[int | None, _given("Simulated bench: its serial number (default 1).", metavar="NUMBER")]
 Day = Annotated[int | None, _given("Simulated bench: the day (default 0).", metavar="NUMBER")]
 Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
 Plant = Annotated[str | None, typer.Option(metavar="NAME", help="Simulated bench: its plant (default bowden).")]
-PlantModel = Annotated[Path | None, _file("Simulated bench: plant parameters, TOML.")]
+PlantModel = Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")]
 Interface = Annotated[str | None, _given(
     "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
 Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]

@@ -14,16 +14,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
 from parameters.files import refuse_special
+from physics.laws import Array
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE
-
-Array = NDArray[np.float64]
 
 UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
 """The signals that CSV headers, the channel /cycle and report axes share."""

@@ -14,15 +14,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block, rmse
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Free, Problem, solve
 from diagnosis.problem.reference import BAND, Reference
+from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 LEARNT: Final = 2.0
@@ -42,7 +41,7 @@ class HealthyFit:
 
 @dataclass(frozen=True)
 class Deviating(Block):
-    """A block of one of several like benches: what is common, and how far this bench is from it (`SLOT@BENCH`)."""
+    """A block of one of several like benches: what is common, and how far this bench is from it (`NAME@BENCH`)."""
 
     common: Block
     bench: int
@@ -55,7 +54,7 @@ class Deviating(Block):
 
 
 def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
-    """Return `block` of the bench of a number, which may stand apart from what is common in the slots of `nuisance`."""
+    """Return `block` of the bench of a number, which may depart from what is common by `nuisance`."""
     own = tuple(f.name for f in nuisance if f.name in block.uses)
     return Deviating(block.relation, block.signals, block.keep, block.cycle,
                      block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
