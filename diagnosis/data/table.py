@@ -28,6 +28,8 @@ UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION
 
 COUNTERS: Final = ("time_s", "gait_percent", "cycle")
 AGE_SUFFIX: Final = "_age_ns"
+NOMINAL: Final = "nominal"
+"""What a trial's metadata call the packaged calibration, which was measured on no bench."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
 
 
@@ -138,8 +140,11 @@ def _read_mcap(path: Path) -> Table:
 
 
 def _carried_calibration(trial: Any) -> Mapping[str, Any] | None:
+    """The bench's own calibration that a trial carries; the packaged nominal one is no bench's own."""
     import tomllib
 
+    if trial.metadata.get("calibration") == NOMINAL:
+        return None
     raw = trial.attachments.get("calibration.toml")
     try:
         return None if raw is None else tomllib.loads(bytes(raw).decode("utf-8"))

@@ -78,13 +78,14 @@ def refuse_other(link: Link, node: NodeEntry, dictionary: Dictionary, what: str)
     """
     for index, subindex, name in IDENTITY:
         entry = dictionary.entries.get(key(index, subindex))
-        if entry is None or not isinstance(entry.value, int) or not entry.value:
+        expected = None if entry is None else entry.default if entry.value is None else entry.value
+        if entry is None or not isinstance(expected, int) or not expected:
             continue
         found = _value(link, node.node_id, entry)
-        if found != entry.value:
+        if found != expected:
             told = f"says {found:#x}" if isinstance(found, int) else "does not tell it"
             raise InputError(f"{what}: is of another device than {node.name} (node {node.node_id}): its {name} "
-                             f"({index:04X}h:{subindex:02X}) is {entry.value:#x}, the node {told}; "
+                             f"({index:04X}h:{subindex:02X}) is {expected:#x}, the node {told}; "
                              "nothing was written.")
 
 

@@ -54,10 +54,12 @@ def case() -> Any:
     return OnOurBus
 
 
-NAMES = ("test_no_message", "test_multiple_shutdown", "test_timestamp", "test_standard_message",
-         "test_extended_message", "test_remote_message", "test_dlc_less_than_eight", "test_unique_message_instances", "test_fd_message",
-         "test_fd_message_with_brs", "test_fileno", "test_timestamp_is_absolute",
-         "test_sub_second_timestamp_resolution", "test_send_periodic_duration")
+NAMES = (
+    "test_no_message", "test_multiple_shutdown", "test_timestamp", "test_standard_message",
+    "test_extended_message", "test_remote_message", "test_dlc_less_than_eight", "test_unique_message_instances",
+    "test_fd_message", "test_fd_message_with_brs", "test_fileno", "test_timestamp_is_absolute",
+    "test_sub_second_timestamp_resolution", "test_send_periodic_duration",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)
