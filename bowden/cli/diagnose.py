@@ -88,7 +88,10 @@ def diagnose(
     with terminal.waiting("diagnosing", shown=not json):
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
-    terminal.emit(result) if json else _tell(found, result)
+    if json:
+        terminal.emit(result)
+    else:
+        _tell(found, result, unmeasured=calibration is None and not healthy and _all_nominal(chosen))
     return 2 if found.verdict == "refused" else 0
 
 
@@ -160,16 +163,33 @@ def _diagnosed(
     return found
 
 
-def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
-    print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+def _all_nominal(trials: list[Path]) -> bool:
+    """Say whether every trial ran on the packaged calibration, which was measured on no bench."""
+    from diagnosis.data.table import NOMINAL
+    from trial.read import open as opened
+
+    return all(path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL
+               for path in trials)
+
+
+def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
     figure = terminal.number
+    if unmeasured and found.verdict in ("found", "ambiguous"):
+        print("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
+              "itself cannot be told from what is wrong with it.\nNo cause is named on this footing; --json lists the "
+              "candidates, --calibration or --healthy gives a better one.")
+        result = result | {"causes": []}
+        rivals: tuple[str, ...] = ()
+    else:
+        print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+        rivals = tuple(found.rivals)
     if result["causes"]:
         terminal.table("causes", ("effect", "site", "parameters", "gain (%)"), [
             (cause["effect"], cause["site"], _parameters(cause["parameters"]), figure(cause["gain_percent"], 1))
             for cause in result["causes"]])
-    if found.rivals[1:]:
-        print(f"These data cannot tell {found.rivals[0]} from {', '.join(found.rivals[1:])}.")
-    if found.experiment:
+    if rivals[1:]:
+        print(f"These data cannot tell {rivals[0]} from {', '.join(rivals[1:])}.")
+    if found.experiment and not unmeasured:
         print(f"What would: {found.experiment}")
     terminal.table("relations", RELATION_COLUMNS, [
         (name, row["unit"], *(figure(row[key], 4) for key in RELATION_FIGURES), figure(row["gain_percent"], 1))
