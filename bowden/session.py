@@ -153,9 +153,12 @@ def known_effects(model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, announce: str = "",
 ) -> dict[str, Any]:
-    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
+
+    `announce` is remarked when the bus is open, before anything is sent.
+    """
     from bowden import figures as report
     from bowden import provenance
     from master.network.link import Link
@@ -167,12 +170,15 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
-        recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+                                              **provenance.metadata(prepared.experiment, prepared.script)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
                             signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
+        if announce:
+            progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:
@@ -180,12 +186,27 @@ def perform(
             result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
+    if result.stop_reason is not None and never_ran(output):
+        for path in (output, truth):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        return report.refused(prepared, result, wall_s)
     kept = recorder.failure is None
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress)
     if picture is not None and kept:
         report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def never_ran(output: Path) -> bool:
+    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    from trial import read
+
+    try:
+        return not len(read.open(output).time_ns)
+    except InputError:
+        return False  # a disk that is full: what is there is kept
 
 
 def closed(recorder: Recorder, result: Result) -> Result:
