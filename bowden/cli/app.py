@@ -6,7 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Final, TextIO
 
 import typer
 import typer.exceptions
@@ -38,6 +38,10 @@ def _options(
                                           help="Print the version and end.")] = False,
 ) -> None:
     """Drive stack for a Bowden cable–fabric force-transfer bench on CAN."""
+
+
+_REMARKED: Final[set[str]] = set()
+"""Remarks of this process: a file that two readers read is remarked on once."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -114,7 +118,9 @@ def _remark(message: Warning | str, category: type[Warning], filename: str, line
             line: str | None = None) -> None:
     """Say a remark on what was read as one line; any other warning as Python does."""
     if issubclass(category, Remark):
-        print(f"bowden: {message}", file=sys.stderr)
+        if str(message) not in _REMARKED:
+            print(f"bowden: {message}", file=sys.stderr)
+        _REMARKED.add(str(message))
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)
 
