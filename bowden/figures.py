@@ -62,7 +62,7 @@ def figures(
 
 
 def refused(
-    experiment: Experiment, result: Result, wall_s: float, *, serial: int | None, simulated: bool,
+    experiment: Experiment, result: Result, wall_s: float, *, serial: int | None, simulated: bool
 ) -> dict[str, Any]:
     """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
     nothing = dict.fromkeys(metrics.figures(

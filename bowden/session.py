@@ -190,8 +190,7 @@ def perform(
         for path in (output, truth):
             if path is not None:
                 path.unlink(missing_ok=True)
-        return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial,
-                              simulated=simulated)
+        return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress)

@@ -24,10 +24,6 @@ app = typer.Typer(
 )
 
 
-_REMARKED: Final[set[str]] = set()
-"""Remarks of this process: a file that two readers read is remarked on once."""
-
-
 def _version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
@@ -42,6 +38,10 @@ def _options(
                                           help="Print the version and end.")] = False,
 ) -> None:
     """Drive stack for a Bowden cable–fabric force-transfer bench on CAN."""
+
+
+_REMARKED: Final[set[str]] = set()
+"""Remarks of this process: a file that two readers read is remarked on once."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -61,10 +61,13 @@ def as_ctrl_c() -> Iterator[Ending]:
 
 
 def status_of(outcome: str, reason: str | None) -> int:
-    """Return the exit status of a run: 0 completed, 130 stopped by the operator, 1 stopped for another reason."""
+    """Return the exit status of a run: 0 completed, 128 + n stopped by signal n, 1 stopped for another reason."""
     if outcome == "completed":
         return 0
-    return CTRL_C if (reason or "").startswith(INTERRUPTED) else 1
+    if not (reason or "").startswith(INTERRUPTED):
+        return 1
+    named = [word for word in (reason or "").split() if word in signal.Signals.__members__]
+    return 128 + signal.Signals[named[0]] if named else CTRL_C
 
 
 def quiet_libraries() -> None:

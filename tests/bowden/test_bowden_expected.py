@@ -21,7 +21,7 @@ from trial.recover import recover
 
 Bowden = Callable[..., tuple[int, str, str]]
 BOWDEN = [sys.executable, "-c", "from bowden.cli import main; main()"]
-SHORT = ("--cycles", "2", "--settle", "0", "--period", "0.5")
+SHORT = ("--cycles", "2", "--settle", "0", "--period", "1.0")
 
 
 def made(path: Path) -> Path:
@@ -240,7 +240,7 @@ def telling(text, *, shown=True):
         yield lambda share: share > 0.2 and not done and (done.append(1), os.kill(os.getpid(), int(sys.argv[1])))
     return inside()
 terminal.progress = telling
-sys.exit(run(["trial", "--cycles", "3", "--period", "0.5", "-o", "a.mcap", "--json"]))
+sys.exit(run(["trial", "--cycles", "3", "--period", "1.0", "-o", "a.mcap", "--json"]))
 """
 
 
