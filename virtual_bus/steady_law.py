@@ -86,8 +86,8 @@ I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
 LIMIT, AFTER, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
     OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 16)
 """A cycle ends before `LIMIT`, its SYNC after `AFTER`, the rest within `BUDGET` of that; SYNC's period; bit time;
-turnarounds; the master's frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat; how
-the cycle ended."""
+turnarounds; the master's frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat;
+how the cycle ended."""
 BEAT: Final = RETURNED + 1
 """Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
 INTERVAL: Final = BEAT + 4 * NODES
