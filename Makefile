@@ -32,6 +32,8 @@ figures: $(VENV)/.installed-test
 
 reproduce: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.reproduce
+	$(BIN)/python -m benchmarks.family
+	$(BIN)/python -m benchmarks.family --set-aside
 
 hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.run --page

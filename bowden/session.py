@@ -181,9 +181,10 @@ def perform(
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None
-    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
+    figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
+                             simulated=simulated, kept=kept, progress=progress)
     if picture is not None and kept:
-        report.picture(output, picture, prepared)
+        report.picture(output, picture, prepared.experiment)
     return figures
 
 

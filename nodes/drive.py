@@ -16,7 +16,7 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import rules
 from nodes.axis import Axis
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 from nodes.homing import Phase
 from nodes.modes import MODE_DISPLAY, ModesOfOperation
 from nodes.set_point_law import Taker
@@ -38,7 +38,7 @@ class Drive(ModesOfOperation):
     report back.
     """
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Read the units; listen to every writable object of the profile."""
         self.device, self.values = device, device.values
         self.axis = Axis(device.objects.dictionary)

@@ -13,7 +13,7 @@ from typing import Final
 from eds.cia301 import Emcy
 from eds.dictionary import key
 from nodes import axis_law as law
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 from nodes.drive import Drive
 from nodes.set_point_law import FEELS, NEWTON, NO_TENSION, Taker, feel
 
@@ -31,7 +31,7 @@ class ServoDrive(Drive):
         self._tripped = False
         self._limit = self._trip = math.inf
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Listen to START's tension besides."""
         super().attach(device)
         self._writers[TENSION] = self._feel

@@ -17,7 +17,7 @@ from nodes import channel_law as law
 from nodes import filter as filters
 from nodes.channel_law import NEGATIVE_OVERLOAD, NOT_VALID, POSITIVE_OVERLOAD
 from nodes.core.application import Application
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
 
 FIELD_REAL, FIELD = key(0x6100, 1), key(0x9100, 1)
@@ -40,7 +40,7 @@ _REALS: Final = frozenset((*_OTHER_END, OFFSET, *_LINKED))
 class TensionSensor(Application):
     """One channel; `sample` is called every `interval_ns` with the converter's counts, frames do the rest."""
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Listen to the channel's settings."""
         self.device, self.values = device, device.values
         self.watched = frozenset(k for k, e in device.objects.entries.items() if k >= key(0x6000) and e.writable)

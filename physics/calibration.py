@@ -233,6 +233,18 @@ def write(calibration: Calibration) -> str:
                       *rows(*values_of(calibration))]) + "\n"
 
 
+def said_of(calibration: Calibration, start_n: float) -> list[str]:
+    """What is to be said before a bench pulls `start_n` at START by this calibration: a sentence each."""
+    said = []
+    if calibration.lacking:
+        said.append(f"calibration {calibration.label} is of an older version without {', '.join(calibration.lacking)}; "
+                    "neutral values are taken; run bowden identify again.")
+    if start_n > calibration.identified_to:
+        said.append(f"calibration {calibration.label}: the peak takes {start_n:.0f} N at START and the bench was "
+                    f"identified up to {calibration.identified_to:.0f} N; beyond it the stretch is extrapolated.")
+    return said
+
+
 def refuse_beyond_validity(calibration: Calibration, peak_n: float) -> None:
     """Raise `InputError` when the desired peak lies beyond the turning point of (10), where it has no inverse."""
     limit = calibration.limit_n

@@ -30,7 +30,7 @@ from master.motion.home import Homed, home
 from master.network.link import Link
 from parameters import InputError
 from physics import inverse
-from physics.calibration import Calibration, nominal, refuse_beyond_validity
+from physics.calibration import Calibration, nominal, refuse_beyond_validity, said_of
 from physics.reference import Reference
 
 KNEE_SAMPLES = 400
@@ -144,8 +144,10 @@ class Planned:
         self.undone = {id(table): correction(calibration, table, rest, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
         self.homed: Homed | None = None
-        self.impedance, self.warning = derated(
+        self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
+        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
+        self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None
         inverse.prepare()
         self._rehearse()
 

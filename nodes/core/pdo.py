@@ -7,7 +7,7 @@ moves outside OPERATIONAL.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from eds.cia301 import NmtState, Service
 from eds.datatype import Value
@@ -15,13 +15,11 @@ from eds.dictionary import key
 from eds.frame import Frame
 from eds.plan import compile_plan
 from nodes.core import cob_id, pdo_parameters
+from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, Applied, Handler, Part
 from nodes.core.pdo_mapping import mapping_refused
 from nodes.core.receive_pdo import ReceivePdo
 from nodes.core.transmit_pdo import TransmitPdo
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""
@@ -39,7 +37,7 @@ class Pdos(Part):
 
     service = Service.PDO
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: PdoHost) -> None:
         self._device = device
         indices = {at >> 8 for at in device.objects.entries}
         self._receive = {n: ReceivePdo(self, device, n) for n in range(1, 513) if 0x13FF + n in indices}

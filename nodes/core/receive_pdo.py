@@ -7,19 +7,16 @@ any of them; a value outside its object's limits leaves that object as it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from eds.cia301 import SYNC_MAX, Emcy
 from eds.datatype import Value
 from eds.dictionary import Entry, key
 from eds.plan import PdoPlan
 from nodes.core import cob_id
+from nodes.core.interfaces import PdoHost
 from nodes.core.objects import outside
 from nodes.core.parts import FAR_NS, MS
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
-    from nodes.core.pdo import Pdos
 
 
 class Taken(NamedTuple):
@@ -33,6 +30,14 @@ class Taken(NamedTuple):
     bounds: tuple[tuple[int, float | None, float | None], ...]
 
 
+class ArrivedPdos(Protocol):
+    """The PDO part, as far as an RPDO reports to it: those that arrived since SYNC, and a look at events."""
+
+    arrived: list[ReceivePdo]
+
+    def look(self, now_ns: int) -> None: ...
+
+
 class ReceivePdo:
     """RPDO `number` (from 1), compiled from 0x1400 + number − 1; `can_id` is 0 while it does not exist."""
 
@@ -40,7 +45,7 @@ class ReceivePdo:
                  "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number",
                  "plan")
 
-    def __init__(self, pdos: Pdos, device: Device, number: int) -> None:
+    def __init__(self, pdos: ArrivedPdos, device: PdoHost, number: int) -> None:
         self._pdos, self._device, self.number = pdos, device, number
         self._fault: Emcy | None = None
         self._late = False

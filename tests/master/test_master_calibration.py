@@ -87,3 +87,22 @@ def test_a_peak_beyond_the_turning_point_is_refused() -> None:
     calibration.refuse_beyond_validity(soft, 49.0)
     with pytest.raises(InputError, match=r"60 N is beyond the turning point.*50\.0 N"):
         calibration.refuse_beyond_validity(soft, 60.0)
+
+
+def test_an_older_calibration_loads_with_neutral_values_and_says_so(tmp_path: Path) -> None:
+    text = first_version(dataclasses.replace(calibration.nominal(), breakaway=0.2))
+    for name in calibration.LATER:
+        text = re.sub(rf"\[scalars\.{name}\].*?(?=\n\[|\Z)", "", text, flags=re.DOTALL)
+    back = calibration.read(written(tmp_path, text))
+    assert back.lacking == calibration.LATER
+    assert back.fabric_breakaway == 0.2
+    assert (back.stretch_short, back.load_slope, back.viscous, back.start_gain) == (0.0, 0.0, 0.0, 1.0)
+    [sentence] = calibration.said_of(back, 50.0)
+    assert "neutral values are taken" in sentence
+    assert "stretch_short" in sentence
+
+
+def test_a_force_beyond_what_was_identified_is_said() -> None:
+    known = dataclasses.replace(calibration.nominal(), identified_to=60.0)
+    assert calibration.said_of(known, 59.0) == []
+    assert "identified up to 60 N" in calibration.said_of(known, 77.0)[0]
