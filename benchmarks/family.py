@@ -148,7 +148,7 @@ def _walked(kind: str, serial: int, text: str, controller: str, cycles: int, set
 
 
 def _by_cycle(path: Path, cycles: int, peak_n: float) -> dict[str, Any]:
-    """RMSE by gait cycle, %, and how far the estimate of END is from it, relative, in the first and in the last cycle."""
+    """RMSE by gait cycle, %, and how far the estimate of END is off, relative, in the first and in the last cycle."""
     from trial import read
 
     trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
@@ -198,7 +198,7 @@ def loaded(walk: Mapping[str, Any], of: str = TRUE) -> float:
 
 
 def _no_farther(walk: Mapping[str, Any]) -> bool:
-    """Whether END by friction as followed is no farther from the truth than as homed; nothing was told where nothing slid."""
+    """Whether END by friction as followed is no farther from the truth than as homed, or nothing slid to tell it."""
     homed, followed = walk["homed_away"], walk["followed_away"]
     return homed is None or followed is None or followed <= homed + AS_FAR
 
