@@ -93,7 +93,7 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
     from bowden.sweep import row_trial
 
     sys.path.insert(0, str(ROOT))
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     said: dict[str, Any] = {"kind": kind, "serial": serial, "structure": structure(kind, serial)}
     row = bench_row(kind, serial, 0)
     reason, text = row_trial.identify(row_trial.bench_of(row))
