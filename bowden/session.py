@@ -181,9 +181,10 @@ def perform(
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None
-    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
+    figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
+                             simulated=simulated, kept=kept, progress=progress)
     if picture is not None and kept:
-        report.picture(output, picture, prepared)
+        report.picture(output, picture, prepared.experiment)
     return figures
 
 
@@ -219,8 +220,10 @@ def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
+            from virtual_bus import steady_law
+
             nodes.prepare()
-            compiled = bench_plant.prepare()
+            compiled = bench_plant.prepare() | steady_law.prepare()
     if compiled:
         progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")
@@ -232,7 +235,7 @@ class Watched:
     EVERY = 200
 
     def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
-        self.frame, self.event = recorder.frame, recorder.event
+        self.frame, self.frames, self.event = recorder.frame, recorder.frames, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
         self._width = recorder.width
 

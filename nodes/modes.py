@@ -6,6 +6,7 @@ target that stood in an object before the drive was enabled moves nothing.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from eds.cia301 import Emcy
@@ -14,6 +15,7 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import homing
 from nodes.homing import Phase
+from nodes.set_point_law import FOLLOWS, KEEPS, Taker
 from nodes.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
@@ -132,6 +134,14 @@ class ModesOfOperation(StateMachine):
             self._stepped = False
             self.device.recover(Emcy.POSITION_LIMIT)
         self.axis.target_position(target)
+
+    def position_taker(self) -> Taker | None:
+        """Say what `to_position` does to the axis at every target, as things are; None where it may do more."""
+        if self._open is not Mode.CSP or not self._commanded:
+            return Taker(KEEPS)
+        if self._stepped or self.number(0x60B0):
+            return None
+        return Taker(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Take 0x60FF."""

@@ -22,6 +22,8 @@ from virtual_bus.kernel import NEVER
 from virtual_bus.options import options
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
+from virtual_bus.steady import Steady, Whole, possible
+from virtual_bus.steady_arrays import Asked, Heartbeat
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -37,9 +39,31 @@ class Shared:
         self.bench = bench
         self.users = 0
         self.lock = threading.RLock()
+        self.steady = Steady(bench) if possible(bench) else None
+
+    def settle(self) -> None:
+        """Let the bench's objects know all that has happened: before anybody looks at them or tells them something."""
+        if self.steady is not None and self.steady.warm:
+            with self.lock:
+                self.steady.leave()
 
 
 _OPEN: dict[str, Shared] = {}
+
+
+class Cycles:
+    """Whole control cycles at once: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
+
+    def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
+        self._steady, self._asked, self._lock = steady, asked, lock
+
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
+
+        None where this cycle may hold anything else: then nothing has happened.
+        """
+        with self._lock:
+            return self._steady.cycle(self._asked, data, beat_ns, after_ns)
 
 
 class BowdenBus(can.BusABC):
@@ -67,16 +91,47 @@ class BowdenBus(can.BusABC):
             made = bench or build(options(given, f"channel {self._key}"), self._key)
             shared = _OPEN[self._key] = Shared(made)
         self._shared = shared
+        shared.settle()
         shared.users += 1
         self._lock = shared.lock
-        self.bench = shared.bench
-        self._kernel = self.bench.kernel
-        self._host = self.bench.host
+        self._settle, self._steady = shared.settle, shared.steady
+        self._kernel = shared.bench.kernel
+        self._host = shared.bench.host
+        self._turnaround_ns = shared.bench.master_turnaround_ns
         self._socket = Socket(own=bool(receive_own_messages), limit=int(rx_queue))
         self._queue = self._socket.queue
         self._host.sockets.append(self._socket)
         self.channel_info = f"bowden bench on {self._key}"
         super().__init__(channel=self._key, can_filters=can_filters)
+
+    @property
+    def bench(self) -> Bench:
+        """The bench, up to date."""
+        self._settle()
+        return self._shared.bench
+
+    def cycles(
+        self, tap: can.BusABC | None, targets_id: int, size: int, inputs: Sequence[int], budget_ns: int,
+        heartbeat: tuple[int, int, int],
+    ) -> Cycles | None:
+        """Offer whole control cycles at once to a master: see `Cycles`; None where this bench has none.
+
+        `tap` is the bus on which everything is recorded; `targets_id` and `size` are of the frame that the master sends
+        in each, `inputs` the frames that it then waits for, within `budget_ns` of their SYNC; `heartbeat` is its own:
+        identifier, data, period in ns.
+        """
+        steady = self._steady
+        if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
+            return None
+        asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns,
+                      Heartbeat(*heartbeat))
+        return Cycles(steady, asked, self._lock)
+
+    @property
+    def whole_cycles(self) -> int:
+        """How many control cycles of this bench were run at once so far; see `cycles`."""
+        self._settle()
+        return 0 if self._steady is None else self._steady.cycles
 
     def time_ns(self) -> int:
         """Return the bus's own time: ns since the bench was switched on."""
@@ -101,6 +156,9 @@ class BowdenBus(can.BusABC):
 
         Raises `can.CanOperationError` where nothing can ever come.
         """
+        steady = self._steady
+        if steady is not None and steady.warm:
+            self._settle()
         queue = self._queue
         if queue:
             return queue.popleft()
@@ -127,10 +185,11 @@ class BowdenBus(can.BusABC):
             self._refuse()
         frame = frame_of(msg)
         with self._lock:
+            self._settle()
             host, kernel = self._host, self._kernel
             if host.waiting >= host.limit and timeout:
                 kernel.run(kernel.now_ns + round(timeout * 1e9), Room(host))
-            self._submit(frame, kernel.now_ns + self.bench.master_turnaround_ns, self._socket)
+            self._submit(frame, kernel.now_ns + self._turnaround_ns, self._socket)
 
     def _submit(self, frame: Frame, ready_ns: int, origin: Socket | None) -> None:
         if self._host.submit(frame, ready_ns, origin):
@@ -146,7 +205,7 @@ class BowdenBus(can.BusABC):
         autostart: bool = True,
         modifier_callback: Modifier | None = None,
     ) -> PeriodicTask:
-        task = PeriodicTask(self._kernel, self._send_now, msgs, period, duration, modifier_callback)
+        task = PeriodicTask(self._kernel, self._send_now, msgs, period, duration, modifier_callback, self._settle)
         if autostart:
             task.start()
         return task
@@ -156,11 +215,13 @@ class BowdenBus(can.BusABC):
 
     def flush_tx_buffer(self) -> None:
         """Discard what waits in the computer."""
+        self._settle()
         with self._lock:
             if self._host.wire is not None:
                 self._host.wire.flush(self._host)
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._settle()
         self._socket.filters = list(filters) if filters else None
         self._host.rematch()
 
@@ -168,6 +229,7 @@ class BowdenBus(can.BusABC):
         """Close this socket; the bench dies with its last one."""
         if self._is_shutdown:
             return
+        self._settle()
         super().shutdown()
         with self._lock:
             self._host.sockets.remove(self._socket)
@@ -175,7 +237,7 @@ class BowdenBus(can.BusABC):
             self._shared.users -= 1
             if not self._shared.users:
                 _OPEN.pop(self._key, None)
-                self.bench.close()
+                self._shared.bench.close()
 
     def _refuse(self) -> NoReturn:
         raise can.CanOperationError(f"{self.channel_info} is shut down")

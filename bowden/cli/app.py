@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import TextIO
+from typing import Final, TextIO
 
 import typer
 import typer.exceptions
@@ -20,6 +20,10 @@ app = typer.Typer(
     no_args_is_help=False,
     rich_markup_mode=None,
 )
+
+
+_REMARKED: Final[set[str]] = set()
+"""Remarks of this process: a file that two readers read is remarked on once."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -52,7 +56,9 @@ def _remark(message: Warning | str, category: type[Warning], filename: str, line
             line: str | None = None) -> None:
     """Say a remark on what was read as one line; any other warning as Python does."""
     if issubclass(category, Remark):
-        print(f"bowden: {message}", file=sys.stderr)
+        if str(message) not in _REMARKED:
+            print(f"bowden: {message}", file=sys.stderr)
+        _REMARKED.add(str(message))
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)
 

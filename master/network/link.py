@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -122,6 +122,25 @@ class Link:
                 if not (message.is_extended_id or message.is_remote_frame):
                     self._notice(message)
                     return message
+
+    @property
+    def heartbeat(self) -> tuple[int, int, int]:
+        """This master's heartbeat: identifier, its byte, period in ns (`NEVER` for none)."""
+        message, period_ns = self._heartbeat, self._heartbeat_ns
+        return message.arbitration_id, message.data[0], NEVER if period_ns is None else period_ns
+
+    @property
+    def due_ns(self) -> int:
+        """When the heartbeat is due; 0 where the link has more than that to send by itself."""
+        return self._beat_due_ns if not self._pace_ns else 0
+
+    def heed(self, beats: Iterable[tuple[int, int, int]]) -> None:
+        """Take heartbeats of cycles that the bus has run: identifier, time, state; of the own one when it was sent."""
+        for can_id, time_ns, state in beats:
+            if can_id == self._heartbeat.arbitration_id:
+                self._beat_due_ns = self._due_ns = time_ns + (self._heartbeat_ns or NEVER)
+            else:
+                self.beats[can_id - HEARTBEAT_BASE] = Beat(time_ns, state & _NODE_MASK)
 
     def _serve(self, now_ns: int) -> can.Message | None:
         """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
