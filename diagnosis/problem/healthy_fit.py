@@ -50,7 +50,8 @@ class Deviating(Block):
 
     def residual(self, values: Values) -> Array:
         return self.common.residual({**values, **{
-            n: min(max(values[n] + values[f"{n}@{self.bench}"], SLOTS[n].low), SLOTS[n].high) for n in self.own}})
+            n: min(max(values[n] + values[f"{n}@{self.bench}"], min(SLOTS[n].low, values[n])), SLOTS[n].high)
+            for n in self.own}})
 
 
 def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:

@@ -189,7 +189,7 @@ def anchored(p: Values, angle: Array) -> Array:
 def elasticity(signals: Signals, p: Values) -> Array:
     """Predict START tension, N, from rope and knee position: (10) and (11) inverted, then friction."""
     start = signals.remember("motion", p, MOTION_SLOTS, lambda: _from_motion(signals, p))
-    return start_reading(signals, p, _with_drag(signals, p, start))
+    return start_reading(signals, p, _undecided(signals, p, start, _with_drag(signals, p, start)))
 
 
 MOTION_SLOTS: Final = (*FRICTION_SLOTS, "slack", "rope_zero", "home_preload", "knee_ratio", "moment_arm",
