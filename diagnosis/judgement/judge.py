@@ -157,6 +157,7 @@ class Judge:
         lacking = blocks.allowed(self.holdout) if self.holdout else {}
         ahead = blocks.blocks_of(
             self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut) if lacking else []
+        ahead = self.setting.learnt.corrected(ahead) if self.setting.learnt is not None else ahead
         return {name: self._figures(name, ahead) for name in RELATIONS}
 
     def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:

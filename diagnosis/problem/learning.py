@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import TAUT_N, Block, rmse
 from diagnosis.problem.discrepancy import Discrepancy
@@ -48,6 +49,8 @@ NARROW: Final = 0.3
 STANDING_IN: Final = ("cable_bend", "load_slope", "viscous", "toe", "moment_arm")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
 """Slots whose tolerance among like benches is a share of their value."""
+STRUCTURE: Final = 0.5
+"""Share of what the laws leave that another trial may leave in another way."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
 COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape", "rope_zero", "knee_ratio")
@@ -55,7 +58,7 @@ FULL: Final = 2
 """Coarse fits that are carried on."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
 LIKELY_RATIO: Final = (0.01, 0.2)
-STRAIGHT: Final = 0.97
+STRAIGHT: Final = 0.9
 """R² of rope over knee and tension from which a rig is one of this kind."""
 
 
@@ -70,11 +73,15 @@ class Geometry:
     straight: float
 
     @property
+    def stretches(self) -> bool:
+        """Whether a tension stretches what is there like a rope and a strap."""
+        stretch = self.linear * 60.0 + self.bend * 3600.0
+        return self.straight > STRAIGHT and STRETCH_AT_60_N[0] < abs(stretch) < STRETCH_AT_60_N[1]
+
+    @property
     def of_this_kind(self) -> bool:
         """Whether a rope runs over a knee there, and stretches like one."""
-        stretch = self.linear * 60.0 + self.bend * 3600.0
-        return (self.straight > STRAIGHT and LIKELY_RATIO[0] < abs(self.ratio) < LIKELY_RATIO[1]
-                and STRETCH_AT_60_N[0] < abs(stretch) < STRETCH_AT_60_N[1])
+        return self.stretches and LIKELY_RATIO[0] < abs(self.ratio) < LIKELY_RATIO[1]
 
 
 def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None) -> Geometry | None:
@@ -104,6 +111,16 @@ def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None)
     return Geometry(float(c[1]), float(c[0]), float(c[2]), float(c[3]), 1.0 - left / spread if spread else 0.0)
 
 
+def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
+    """Return the trials with a rope position that grows where it pulls, and the sign that theirs has (1 or −1)."""
+    found = geometry([t.columns for t in tables])
+    if found is None or found.linear * 60.0 + found.bend * 3600.0 >= 0.0:
+        return list(tables), 1
+    turned = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
+    return [dataclasses.replace(t, columns={n: -v if n in turned else v for n, v in t.columns.items()})
+            for t in tables], -1
+
+
 @dataclass(frozen=True)
 class Learnt:
     """What healthy trials say of a bench: values and 1σ by slot, bands about them, floors and what the laws leave.
@@ -119,6 +136,11 @@ class Learnt:
     correlation_length: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
     trials: int
+
+    def floor(self, relation: str) -> float:
+        """Return how far a relation may be from holding on a healthy trial: like benches differ in structure, too."""
+        left, plain = self.floors[relation], self.plain[relation]
+        return min(math.hypot(left, STRUCTURE * plain), plain)
 
     def corrected(self, blocks: Sequence[Block]) -> list[Block]:
         """Return blocks of another trial with the discrepancies taken off."""
@@ -159,7 +181,7 @@ def _wide(reference: Reference) -> list[Free]:
     """Return every constant with what is known of it beforehand."""
     found = {f.name: f for f in reference.nuisance}
     for name, sigma in WIDE.items():
-        low, high = _bounds(name)
+        low, high = bounds(name)
         at, half = reference.values[name], 4.0 * sigma
         found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
     ratio, low, high = reference.values["knee_ratio"], *KNEE_RATIO_RANGE
@@ -168,7 +190,7 @@ def _wide(reference: Reference) -> list[Free]:
     return list(found.values())
 
 
-def _bounds(name: str) -> tuple[float, float]:
+def bounds(name: str) -> tuple[float, float]:
     """Return the bounds of a slot on a healthy bench: of two signals either may be the later one."""
     slot = SLOTS[name]
     return (-slot.high if name in ("timestamp_skew", "end_delay") else slot.low), slot.high
@@ -225,7 +247,7 @@ def _bands(reference: Reference, values: Values, trials: int, relations: Mapping
     known = {f.name: f for f in reference.nuisance}
     found = []
     for name, f in known.items():
-        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), SLOTS[name], _bounds(name)
+        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), SLOTS[name], bounds(name)
         if name in RELATIVE and slot.healthy:
             sigma *= max(abs(values[name] / slot.healthy), 0.2)
         if name in STANDING_IN:

@@ -20,7 +20,7 @@ from diagnosis.problem.candidates import Candidate, candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
-from diagnosis.problem.healthy_fit import fit_healthy
+from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from physics.relations.relation import RELATIONS
 
@@ -44,6 +44,7 @@ class Setting:
     weights: Mapping[str, float]
     floors: Mapping[str, float] | None
     offered: list[Candidate]
+    learnt: Learnt | None = None
 
     @property
     def problem(self) -> Problem:
@@ -78,21 +79,36 @@ def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
            folds: list[frozenset[int]], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
     reference = of_bench(calibration)
-    declared = reference.values
-    floors, correlation_length = {n: FLOORS[n] for n in checked}, {n: CORRELATION_LENGTH[n] for n in checked}
-    measured = None
     if healthy:
-        taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
-                  for t in healthy]
-        healthy_fit = fit_healthy(taught, reference, candidates(checked, declared, reference.nuisance), floors,
-                                  correlation_length)
-        reference = healthy_fit.reference
-        measured = {n: max(healthy_fit.floors[n], LEAST_FLOOR[n]) if n in healthy_fit.floors else floors[n]
-                    for n in checked}
-        floors, correlation_length = measured, {**correlation_length, **healthy_fit.correlation_length}
-    weights = {n: floors[n] * math.sqrt(max(correlation_length[n], LEAST_CORRELATION_LENGTH)) for n in checked}
-    return Setting(False, missing, checked, blocks, folds, reference, declared, weights, measured,
+        return _learnt(missing, checked, blocks, folds, learnt_from(healthy, checked, reference))
+    floors = {n: FLOORS[n] for n in checked}
+    weights = {n: floors[n] * math.sqrt(CORRELATION_LENGTH[n]) for n in checked}
+    return Setting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
                    candidates(checked, reference.values, reference.nuisance))
+
+
+def learnt_from(healthy: Sequence[Table], checked: Sequence[str], known: Reference) -> Learnt:
+    """Learn the bench of healthy trials over the relations `checked`; `known`: one point to start from."""
+    own = of_bench(None)
+    taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
+              for t in healthy]
+    columns = [t.columns for t in healthy]
+    near, closed = geometry(columns, own.values["knee_ratio"]), geometry(columns)
+    start = own.values if near is None else of_geometry(own.values, near)
+    others = [known.values] if known.kind == "calibration" else []
+    others += [of_geometry(own.values, closed)] if closed is not None else []
+    return learn(taught, Reference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
+                 {n: CORRELATION_LENGTH[n] for n in checked}, others)
+
+
+def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
+            folds: list[frozenset[int]], learnt: Learnt) -> Setting:
+    floors = {n: max(learnt.floor(n) if n in learnt.floors else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
+    lengths = {n: learnt.correlation_length.get(n, CORRELATION_LENGTH[n]) for n in checked}
+    weights = {n: floors[n] * math.sqrt(max(lengths[n], LEAST_CORRELATION_LENGTH)) for n in checked}
+    values, nuisance = learnt.reference.values, learnt.reference.nuisance
+    return Setting(False, missing, checked, learnt.corrected(blocks), folds, learnt.reference, values, weights, floors,
+                   candidates(checked, values, nuisance), learnt)
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],

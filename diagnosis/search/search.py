@@ -48,7 +48,12 @@ class Model:
 
     @property
     def score(self) -> float:
-        return sum(self.by_relation.values())
+        return sum(self.by_relation.values()) + self.prior_penalty
+
+    @property
+    def prior_penalty(self) -> float:
+        """Return what the nuisance pays for standing away from what is known of it."""
+        return sum(f.pull(self.fit.values[f.name]) ** 2 for f in self.fit.free)
 
     @property
     def complexity_penalty(self) -> float:
@@ -97,6 +102,7 @@ class Search:
                  folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, wanting: Open, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.pays, self.leaves, self.wanting, self.near = pays, leaves, wanting, near
+        self.start = dict(start)
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.baseline = self.model((), start)
@@ -136,7 +142,11 @@ class Search:
         if step not in self.grown:
             self.grown.add(step)
             begun = candidate.starts[start] if start >= 0 else {}
-            self.model((*model.effects, candidate), {**model.fit.values, **begun}, model)
+            effects = (*model.effects, candidate)
+            self.model(effects, {**model.fit.values, **begun}, model)
+            # what the nuisance did in the effect's place is a way into another minimum
+            kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
+            self.model(effects, {**self.start, **kept, **begun}, model)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: Model) -> Model:
