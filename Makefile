@@ -1,4 +1,4 @@
-# make trial | test | check | figures | reproduce | hidden
+# make trial | test | check | docs | figures | reproduce | hidden
 # Each sets up .venv first; nothing else is needed than Python 3.11+ and make.
 PYTHON ?= python3
 VENV := .venv
@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
-.PHONY: trial test check figures reproduce hidden clean
+.PHONY: trial test check docs figures reproduce hidden clean
 
 trial: $(VENV)/.installed
 	@mkdir -p out
@@ -20,6 +20,9 @@ check: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest -n 2 --dist=loadfile
+
+docs: $(VENV)/.installed-test
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 figures: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.figures

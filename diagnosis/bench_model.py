@@ -26,7 +26,7 @@ from diagnosis.problem.reference import of_bench
 from parameters import InputError, read_toml
 from physics.effects.effects_table import TABLE, stated
 from physics.relations.relation import RELATIONS
-from physics.relations.relation_parameters import SLOTS, healthy
+from physics.parameters import RELATION_PARAMETERS, healthy
 
 Values = Mapping[str, float]
 
@@ -112,13 +112,13 @@ def read(path: str | Path) -> BenchModel:
 
 
 def _constant(path: str | Path, name: str, row: Any) -> Constant:
-    if name not in SLOTS:
-        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of {', '.join(SLOTS)}.")
+    if name not in RELATION_PARAMETERS:
+        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of {', '.join(RELATION_PARAMETERS)}.")
     value = row.get("value") if isinstance(row, Mapping) else row
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in {SLOTS[name].unit}.")
+        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in {RELATION_PARAMETERS[name].unit}.")
     low, high = row.get("interval", (value, value)) if isinstance(row, Mapping) else (value, value)
-    return Constant(float(value), float(low), float(high), SLOTS[name].unit,
+    return Constant(float(value), float(low), float(high), RELATION_PARAMETERS[name].unit,
                     bool(row.get("determined", True)) if isinstance(row, Mapping) else True)
 
 
@@ -190,7 +190,7 @@ def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
 
 def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
     """Return what was learnt, moved to where the simulation fits."""
-    values = {n: found.reference.values[n] for n in SLOTS}
+    values = {n: found.reference.values[n] for n in RELATION_PARAMETERS}
     return simulated.fitted(tables, values, found.sigma, found.reference.nuisance, SECONDS)
 
 
@@ -217,18 +217,18 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
 
 
 def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
-    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in SLOTS}, **learning.WIDE,
-             "knee_ratio": learning.KNEE_RATIO * abs(values["knee_ratio"])}
+    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in RELATION_PARAMETERS}, **learning.WIDE,
+             "rope_per_knee": learning.KNEE_RATIO * abs(values["rope_per_knee"])}
     constants = {}
     for name, sigma in found.sigma.items():
-        if name not in SLOTS:
+        if name not in RELATION_PARAMETERS:
             continue
         low, high = learning.bounds(name)
         half = 1.96 * sigma
         constants[name] = Constant(values[name], max(values[name] - half, low), min(values[name] + half, high),
-                                   SLOTS[name].unit, sigma < DETERMINED * known.get(name, math.inf))
+                                   RELATION_PARAMETERS[name].unit, sigma < DETERMINED * known.get(name, math.inf))
     fixed = ("theta1", "phi0", "home_preload", "drum_radius")
-    return constants | {n: Constant(values[n], values[n], values[n], SLOTS[n].unit, False) for n in fixed}
+    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False) for n in fixed}
 
 
 def as_fitted(given: Table, model: BenchModel) -> Table:

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from parameters import InputError
 from physics import memory_laws
 from physics.plant import PlantParameters, imposed
 from physics.plant.leg import KNEE_AT_FIT
-from physics.relations.relation_parameters import SLOTS
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
@@ -34,14 +35,13 @@ STILL_M_S: Final = 1e-3
 """Speed of the rope below which it counts as at rest."""
 PHASES: Final = 10
 
+PLANT: Final = "plant."
 NAMED: Final[Mapping[str, str]] = {
-    "mu1": "mu1", "theta1": "theta1_rad", "mu2": "mu2", "phi0": "wrap_rad", "fabric_wrap": "fabric_wrap",
-    "cable_bend": "cable_bend", "load_slope": "load_slope", "viscous": "viscous", "stribeck_ratio": "stribeck_ratio",
-    "stribeck_speed": "stribeck_speed_m_s", "presliding": "presliding_m", "friction_drift": "friction_drift",
-    "stiffness_scale": "stiffness_scale", "stiffness_shape": "stiffness_shape", "creep_compliance": "creep_compliance",
-    "creep_time": "creep_s", "knee_ratio": "moment_arm_m", "moment_arm": "moment_arm", "eccentricity": "eccentricity_m",
-    "eccentricity_phase": "eccentricity_rad", "end_mass": "end_mass_kg", "end_mass_arm": "end_mass_arm_m"}
-"""Slot of the relations → parameter of the simulation, where the one is the other."""
+    name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
+    if p.plant.startswith(PLANT) and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
+"""Parameter of the relations → field of the simulation that is the same quantity."""
+ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
+"""Of these, what the imposed motion needs in another form, or the relations turn by their own drum."""
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,15 @@ class Simulated:
 def plant_of(values: Values, seconds: float) -> PlantParameters:
     """Return the simulated bench of the relations' values; `seconds`: the trial's length, which a drift refers to."""
     share = min(max(values["cable_share"], 0.01), 0.8) * STRETCH_LINEAR
-    sheath = min(PlantParameters.sheath_compliance, share)
+    sheath = min(PARAMETERS["sheath_compliance"].nominal, share)
     preload, scale = values["home_preload"], values["stiffness_scale"]
     homed = (STRETCH_LINEAR / scale - STRETCH_LINEAR) * preload + STRETCH_BEND * preload**2 * (
         (1.0 + values["stiffness_shape"]) / scale - 1.0)
-    taken = {field: values[slot] for slot, field in NAMED.items()}
-    return dataclasses.replace(PlantParameters(), **taken, **{
-        "fabric_presliding_m": values["presliding"] * values["fabric_presliding"],
-        "lead_compliance": max(share - 0.5 * sheath, 0.25 * share), "sheath_compliance": sheath,
-        "encoder_zero_m": values["rope_zero"] + values["slack"] - homed,
-        "friction_drift_s": max(seconds, 1.0)})
+    taken = {field: values[name] for name, field in NAMED.items() if name not in ELSEWHERE}
+    return dataclasses.replace(
+        PlantParameters(), **taken, fabric_presliding_m=values["presliding"] * values["fabric_presliding_ratio"],
+        lead_compliance=max(share - 0.5 * sheath, 0.25 * share), sheath_compliance=sheath,
+        encoder_zero_m=values["rope_zero"] + values["slack"] - homed, friction_drift_s=max(seconds, 1.0))
 
 
 def simulate(given: Table, values: Values) -> Simulated:
@@ -128,7 +127,7 @@ def _figures(given: Table, name: str, simulated: Array) -> dict[str, Any]:
     bounds = (-math.inf, *LOADS_N, math.inf)
     load = measured[keep]
     figures["by_load"] = [_class(_between(low, high), rest[(load >= low) & (load < high)])
-                          for low, high in zip(bounds[:-1], bounds[1:], strict=True)]
+                          for low, high in pairwise(bounds)]
     speed = np.gradient(given["servo_position_m"], given["time_s"])[keep]
     figures["by_direction"] = [_class("pulling", rest[speed > STILL_M_S]),
                                _class("letting out", rest[speed < -STILL_M_S]),
@@ -165,7 +164,7 @@ def rms(tables: Sequence[Table], values: Values) -> float | None:
 
 def slots() -> tuple[str, ...]:
     """Return the names of the values that the simulation reads."""
-    other = ("fabric_presliding", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash", "start_gain",
+    other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash", "start_gain",
              "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter",
              "timestamp_skew")
-    return tuple(n for n in SLOTS if n in NAMED or n in other)
+    return tuple(n for n in RELATION_PARAMETERS if n in NAMED or n in other)

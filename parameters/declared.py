@@ -16,6 +16,10 @@ class InputError(ValueError):
     """What the user gave cannot be used; its text is one sentence that says where, what and what to do."""
 
 
+class RenamedWarning(UserWarning):
+    """A file gives a parameter by an older name; it is read all the same."""
+
+
 @dataclass(frozen=True)
 class Declared:
     """What a parameter promises: `unit` ("" for a pure number), closed bounds, where its value comes from."""

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from parameters import InputError, checked, declarations, parameter, read_toml
+from parameters import InputError, checked, declarations, read_toml
+from physics.parameters import assumed
 
 VERSION = 1
 NOMINAL = "nominal"
@@ -35,50 +36,28 @@ class Evidence:
 class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to."""
 
-    stiffness_a: float = parameter(-1.7e-6, "m/N²", "quadratic term of the stretch", low=-1e-4, high=0.0,
-                                   source="equation (10), ak")
-    stiffness_b: float = parameter(3e-4, "m/N", "linear term of the stretch", low=1e-6, high=1e-2,
-                                   source="equation (10), bk")
-    stiffness_c: float = parameter(9.7e-3, "m", "encoder position that (10) gives at no force", low=-1.0, high=1.0,
-                                   source="equation (10), ck")
-    swing_k: float = parameter(0.706e-3 * 180 / math.pi, "m/rad", "rope that one radian of the knee takes",
-                               low=0.0, high=0.2, source="equation (11), k2")
-    swing_p: float = parameter(22.17e-3, "m", "encoder position at the upright knee under 20 N", low=-1.0, high=1.0,
-                               source="equation (11), p2")
-    home_preload: float = parameter(20.0, "N", "START tension at which (10) fixes the encoder zero", low=1.0,
-                                    high=60.0, source="equation (10), lower end of its identification")
-    cable_exponent: float = parameter(0.13, "", "capstan exponent of the cable, μ1·θ", low=0.0, high=1.0,
-                                      source="assumed: equation (3) gives the law, the paper no number")
-    fabric_friction: float = parameter(0.12, "", "friction coefficient of the fabric on the knee, μ2", low=0.0,
-                                       high=1.0, source="assumed: equation (7) gives the law, the paper no number")
-    wrap_offset: float = parameter(0.4, "rad", "wrap of the fabric at the upright knee, φ0", low=0.0, high=6.3,
-                                   source="assumed: φ = φ0 + κ·|θk|")
-    wrap_slope: float = parameter(1.0, "rad/rad", "wrap gained per radian of flexion, κ", low=0.0, high=3.0,
-                                  source="assumed: φ = φ0 + κ·|θk|")
-    cable_compliance: float = parameter(3.7e-5, "m/N", "stretch of the rope on the START side of the friction",
-                                        low=0.0, high=1e-3, source="assumed: 27 N/mm against a stuck rope")
-    presliding: float = parameter(2e-4, "m", "rope travel over which the sheath's friction turns over", low=1e-6,
-                                  high=5e-3, source="assumed: 0.05–1 mm")
-    fabric_presliding: float = parameter(2e-4, "m", "fabric travel over which the knee's friction turns over",
-                                         low=1e-6, high=5e-3, source="assumed: as presliding")
-    breakaway: float = parameter(0.0, "", "friction that rest adds to sliding friction, relative, β", low=0.0, high=4.0,
-                                 source="assumed: none on the day of identification")
-    breakaway_speed: float = parameter(0.01, "m/s", "sliding speed at which breakaway has gone, vs", low=5e-4, high=0.2,
-                                       source="assumed: greased steel")
-    breakaway_memory: float = parameter(0.02, "s", "time by which friction lags the sliding speed", low=1e-3, high=0.5,
-                                        source="assumed: frictional memory (Hess and Soom)")
-    fabric_share: float = parameter(0.4, "", "share of the fabric's stretch on the rope's side of the knee", low=0.0,
-                                    high=1.0, source="assumed: geometry")
-    drive_bandwidth: float = parameter(25.0, "Hz", "bandwidth of the servo's position loop", low=1.0, high=500.0,
-                                       source="assumed")
-    loop_delay: float = parameter(2e-3, "s", "from a target sent to its first sight in the inputs", low=0.0, high=0.1,
-                                  source="control timing: two SYNC periods at 1 kHz")
-    start_noise: float = parameter(0.15, "N", "standard deviation of START at rest", low=0.0, high=5.0,
-                                   source="assumed")
-    start_lag: float = parameter(1e-3, "s", "time by which START's reading lags its force", low=0.0, high=0.1,
-                                 source="assumed: a low-pass of 200 Hz and half a sampling interval")
-    start_offset: float = parameter(0.0, "N", "START reading with a slack rope", low=-10.0, high=10.0,
-                                    source="assumed")
+    stiffness_a: float = assumed("stiffness_a")
+    stiffness_b: float = assumed("stiffness_b")
+    stiffness_c: float = assumed("rope_zero")
+    swing_k: float = assumed("rope_per_knee")
+    swing_p: float = assumed("swing_p")
+    home_preload: float = assumed("home_preload")
+    cable_exponent: float = assumed("cable_exponent")
+    fabric_friction: float = assumed("mu2")
+    wrap_offset: float = assumed("phi0")
+    wrap_slope: float = assumed("fabric_wrap")
+    cable_compliance: float = assumed("cable_compliance")
+    presliding: float = assumed("presliding")
+    fabric_presliding: float = assumed("fabric_presliding")
+    breakaway: float = assumed("breakaway")
+    breakaway_speed: float = assumed("stribeck_speed")
+    breakaway_memory: float = assumed("stribeck_memory")
+    fabric_share: float = assumed("fabric_share")
+    drive_bandwidth: float = assumed("servo_bandwidth")
+    loop_delay: float = assumed("servo_delay")
+    start_noise: float = assumed("start_noise")
+    start_lag: float = assumed("start_lag")
+    start_offset: float = assumed("start_offset")
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     label: str = NOMINAL
     bench: str = ""

@@ -14,6 +14,7 @@ from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
+from physics.parameters import current_names
 from virtual_bus.faults import Fault
 from virtual_bus.scatter import Tables
 
@@ -42,8 +43,8 @@ def read(given: str | Path | Mapping[str, Any] | None) -> Model:
         where, tables = str(given), read_toml(Path(given))
     stated = effects.apply(effects_table.stated(tables, where))
     wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
-    own = {name: table for name, table in tables.items()
-           if name not in (*NAMES, effects_table.EVIDENCE)}
+    own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
+           for name, table in tables.items() if name not in (*NAMES, effects_table.EVIDENCE)}
     return Model(where, own, stated, faults(wire))
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
+from typing import TextIO
 
 import typer
 import typer.exceptions
 
-from parameters import InputError
+from parameters import InputError, RenamedWarning
 
 app = typer.Typer(
     name="bowden",
@@ -30,6 +32,7 @@ def run(arguments: Sequence[str]) -> int:
     from bowden.cli import commands
 
     commands.load()
+    warnings.showwarning = _remark
     try:
         status = app(list(arguments) or ["--help"], standalone_mode=False)
     except InputError as error:
@@ -43,6 +46,15 @@ def run(arguments: Sequence[str]) -> int:
         sys.stderr.close()
         return 1
     return status if isinstance(status, int) else 0
+
+
+def _remark(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+            line: str | None = None) -> None:
+    """Say a remark on what was read as one line; any other warning as Python does."""
+    if issubclass(category, RenamedWarning):
+        print(f"bowden: {message}", file=sys.stderr)
+    else:
+        print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)
 
 
 def _refuse(sentence: str) -> int:

@@ -13,9 +13,9 @@ from typing import Any, Final
 
 from diagnosis.problem.fit import Free
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations import relation
 from physics.relations.relation import RELATIONS
-from physics.relations.relation_parameters import SLOTS
 
 MAX_STARTS: Final = 8
 
@@ -54,7 +54,7 @@ def candidates(
     swallowed = {f.name for f in nuisance if math.isinf(f.sigma)}
     found = []
     for effect in CATALOGUE.values():
-        if any_rig and any(SLOTS[p.name].bench_only for p in effect.parameters if p.name in SLOTS):
+        if any_rig and any(PARAMETERS[p.name].bench_only for p in effect.parameters if p.name in PARAMETERS):
             continue
         frees = [_free(p, reference, any_rig) for p in effect.parameters
                  if p.name in visible and p.name not in swallowed]
@@ -70,8 +70,9 @@ def _moves(parameter: Any, effect: Any) -> bool:
 
 
 def _free(parameter: Any, reference: Mapping[str, float], any_rig: bool) -> Free:
-    bounds = SLOTS.get(parameter.name, parameter) if any_rig else parameter
-    low, high = bounds.low, bounds.high
+    low, high = parameter.low, parameter.high
+    if any_rig and parameter.name in RELATION_PARAMETERS:
+        low, high = RELATION_PARAMETERS[parameter.name].rig_bounds
     at = reference[parameter.name]
     scale = max(abs(parameter.likely[1] - parameter.likely[0]) / 4.0, 1e-9)
     return Free(parameter.name, min(low, at), max(high, at), at, math.inf, scale)

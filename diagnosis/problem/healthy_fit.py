@@ -20,7 +20,7 @@ from diagnosis.problem.blocks import Block, rmse
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Free, Problem, solve
 from diagnosis.problem.reference import BAND, Reference
-from physics.relations.relation_parameters import SLOTS
+from physics.parameters import RELATION_PARAMETERS
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -50,8 +50,8 @@ class Deviating(Block):
 
     def residual(self, values: Values) -> Array:
         return self.common.residual({**values, **{
-            n: min(max(values[n] + values[f"{n}@{self.bench}"], min(SLOTS[n].low, values[n])), SLOTS[n].high)
-            for n in self.own}})
+            n: min(max(values[n] + values[f"{n}@{self.bench}"], min(low, values[n])), high)
+            for n in self.own for low, high in (RELATION_PARAMETERS[n].rig_bounds,)}})
 
 
 def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
@@ -93,24 +93,22 @@ def _teachable(reference: Reference, offered: Sequence[Candidate]) -> tuple[Free
             if f.name not in known:
                 sigma = 2.0 * TEACHING * f.scale
                 known[f.name] = dataclasses.replace(f, sigma=sigma, mean=reference.values[f.name])
-    for name, slot in SLOTS.items():
-        if slot.law > 0.0:
-            at = reference.values[name]
-            known[name] = Free(name, slot.low, slot.high, at, slot.law, slot.law)
+    for name, p in RELATION_PARAMETERS.items():
+        if p.law > 0.0:
+            known[name] = Free(name, *p.rig_bounds, reference.values[name], p.law, p.law)
     return tuple(known.values())
 
 
 def _widened(f: Free) -> Free:
-    slot, half = SLOTS[f.name], LEARNT * BAND * f.sigma
-    return dataclasses.replace(f, low=max(slot.low, f.mean - half), high=min(slot.high, f.mean + half),
-                               sigma=LEARNT * f.sigma)
+    (low, high), half = RELATION_PARAMETERS[f.name].rig_bounds, LEARNT * BAND * f.sigma
+    return dataclasses.replace(f, low=max(low, f.mean - half), high=min(high, f.mean + half), sigma=LEARNT * f.sigma)
 
 
 def _recentred(f: Free, at: float, trials: int) -> Free:
     """Return the band about the mean of so many benches, which is itself off by σ/√n."""
     sigma = f.sigma * math.sqrt(1.0 + 1.0 / trials)
-    slot, half = SLOTS[f.name], BAND * sigma
-    return dataclasses.replace(f, mean=at, sigma=sigma, low=max(slot.low, at - half), high=min(slot.high, at + half))
+    (low, high), half = RELATION_PARAMETERS[f.name].rig_bounds, BAND * sigma
+    return dataclasses.replace(f, mean=at, sigma=sigma, low=max(low, at - half), high=min(high, at + half))
 
 
 def correlated(rests: Sequence[Array]) -> float:

@@ -26,7 +26,7 @@ from diagnosis.problem.healthy_fit import correlated, deviating
 from diagnosis.problem.reference import BAND, Reference
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
-from physics.relations.relation_parameters import SLOTS
+from physics.parameters import RELATION_PARAMETERS
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
@@ -34,9 +34,9 @@ Values = Mapping[str, float]
 
 WIDE: Final[Mapping[str, float]] = {
     "mu1": 0.05, "mu2": 0.15, "fabric_wrap": 1.0, "cable_bend": 0.1, "load_slope": 0.2, "viscous": 10.0,
-    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3, "fabric_presliding": 1.0,
+    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3, "fabric_presliding_ratio": 1.0,
     "stiffness_scale": 0.4, "stiffness_shape": 0.5, "toe": 1e-3, "cable_share": 0.15, "rope_zero": 50e-3,
-    "moment_arm": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
+    "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
     "drive_presliding": 0.3e-3, "servo_bandwidth": 15.0, "servo_damping": 0.4, "knee_bandwidth": 15.0,
     "knee_damping": 0.4}
@@ -46,14 +46,14 @@ KNEE_RATIO: Final = 0.05
 KNEE_RATIO_RANGE: Final = (0.5, 2.0)
 NARROW: Final = 0.3
 """Slots that stand in for missing physics (`STANDING_IN`): 1σ after learning, of that of like benches."""
-STANDING_IN: Final = ("cable_bend", "load_slope", "viscous", "toe", "moment_arm")
+STANDING_IN: Final = ("cable_bend", "load_slope", "viscous", "toe", "rope_per_knee_quadratic")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
 """Slots whose tolerance among like benches is a share of their value."""
 STRUCTURE: Final = 0.5
 """Share of what the laws leave that another trial may leave in another way."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
-COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape", "rope_zero", "knee_ratio")
+COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape", "rope_zero", "rope_per_knee")
 FULL: Final = 2
 """Coarse fits that are carried on."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
@@ -184,15 +184,15 @@ def _wide(reference: Reference) -> list[Free]:
         low, high = bounds(name)
         at, half = reference.values[name], 4.0 * sigma
         found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
-    ratio, low, high = reference.values["knee_ratio"], *KNEE_RATIO_RANGE
-    found["knee_ratio"] = Free("knee_ratio", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
+    ratio, low, high = reference.values["rope_per_knee"], *KNEE_RATIO_RANGE
+    found["rope_per_knee"] = Free("rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
                                KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
     return list(found.values())
 
 
 def bounds(name: str) -> tuple[float, float]:
     """Return the bounds of a slot on a healthy bench: of two signals either may be the later one."""
-    slot = SLOTS[name]
+    slot = RELATION_PARAMETERS[name]
     return (-slot.high if name in ("timestamp_skew", "end_delay") else slot.low), slot.high
 
 
@@ -231,14 +231,14 @@ def _zeroed(values: dict[str, float], trials: Sequence[Sequence[Block]]) -> dict
     if not left:
         return values
     shift = float(np.median(np.concatenate(left)))
-    return {**values, "rope_zero": values["rope_zero"] - values["knee_ratio"] * shift}
+    return {**values, "rope_zero": values["rope_zero"] - values["rope_per_knee"] * shift}
 
 
 def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
     """Return values with rope per knee angle, zero and stretch as the closed form has them."""
     scale = min(max(STRETCH_LINEAR / found.linear, 0.3), 3.0) if found.linear > 0.0 else 1.0
     shape = min(max(found.bend * scale / STRETCH_BEND - 1.0, -0.95), 0.9)
-    return {**values, "knee_ratio": found.ratio, "rope_zero": found.zero, "stiffness_scale": scale,
+    return {**values, "rope_per_knee": found.ratio, "rope_zero": found.zero, "stiffness_scale": scale,
             "stiffness_shape": shape if found.linear > 0.0 else 0.0, "home_preload": 0.0}
 
 
@@ -247,7 +247,7 @@ def _bands(reference: Reference, values: Values, trials: int, relations: Mapping
     known = {f.name: f for f in reference.nuisance}
     found = []
     for name, f in known.items():
-        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), SLOTS[name], bounds(name)
+        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), RELATION_PARAMETERS[name], bounds(name)
         if name in RELATIVE and slot.healthy:
             sigma *= max(abs(values[name] / slot.healthy), 0.2)
         if name in STANDING_IN:
@@ -266,7 +266,7 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
     at: dict[str, list[Array]] = {n: [] for n in names}
     groups: dict[str, list[Array]] = {n: [] for n in names}
     spread: dict[str, list[Array]] = {n: [] for n in names}
-    mine = tuple(f for f in moved.nuisance if f.name in SLOTS)
+    mine = tuple(f for f in moved.nuisance if f.name in RELATION_PARAMETERS)
     for i, trial in enumerate(trials):
         near = dict(moved.values)
         for f in mine:

@@ -93,7 +93,7 @@ def learnt_from(healthy: Sequence[Table], checked: Sequence[str], known: Referen
     taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
               for t in healthy]
     columns = [t.columns for t in healthy]
-    near, closed = geometry(columns, own.values["knee_ratio"]), geometry(columns)
+    near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
     start = own.values if near is None else of_geometry(own.values, near)
     others = [known.values] if known.kind == "calibration" else []
     others += [of_geometry(own.values, closed)] if closed is not None else []

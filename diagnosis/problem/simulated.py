@@ -29,8 +29,8 @@ Values = Mapping[str, float]
 NAME: Final = "simulation"
 LOOKED_AT_HZ: Final = 100.0
 MOVED: Final = (
-    "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding",
-    "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "knee_ratio", "timestamp_skew", "end_delay")
+    "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
+    "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
 """Slots that the simulation is fitted over: what the relations determine less well than it reads them."""
 NEAR: Final = 2.0
 """1σ of where the simulation's constant may be, of that which the relations leave it."""
@@ -48,14 +48,10 @@ class SimulatedBlock(Block):
     table: Table
     at: NDArray[np.intp]
 
-    def residual(self, values: Values) -> Array:
-        key = tuple([values[name] for name in sorted(self.uses)])
-        if key not in self._last:
-            told = simulation.simulate(self.table, values)
-            self._last.clear()
-            self._last[key] = np.concatenate([
-                (self.table[n] - getattr(told, n))[self.at] for n in simulation.SIGNALS if n in self.table])
-        return self._last[key]
+    def _residual(self, values: Values) -> Array:
+        told = simulation.simulate(self.table, values)
+        return np.concatenate([
+            (self.table[n] - getattr(told, n))[self.at] for n in simulation.SIGNALS if n in self.table])
 
 
 def can(given: Table) -> bool:
@@ -75,9 +71,9 @@ def block(given: Table, first: int = 0, seconds: float | None = None) -> Simulat
     at = known[:: max(1, round(1.0 / (step * LOOKED_AT_HZ)))]
     ends = sum(n in given for n in simulation.SIGNALS)
     cycle = np.tile(cycles_of(signals)[at] + first, ends)
-    relation = Relation(NAME, "N", "tension_start_n", ("servo_position_m", "knee_angle_rad"), _none,
-                        frozenset(simulation.slots()))
-    return SimulatedBlock(relation, signals, np.tile(at, ends), cycle, relation.uses, table=given, at=at)
+    relation = Relation(NAME, "N", "tension_start_n", ("servo_position_m", "knee_angle_rad"), _none)
+    return SimulatedBlock(relation, signals, np.tile(at, ends), cycle, frozenset(simulation.slots()), table=given,
+                          at=at)
 
 
 def fitted(trials: Sequence[Table], values: Values, sigma: Mapping[str, float], own: Sequence[Free],

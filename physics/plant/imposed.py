@@ -44,8 +44,8 @@ def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> f
     turn = (drum + m[SLOT.encoder_zero_m]) / radius + m[SLOT.eccentricity_rad]
     m[SLOT.x] = drum + m[SLOT.eccentricity_m] * (math.sin(turn) - math.sin(m[SLOT.eccentricity_rad]))
     m[SLOT.v] = drum_v * (1.0 + m[SLOT.eccentricity_m] / radius * math.cos(turn))
-    lever = m[SLOT.moment_arm_m] + 2.0 * m[SLOT.moment_arm] * knee
-    m[SLOT.x + NODES + 1] = anchor(m[SLOT.moment_arm_m], m[SLOT.moment_arm], knee)
+    lever = m[SLOT.rope_per_knee] + 2.0 * m[SLOT.rope_per_knee_quadratic] * knee
+    m[SLOT.x + NODES + 1] = anchor(m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic], knee)
     m[SLOT.v + NODES + 1] = lever * knee_w
     return lever * knee_w
 

@@ -84,8 +84,9 @@ def step(m: Any, demand_a: float, knee_nm: float) -> None:
     m[SLOT.x] = m[SLOT.servo_x] + m[SLOT.eccentricity_m] * (math.sin(turn) - math.sin(m[SLOT.eccentricity_rad]))
     m[SLOT.v] = m[SLOT.servo_v] * arm
     knee_rad = m[SLOT.leg_q]
-    lever = m[SLOT.moment_arm_m] + 2.0 * m[SLOT.moment_arm] * knee_rad
-    m[SLOT.x + NODES + 1] = anchor(m[SLOT.moment_arm_m], m[SLOT.moment_arm], knee_rad)
+    k2, k3 = m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic]
+    lever = k2 + 2.0 * k3 * knee_rad
+    m[SLOT.x + NODES + 1] = anchor(k2, k3, knee_rad)
     surface = lever * m[SLOT.leg_w]
     m[SLOT.v + NODES + 1] = surface
     tensions(m)
@@ -119,7 +120,9 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain", "plant/step")
+    "laws", "parameters", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain",
+    "plant/step",
+)
 
 
 def digest() -> int:

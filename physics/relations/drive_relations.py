@@ -13,20 +13,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.plant.motor import ServoParameters
 from physics.relations.measured import Signals, start_tension
-from physics.relations.relation_parameters import SERVO
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Values = Mapping[str, float]
 
+SERVO: Final = ServoParameters()
 FORCE_PER_AMPERE: Final = SERVO.torque_constant / SERVO.drum_radius_m
 SUBSTEPS: Final = 8
 
 
 def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
-    slip, square = signals.remember("drive", p, ("drive_presliding", "drive_calm"), lambda: _turned(signals, p))
+    slip, square = signals.remember(_turned, p)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
     force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):

@@ -53,7 +53,7 @@ def test_check_says_what_a_device_lacks(bench: Path, bowden: Callable[..., tuple
 
 
 def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
-    bench.write_text("[network]\nfittings = []\n")
+    bench.write_text("[network]\ndevice_mappings = []\n")
     status, out, err = bowden("check", "config", bench)
     assert (status, out) == (2, "")
     assert "unknown key device_mappings" in err

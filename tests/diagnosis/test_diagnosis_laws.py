@@ -9,11 +9,11 @@ import pytest
 
 from diagnosis.data.table import table
 from diagnosis.problem.blocks import SETTLE_S, blocks_of
+from physics.parameters import healthy
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations import transmission
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS
-from physics.relations.relation_parameters import healthy
 from physics.relations.tension_chain import from_motion, slid
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial

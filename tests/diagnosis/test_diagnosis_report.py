@@ -14,7 +14,7 @@ from diagnosis.data.table import Table, table
 from diagnosis.finder import Diagnosis
 from diagnosis.judgement.verdict import Figures
 from diagnosis.problem.fit import solve
-from diagnosis.problem.problem import settle
+from diagnosis.problem.problem import build_problem
 from diagnosis.report import residuals, words
 from diagnosis.report.page import build, write
 from diagnosis.report.remaining import concentrated
@@ -34,7 +34,7 @@ def measured() -> Table:
 @pytest.fixture(scope="module")
 def found(measured: Table) -> Diagnosis:
     """A diagnosis as the finder gives it, of two models fitted here."""
-    setting = settle([measured], (), None)
+    setting = build_problem([measured], (), None)
     candidate = next(c for c in setting.offered if c.name == "cable_friction")
     free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.slots)
     plain = solve(setting.problem, setting.reference.values, setting.reference.nuisance)

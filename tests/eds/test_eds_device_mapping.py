@@ -83,7 +83,7 @@ def test_a_servo_never_reads_the_tension_in_another_unit(device_mappings):
         wire.setup(eds.SERVO)
 
 
-def test_fittings_are_configuration():
+def test_device_mappings_are_configuration():
     fitting = from_table(KneeMapping, {"file": VENDOR, "position": "3010"}, where="bench.toml [knee]")
     assert fitting.position == "3010"
     with pytest.raises(InputError, match="did you mean position"):

@@ -106,10 +106,10 @@ def _before(trial: Any, taught: list[Any]) -> float:
 
     from diagnosis.problem.cross_validation import unseen
     from diagnosis.problem.fit import solve
-    from diagnosis.problem.problem import settle
+    from diagnosis.problem.problem import build_problem
 
     with threadpool_limits(1, user_api="blas"):
-        s = settle([trial], taught, None)
+        s = build_problem([trial], taught, None)
         squares = unseen(s.problem, s.folds, solve(s.problem, s.reference.values, s.reference.nuisance, thorough=True))
     assert s.floors is not None
     return max(squares.rmse(name) / s.floors[name] for name in s.checked)

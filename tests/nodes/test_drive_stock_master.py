@@ -34,8 +34,9 @@ PATIENCE_S = 60.0
 PORT = 42_000 + os.getpid() % 20_000
 MULTICAST = {"interface": "udp_multicast", "channel": "239.74.163.2", "port": PORT, "hop_limit": 0}
 VIRTUAL = {"interface": "virtual", "channel": "stock-masters"}
-COMMAND = [sys.executable, "-c", "from bowden.cli import main; main()", "bench", "--json", "--interface", "udp_multicast",
-           "--channel", "239.74.163.2", "--option", f"port={PORT}", "--option", "hop_limit=0"]
+COMMAND = [sys.executable, "-c", "from bowden.cli import main; main()", "bench", "--json",
+           "--interface", "udp_multicast", "--channel", "239.74.163.2", "--option", f"port={PORT}",
+           "--option", "hop_limit=0"]
 HOMING_OFFSET = 500
 MOVE = {SERVO: 3000, KNEE: -3000}
 """0.001 mm of rope, 0.001° of the knee."""

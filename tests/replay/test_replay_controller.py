@@ -111,7 +111,7 @@ def test_a_reference_from_files_travels_with_the_trial(
 
 def test_a_controller_model_travels_with_the_trial(recorded: Callable[..., Trial], tmp_path: Path) -> None:
     model = tmp_path / "extended.toml"
-    model.write_text("[effects.moment_arm]\nmoment_arm = 0.004\n")
+    model.write_text("[effects.moment_arm]\nrope_per_knee_quadratic = 0.004\n")
     trial = recorded("--controller", "extended", "--cycles", 2, "--controller-model", model)
     plain = recorded("--controller", "extended", "--cycles", 2)
     model.unlink()

@@ -1,0 +1,59 @@
+"""`docs/architecture.md` names the rooms and folders that the import contracts name, and no other."""
+
+from __future__ import annotations
+
+import pkgutil
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+LINTER = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+
+
+def rooms() -> dict[str, list[str]]:
+    """Room → its folders, as the table of §1 has them."""
+    rows = re.findall(r"(?m)^\| `(\w+)` \| .* \| (.*) \|$", PAGE.split("## 2.")[0])
+    return {room: re.findall(r"`(\w+)`", folders) for room, folders in rows}
+
+
+def layers(container: str) -> list[str]:
+    """Names in the layers of a contract, highest first."""
+    contract = next(c for c in LINTER["contracts"] if c.get("containers") == [container])
+    return [name for layer in contract["layers"] for name in re.split(r"[ |]+", layer)]
+
+
+def test_every_room_is_on_the_page_and_in_the_diagram() -> None:
+    assert set(rooms()) == set(LINTER["root_packages"])
+    drawn = re.findall(r"(?m)^    (\w+)\[", PAGE)
+    assert set(drawn) == set(LINTER["root_packages"])
+
+
+def test_arrows_of_the_diagram_go_down() -> None:
+    order = [set(re.split(r"[ |]+", layer)) for layer in LINTER["contracts"][0]["layers"]]
+    level = {room: i for i, layer in enumerate(order) for room in layer}
+    arrows = re.findall(r"(?m)^    (\w+) --> ([\w& ]+)$", PAGE)
+    assert arrows
+    for above, below in arrows:
+        assert all(level[above] < level[room] for room in re.split(r"[ &]+", below)), above
+
+
+@pytest.mark.parametrize("room", ["physics", "trial", "master", "diagnosis", "bowden"])
+def test_folders_stand_in_the_order_of_their_contract(room: str) -> None:
+    order, named = layers(room), rooms()[room]
+    assert named == [name for name in order if name in named] != []
+
+
+def test_every_name_on_the_page_can_be_imported() -> None:
+    names = {name for name in re.findall(r"`([a-z_]+(?:\.\w+)+)", PAGE) if name.split(".")[0] in rooms()}
+    assert len(names) > 10
+    for name in sorted(names):
+        assert pkgutil.resolve_name(name) is not None
+
+
+def test_every_decision_has_a_number_of_its_own() -> None:
+    numbers = [path.name[:4] for path in (ROOT / "docs" / "decisions").glob("*.md")]
+    assert len(set(numbers)) == len(numbers)
