@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import redrawn
-from bowden import configuration, identification, loops_picture, session
-from bowden.cli.option_groups import Bus, Simulated
+from bowden import buses, configuration, identification, loops_picture, session
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import digest
@@ -46,9 +45,9 @@ def identified() -> tuple[Path, Path]:
     calibration, recorded = OUT / "calibration.toml", OUT / "identification.mcap"
     if not calibration.exists():
         sections = configuration.read(None)
-        chosen = Bus(channel="figures").chosen(Simulated(SERIAL, 0))
+        chosen = buses.simulated(SERIAL, channel="figures")
         found = identification.perform(
-            "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True, quiet=True)
+            "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True)
         if found.calibration is None:
             raise SystemExit(f"the identification stopped: {found.reason}")
         calibration.write_text(write(found.calibration), encoding="utf-8")
@@ -76,7 +75,7 @@ def _row(given: dict[str, Value]) -> Row:
 def main() -> None:
     """Run what is missing, draw every figure, write the page."""
     OUT.mkdir(parents=True, exist_ok=True)
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     calibration, recording = identified()
     trials = recorded_trials(calibration)
     segments = identify.recorded(read.open(recording))

@@ -158,7 +158,7 @@ def main() -> None:
     """Run the trials that are missing and write the page."""
     (ROOT / "out").mkdir(exist_ok=True)
     wanted = rows()
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     with Table(ROOT / "out" / "impedance.csv", list(wanted[0])) as table, run.local() as crew:
         run.sweep(wanted, table, crew, ROOT / "out" / "impedance.calibrations")
         bench = [(name, table.found(row) or {}) for name, row in zip(BENCH, wanted, strict=True)]

@@ -109,7 +109,7 @@ def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict
     rows = [result.row for result in results]
     columns = list(dict.fromkeys(name for each in rows for name in each))
     filled = [{name: each[name] if name in each else _nominal(name) for name in columns} for each in rows]
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     with Table(path, columns) as table, sweep_run.local(workers) as crew:
         if table.commits - {provenance.commit()}:
             terminal.remark(f"{path} has trials by other commits; remove it to run them again.")

@@ -83,7 +83,7 @@ def main(arguments: Sequence[str]) -> None:
     if not files:
         raise SystemExit(f"{folder}: no recorded knee motion there; give its directory.")
     OUT.mkdir(parents=True, exist_ok=True)
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     calibration, _ = identified()
     curves = [read_curve(file, "knee_angle_rad") for file in files]
     rows = [row(curve.path, bool(np.isfinite(curve.stride_s)), calibration) for curve in curves]

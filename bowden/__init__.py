@@ -1,10 +1,60 @@
-"""The command line: composes the rooms, decides nothing.
+"""The drive stack of a Bowden cable–fabric force-transfer bench, as a library.
 
-The rule of this package: importing it costs what Typer costs; every other import is inside the
-command that needs it.  A command raises `InputError` for bad input (one sentence, exit status 2)
-and returns 0 (done) or 1 (it ran and the answer is bad); Ctrl-C ends with 130.
+    import bowden
+
+    trial = bowden.run(bowden.Experiment(peak_n=40, controller="extended"), bus=bowden.simulated(serial=3))
+    model = bowden.identify(bus=bowden.simulated(serial=3))
+    finder = bowden.Diagnosis(model).fit(healthy)
+    found = finder.diagnose(trial)
+
+`docs/library.md` explains it with examples that run.  The rule of this package: a name is imported when it is first
+used, so that `import bowden` and `bowden --help` stay quick; nothing here prints or ends the process.  Bad input
+raises `InputError`, whose text is one sentence: file, key, value, what was expected and what to do.
 """
 
-from bowden.cli.app import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bowden.bench_model import BenchModel, nominal
+    from bowden.bench_model import read as read_model
+    from bowden.buses import BusSettings, bus, simulated
+    from bowden.diagnosing import Diagnosis, DiagnosisResult
+    from bowden.experiment import Experiment, run
+    from bowden.identification import StoppedError, identify
+    from bowden.planning import Walk, plan
+    from bowden.progress import Progress
+    from bowden.recorded_trial import Trial
+    from bowden.simulation import Simulation, simulate
+    from parameters import InputError
+
+_HOMES = {
+    "BenchModel": "bowden.bench_model", "BusSettings": "bowden.buses", "Diagnosis": "bowden.diagnosing",
+    "DiagnosisResult": "bowden.diagnosing", "Experiment": "bowden.experiment", "InputError": "parameters",
+    "Progress": "bowden.progress", "Simulation": "bowden.simulation", "StoppedError": "bowden.identification",
+    "Trial": "bowden.recorded_trial", "Walk": "bowden.planning", "bus": "bowden.buses",
+    "identify": "bowden.identification", "nominal": "bowden.bench_model", "plan": "bowden.planning",
+    "read_model": "bowden.bench_model:read", "run": "bowden.experiment", "simulate": "bowden.simulation",
+    "simulated": "bowden.buses",
+}
+"""Each public name and the module that it is imported from when it is first used."""
+
+__all__ = [
+    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Progress", "Simulation",
+    "StoppedError", "Trial", "Walk", "bus", "identify", "nominal", "plan", "read_model", "run", "simulate", "simulated",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'bowden' has no attribute {name!r}")
+    module, _, attribute = _HOMES[name].partition(":")
+    found = getattr(importlib.import_module(module), attribute or name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,32 +1,42 @@
 """Opening a bus: the virtual one with its simulated bench, or any python-can interface.
 
-The rule of this file: this is where "virtual or real" is decided, once, as which bus to open and which clock
-it brings; nothing after it asks.
+The rule of this file: `simulated` and `bus` decide between virtual and real, once, as which bus to open and which
+clock it brings; nothing after it asks.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bowden.cli.option_groups import Bus, Simulated
 from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.bench_model import BenchModel
 
 VIRTUAL = "bowden"
 KERNEL = "socketcan"
+BENCH = "bench"
+"""Channel of the simulated bench."""
+_NUMBERS = itertools.count()
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """The bus that was asked for: arguments of `can.Bus`, and what identifies the bench on it."""
+class BusSettings:
+    """A bus to open: arguments of `can.Bus`, whether its bench is simulated, and that bench's serial number.
+
+    `own_bench`: each time it is opened there is a new bench, on a channel that nobody else knows.
+    """
 
     arguments: dict[str, Any]
     simulated: bool
     serial: int | None
+    own_bench: bool = False
 
     @property
     def bench(self) -> str:
@@ -46,49 +56,49 @@ class Opened(NamedTuple):
     host: Callable[[], AbstractContextManager[list[str]]]
 
 
-def choose(asked: Bus, simulated: Simulated) -> Chosen:
-    """Check what was asked for; options of simulated benches are refused with a real interface."""
-    interface, channel, _, option = asked
-    extra = dict(_split(text) for text in option or ())
-    if interface in (None, VIRTUAL):
-        serial = 1 if simulated.serial is None else simulated.serial
-        for name in ("serial", "day", "seed"):
-            value = getattr(simulated, name)
-            if value is not None and value < 0:
-                raise InputError(f"--{name} {value}: expected a whole number from 0; give another one.")
-        arguments = {
-            "interface": VIRTUAL, "channel": channel or "bench", "serial": serial, "day": simulated.day or 0,
-            "seed": simulated.seed or 0, "plant": simulated.plant or VIRTUAL,
-            "plant_model": None if simulated.plant_model is None else str(simulated.plant_model), **extra,
-        }
-        return Chosen(arguments, True, serial)
-    for name, value in simulated._asdict().items():
-        if value is not None:
-            raise InputError(
-                f"--{name.replace('_', '-')} belongs to simulated benches; leave it out with --interface {interface}.")
-    return Chosen({"interface": interface, "channel": channel, **extra}, False, None)
+def simulated(
+    serial: int = 1, day: int = 0, seed: int = 0, *, plant: str = VIRTUAL,
+    plant_model: str | Path | Mapping[str, Any] | BenchModel | None = None, channel: str | None = None, **more: Any,
+) -> BusSettings:
+    """Return the virtual bus with a simulated bench on it; raises `InputError` for a number below 0.
+
+    `serial` draws the manufacturing tolerances, `day` what changes from day to day, `seed` the noise.  `plant` is a
+    name of the entry-point group bowden.plants or module:callable; `plant_model` states plant parameters and effects:
+    a TOML file, its tables, or a bench model.  `channel` lets other programs of this process join the bus by name;
+    without one every call opens a bench of its own.  `more`: further options of `virtual_bus.options.Options`, such as
+    `faults`.
+    """
+    for name, value in {"serial": serial, "day": day, "seed": seed}.items():
+        if not isinstance(value, int) or value < 0:
+            raise InputError(f"--{name} {value}: expected a whole number from 0; give another one.")
+    model: Any = plant_model
+    if isinstance(plant_model, Path):
+        model = str(plant_model)
+    elif plant_model is not None and not isinstance(plant_model, str | Mapping):
+        model = plant_model.plant_tables()
+    arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,
+                 "plant": plant, "plant_model": model, **more}
+    return BusSettings(arguments, True, serial, own_bench=channel is None)
 
 
-def _split(text: str) -> tuple[str, Any]:
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        raise InputError(f"--option {text}: expected KEY=VALUE; write for instance --option fd=true.")
-    for convert in (int, float):
-        try:
-            return key, convert(value)
-        except ValueError:
-            continue
-    return key, {"true": True, "false": False}.get(value.lower(), value)
+def bus(interface: str, channel: str | None = None, **options: Any) -> BusSettings:
+    """Return a real bus: a python-can interface, its channel and its own options; raises `InputError`.
+
+    The bit rate is the configuration's (`[network] bitrate`, or `Experiment(bitrate=…)`).
+    """
+    if interface == VIRTUAL:
+        raise InputError(f"interface {VIRTUAL}: is the virtual bus; call bowden.simulated().")
+    return BusSettings({"interface": interface, "channel": channel, **options}, False, None)
 
 
-def rated(chosen: Chosen, bitrate: int, rate_hz: int) -> Chosen:
+def rated(chosen: BusSettings, bitrate: int, rate_hz: int) -> BusSettings:
     """The same bus with its bit rate; a simulated bench also knows how often SYNC will come."""
     more = {"rate_hz": rate_hz} if chosen.simulated else {}
     return replace(chosen, arguments={**chosen.arguments, **more, "bitrate": bitrate})
 
 
 @contextmanager
-def opened_one(chosen: Chosen, bitrate: int, **more: Any) -> Iterator[Any]:
+def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     """Open one bus and close it at the end; raises `InputError` where it cannot be opened."""
     import can
 
@@ -128,11 +138,13 @@ def _open(arguments: dict[str, Any]) -> Any:
 
 
 @contextmanager
-def opened(chosen: Chosen, *, bitrate: int, rate_hz: int, truth: Path | None) -> Iterator[Opened]:
+def opened(chosen: BusSettings, *, bitrate: int, rate_hz: int, truth: Path | None) -> Iterator[Opened]:
     """Open the master's bus and the tap; both are closed at the end."""
     from master.network.host_computer import prepared
     from master.network.link import WANTED
 
+    if chosen.own_bench:
+        chosen = replace(chosen, arguments={**chosen.arguments, "channel": f"{BENCH} {next(_NUMBERS)}"})
     more = {"rate_hz": rate_hz, "truth": None if truth is None else str(truth)} if chosen.simulated else {}
     with opened_one(chosen, bitrate, **more) as bus, opened_one(chosen, bitrate) as tap:
         if chosen.simulated:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bowden import bus_load as load
-from bowden.cli import terminal
+from bowden.progress import SILENT, Progress
 from eds import bus_load
 from eds.bench import wire
 from parameters import InputError
@@ -28,7 +28,8 @@ TRUE_END = "true_end_n"
 
 
 def figures(
-    prepared: Prepared, result: Result, output: Path, truth: Path | None, wall_s: float, *, kept: bool = True
+    prepared: Prepared, result: Result, output: Path, truth: Path | None, wall_s: float, *, kept: bool = True,
+    progress: Progress = SILENT,
 ) -> dict[str, Any]:
     """Every key that the design names for `trial --json`, in its order; not `kept`: no disk took the trial whole."""
     experiment, simulated = prepared.experiment, prepared.chosen.simulated
@@ -37,7 +38,7 @@ def figures(
     columns = {name: np.empty(0) for name in COLUMNS} if recorded is None else recorded.columns
     found = metrics.figures(
         columns, peak_n=gait.peak_n, rate_hz=network.rate_hz, cycles=gait.cycles, settle=gait.settle,
-        true_end_n=None if truth is None or recorded is None else _true_end(truth, recorded))
+        true_end_n=None if truth is None or recorded is None else _true_end(truth, recorded, progress))
     return {
         "trial": str(output),
         "peak_n": gait.peak_n,
@@ -59,12 +60,14 @@ def figures(
     }
 
 
-def _true_end(truth: Path, recorded: read.Trial) -> np.ndarray[Any, np.dtype[np.float64]] | None:
+def _true_end(
+    truth: Path, recorded: read.Trial, progress: Progress
+) -> np.ndarray[Any, np.dtype[np.float64]] | None:
     """True END as `true_end`; None, and a remark, where the side file was not closed."""
     try:
         return true_end(truth, recorded)
     except InputError as error:
-        terminal.remark(str(error))
+        progress.remark(str(error))
         return None
 
 

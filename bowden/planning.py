@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from parameters import InputError
 
@@ -15,37 +15,53 @@ if TYPE_CHECKING:
 GAIT = "gait"
 
 
-def plan(name: str, asked: Mapping[str, Any], calibration: Path | None, healthy: Sequence[Path]) -> Plan:
-    """Simulate the experiment `name` and say what it would show; `asked` are options by their names, None: default."""
+class Walk(NamedTuple):
+    """How the planned experiment is walked; None leaves a number to the configuration's default.
+
+    `noise_n` is 1σ of both tension sensors.
+    """
+
+    peak_n: float | None = None
+    period_s: float | None = None
+    cycles: int | None = None
+    noise_n: float | None = None
+
+
+AS_CONFIGURED = Walk()
+
+
+def plan(name: str, walk: Walk = AS_CONFIGURED, calibration: Path | None = None, healthy: Sequence[Path] = ()) -> Plan:
+    """Simulate the experiment `name` ("gait", or one of the catalogue) and say what it would show.
+
+    `calibration` is that of the bench to be examined, `healthy` its trials with nothing wrong.  Raises `InputError`.
+    """
     from diagnosis.data import table as data
     from diagnosis.judgement.plan import plan as planned
     from parameters import read_toml
 
     with TemporaryDirectory(prefix="bowden-") as folder:
         recorded = Path(folder) / f"{name}.mcap"
-        simulate(name, asked, recorded)
+        simulate(name, walk, recorded)
         table = data.read(recorded)
     known = None if calibration is None else read_toml(calibration)
     return planned(table, [data.read(path) for path in healthy], known)
 
 
-def simulate(name: str, asked: Mapping[str, Any], recorded: Path) -> None:
-    """Run the experiment on the nominal bench, its sensors as noisy as asked for."""
-    from bowden import configuration, session
-    from bowden.cli.option_groups import Bus, Simulated, Walk
+def simulate(name: str, walk: Walk, recorded: Path) -> None:
+    """Record the experiment on the nominal bench, its sensors as noisy as asked for."""
+    from bowden import buses, configuration, session
 
     sections = configuration.read(None)
-    gait = Walk(asked["--peak"], asked["--period"], asked["--cycles"]).gait(sections["gait"])
-    gait = configuration.override(gait, {"settle": ("--settle", 0)})
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", walk.peak_n), "period_s": ("--period", walk.period_s), "cycles": ("--cycles", walk.cycles),
+        "settle": ("--settle", 0)})
     reference, sections["gait"], _ = session.reference(
-        gait, None, None, period_given=True, peak_given=asked["--peak"] is not None)
-    chosen = Bus().chosen(Simulated(serial=0))
-    noise = asked["--noise"]
-    if noise is not None:
-        sensor = {"noise_n": noise}
-        chosen.arguments["plant_model"] = {"start_sensor": sensor, "end_sensor": sensor}
+        gait, None, None, period_given=True, peak_given=walk.peak_n is not None)
+    sensor = {"noise_n": walk.noise_n}
+    noisy = None if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
     script = None if name == GAIT else name
-    prepared = session.prepare(sections, reference, None, chosen, dry_run=False, script=script)
-    result = session.perform(prepared, recorded, None, overwrite=False, quiet=True)
+    prepared = session.prepare(
+        sections, reference, None, buses.simulated(serial=0, plant_model=noisy), dry_run=False, script=script)
+    result = session.perform(prepared, recorded)
     if result["outcome"] != "completed":
         raise InputError(f"--plan {name}: the simulated trial stopped ({result['stop_reason']}); ask for less.")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bowden.configuration import as_text
 
 if TYPE_CHECKING:
+    from bowden.bench_model import BenchModel
     from master.motion.experiment import Experiment
     from physics.calibration import Calibration
 
@@ -76,9 +77,11 @@ def curves(**files: Path | None) -> dict[str, bytes]:
     return {f"{part}.csv": path.read_bytes() for part, path in files.items() if path is not None}
 
 
-def controller_model(path: Path | None) -> dict[str, bytes]:
+def controller_model(given: Path | BenchModel | None) -> dict[str, bytes]:
     """The effects that the controller was told of, under their part's name."""
-    return {} if path is None else {CONTROLLER_MODEL: path.read_bytes()}
+    if given is None:
+        return {}
+    return {CONTROLLER_MODEL: given.read_bytes() if isinstance(given, Path) else given.effects_text().encode()}
 
 
 def _version(name: str) -> str:
@@ -91,6 +94,8 @@ def _version(name: str) -> str:
 def commit() -> str:
     """The commit of the source tree this runs from, "+" behind it where the tree differs; "" where there is none."""
     here = Path(__file__).resolve().parent.parent
+    if not (here / ".git").exists():  # installed: a repository around it is not this project's
+        return ""
     try:
         told = subprocess.run(
             ["git", "-C", str(here), "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],

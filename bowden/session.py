@@ -14,20 +14,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bowden.buses import Chosen, opened
-from bowden.cli import outputs, terminal
+from bowden import output_files
+from bowden.buses import BusSettings, opened
 from bowden.configuration import override
+from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
 from trial.signals import INDEX
 
 if TYPE_CHECKING:
     import can
 
+    from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
     from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Result
     from master.network.link import Link
     from master.settings import Gait
+    from physics.calibration import Calibration
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -43,7 +46,7 @@ class Prepared:
 
     experiment: Experiment
     sections: Mapping[str, Any]
-    chosen: Chosen
+    chosen: BusSettings
     files: Mapping[str, bytes] = field(default_factory=dict)
     script: str = ""
 
@@ -90,10 +93,14 @@ def reference(
 
 
 def prepare(
-    sections: Mapping[str, Any], reference: Reference, calibration: Path | None, chosen: Chosen, *, dry_run: bool,
-    controller_model: Path | None = None, files: Mapping[str, bytes] | None = None, script: str | None = None,
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | Calibration | None, chosen: BusSettings,
+    *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
+    script: str | None = None,
 ) -> Prepared:
-    """Join options to an experiment that can be run; raises `InputError` where it cannot."""
+    """Join sections to an experiment that can be run; raises `InputError` where it cannot.
+
+    `calibration`, `controller_model` (the effects that the controller knows of): files, or what is in them.
+    """
     from bowden import provenance
     from eds import bus_load
     from eds.bench import wire
@@ -111,7 +118,9 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    measured = nominal() if calibration is None else read(calibration, bench=chosen.bench)
+    if isinstance(calibration, Path):
+        calibration = read(calibration, bench=chosen.bench)
+    measured = calibration or nominal()
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
                             known=known_effects(controller_model), **sections)
@@ -119,14 +128,19 @@ def prepare(
                     script or "")
 
 
-def known_effects(controller_model: Path | None) -> Effects:
+def known_effects(controller_model: Path | BenchModel | None) -> Effects:
     """The effects that a controller model states; none without one."""
+    if controller_model is not None and not isinstance(controller_model, Path):
+        return controller_model.effects
     from physics.effects.effects_table import stated
 
     return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
 
 
-def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite: bool, quiet: bool) -> dict[str, Any]:
+def perform(
+    prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
+    progress: Progress = SILENT,
+) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
     from bowden import figures as report
     from bowden import provenance
@@ -135,15 +149,15 @@ def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
-    outputs.refuse([output, truth, picture], overwrite=overwrite)
-    compile_laws(simulated=simulated, quiet=quiet)
+    output_files.refuse([output, truth, picture], overwrite=overwrite)
+    compile_laws(simulated=simulated, progress=progress)
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
         recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite)
         began = time.perf_counter()
-        with terminal.progress("trial", shown=not quiet) as update, bus.host() as refused:
+        with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
@@ -151,7 +165,7 @@ def perform(prepared: Prepared, output: Path, picture: Path | None, *, overwrite
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None
-    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept)
+    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
     if picture is not None and kept:
         report.picture(output, picture, prepared)
     return figures
@@ -179,25 +193,25 @@ def discarding(recorder: Recorder) -> Iterator[None]:
         raise
 
 
-def compile_laws(*, simulated: bool, quiet: bool) -> None:
+def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     """Compile the laws where this machine has not yet; say so with the seconds it took."""
     import nodes
     from physics import inverse
     from physics.plant import bench_plant
 
     began, compiled = time.perf_counter(), False
-    with terminal.waiting("preparing; a first run on a machine compiles the laws", shown=not quiet):
+    with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
             nodes.prepare()
             compiled = bench_plant.prepare()
     if compiled:
-        terminal.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
+        progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")
 
 
 class Watched:
-    """A recorder that tells a progress bar how far the gait has come, once in `EVERY` rows."""
+    """A recorder that tells how far the gait has come, once in `EVERY` rows."""
 
     EVERY = 200
 

@@ -21,6 +21,7 @@ from diagnosis.judgement.judge import Judge
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire import Wire
 from diagnosis.problem import problem
+from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
 from physics.relations.relation import RELATIONS
@@ -56,72 +57,111 @@ class Diagnosis:
             "lowpass_hz": self.lowpass_hz}
 
 
-def diagnose(
-    trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
-    healthy: Sequence[str | Path | Table] = (), holdout: Sequence[str | Path | Table] = (),
-    lowpass: float | None = None,
-) -> Diagnosis:
-    """Say what the simulation gets wrong about `trials`, and why.
+Given = str | Path | Table
+"""A trial: its file (MCAP or CSV), or its columns in memory."""
 
-    `healthy`: trials of this or a like bench with nothing wrong; `holdout`: trials that nothing is fitted on;
-    `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
-    Raises `InputError` for files and options that cannot be used; data that contradict themselves are `refused`.
+
+class Finder:
+    """Diagnoses trials of one bench: `fit` examines healthy trials once, `diagnose` uses that for trial after trial.
+
+    `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
+    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.
     """
-    # matrices of some hundred columns: threads that wait for each other cost more than they calculate
-    with threadpool_limits(1, user_api="blas"):
-        return _diagnosed(trials, calibration, healthy, holdout, lowpass)
+
+    def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None) -> None:
+        self.calibration, self.lowpass = _calibration(calibration), lowpass
+        self._read: list[Table] = []
+        self._findings: list[integrity.Finding] = []
+        self._plain: list[Table] = []
+        self._healthy = HealthyTrials()
+
+    def fit(self, healthy: Sequence[Given]) -> Finder:
+        """Read and examine `healthy`, trials of this or a like bench with nothing wrong, and fit them; returns itself.
+
+        The fit is made here for the relations that the healthy trials' own columns allow, else when a trial with
+        other columns is diagnosed, once for each set.  Raises `InputError` for files that cannot be used.
+        """
+        self.examine(healthy)
+        with threadpool_limits(1, user_api="blas"):
+            if self._healthy and not any(f.refuses for f in self._findings):
+                tables = self._healthy.tables
+                problem.build_problem(tables, self._healthy, self._known(tables))
+        return self
+
+    def examine(self, healthy: Sequence[Given]) -> Finder:
+        """Read and examine `healthy` as `fit` does, and leave the fit to the first diagnosis; returns itself."""
+        self._read = [_read(t) for t in healthy]
+        self._findings = [f for t in self._read for f in integrity.examine(t)]
+        self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in self._read]
+        self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
+        return self
+
+    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Diagnosis:
+        """Say what the simulation gets wrong about `trials`, and why; nothing is fitted on `holdout`.
+
+        Raises `InputError` for files that cannot be used; data that contradict themselves are `refused`.
+        """
+        # matrices of some hundred columns: threads that wait for each other cost more than they calculate
+        with threadpool_limits(1, user_api="blas"):
+            return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
+
+    def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
+        return self.calibration if self.calibration is not None else trials[0].calibration
+
+    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> Diagnosis:
+        if not trials:
+            raise InputError("diagnose: no trial given; name at least one.")
+        held = [[_read(t) for t in group] for group in (trials, holdout)]
+        findings = [f for group in held for t in group for f in integrity.examine(t)] + self._findings
+        findings += integrity.between(held[0], held[1], self._read) if not any(f.refuses for f in findings) else []
+        warnings = [f.text for f in findings if not f.refuses] + [n for g in (*held, self._read) for t in g
+                                                                  for n in t.notes]
+        refusals = [f.text for f in findings if f.refuses]
+        if refusals:
+            return Diagnosis("refused", warnings=refusals + warnings)
+        plain = [[integrity.usable(t) for t in group] for group in held]
+        groups = [[_filtered(t, self.lowpass) for t in group] for group in plain]
+        return self._judged(groups[0], groups[1], wire.examine(plain[0], self._plain), warnings)
+
+    def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: Wire, warnings: list[str]
+                ) -> Diagnosis:
+        healthy, known = self._healthy, self._known(trials)
+        settled = problem.build_problem(trials, healthy, known)
+        source = ", ".join(t.source for t in trials)
+        if not settled.checked:
+            lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
+            return Diagnosis("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
+        cycles = len(np.unique(np.concatenate([b.cycle for b in settled.blocks])))
+        if cycles < integrity.LEAST_CYCLES:
+            return Diagnosis("refused", warnings=[
+                f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
+                *warnings])
+        if carried.told and not settled.any_rig:
+            return _of_wire(carried, warnings + _said(settled, bool(healthy)))
+        judge = _judge(settled, trials, holdout, healthy, known)
+        figures = judge.figures() | ({} if settled.any_rig else carried.figures)
+        return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
+                         warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
+                         found=judge.found, split=judge.within is not None)
 
 
-def _diagnosed(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None,
-               healthy: Sequence[str | Path | Table], holdout: Sequence[str | Path | Table], lowpass: float | None
-               ) -> Diagnosis:
-    if not trials:
-        raise InputError("diagnose: no trial given; name at least one.")
-    held = [[_read(t) for t in group] for group in (trials, holdout, healthy)]
-    findings = [f for group in held for t in group for f in integrity.examine(t)]
-    findings += integrity.between(*held) if not any(f.refuses for f in findings) else []
-    warnings = [f.text for f in findings if not f.refuses] + [n for g in held for t in g for n in t.notes]
-    refusals = [f.text for f in findings if f.refuses]
-    if refusals:
-        return Diagnosis("refused", warnings=refusals + warnings, lowpass_hz=lowpass)
-    plain = [[integrity.usable(t) for t in group] for group in held]
-    groups = [[_filtered(t, lowpass) for t in group] for group in plain]
-    result = _judged(groups, wire.examine(plain[0], plain[2]), _calibration(calibration), warnings)
-    return replace(result, lowpass_hz=lowpass)
+def diagnose(
+    trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
+    holdout: Sequence[Given] = (), lowpass: float | None = None,
+) -> Diagnosis:
+    """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
+    return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
 
 
-def _judged(groups: Sequence[Sequence[Table]], carried: Wire, calibration: Mapping[str, Any] | None,
-            warnings: list[str]) -> Diagnosis:
-    trials, _, healthy = groups
-    settled = problem.build_problem(trials, healthy, calibration if calibration is not None else trials[0].calibration)
-    source = ", ".join(t.source for t in trials)
-    if not settled.checked:
-        lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
-        return Diagnosis("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
-    cycles = len(np.unique(np.concatenate([b.cycle for b in settled.blocks])))
-    if cycles < integrity.LEAST_CYCLES:
-        return Diagnosis("refused", warnings=[
-            f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
-            *warnings])
-    if carried.told and not settled.any_rig:
-        return _of_wire(carried, warnings + _said(settled, bool(healthy)))
-    judge = _judge(settled, groups, calibration)
-    figures = judge.figures() | ({} if settled.any_rig else carried.figures)
-    return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
-                     warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
-                     found=judge.found, split=judge.within is not None)
-
-
-def _judge(settled: problem.Setting, groups: Sequence[Sequence[Table]], calibration: Mapping[str, Any] | None) -> Judge:
+def _judge(settled: problem.Setting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,
+           known: Mapping[str, Any] | None) -> Judge:
     """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
 
     No healthy trial says how far the laws are from holding in another motion than its own.
     """
-    trials, holdout, healthy = groups
     walked = [t for t in trials if "gait_percent" in t]
     if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
         return Judge(settled, holdout)
-    known = calibration if calibration is not None else trials[0].calibration
     first = Judge(problem.build_problem(walked, healthy, known), holdout)
     if len(first.rivals()) <= len(first.found.best.effects):
         return first

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from diagnosis.data.table import Table
 from parameters import InputError
 from physics import memory_laws
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.plant import PlantParameters, imposed
 from physics.plant.leg import KNEE_AT_FIT
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]

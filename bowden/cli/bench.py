@@ -54,7 +54,7 @@ def bench(
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
     network = Network()
-    session.compile_laws(simulated=True, quiet=json)
+    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
     ended = False
 
     def end(number: int, frame: object) -> None:

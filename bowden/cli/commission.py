@@ -143,7 +143,7 @@ class _Bench:
         from master.network.link import Link
 
         network = self.sections["network"]
-        session.compile_laws(simulated=self.chosen.simulated, quiet=True)
+        session.compile_laws(simulated=self.chosen.simulated)
         with opened(self.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus, bus.host():
             return run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, self.sections["limits"],
                            lambda exchange: found.update(procedure(exchange)))

@@ -67,18 +67,18 @@ def diagnose(
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
-    from bowden.cli import outputs
+    from bowden import output_files
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"TRIAL": trials, "-o": output, "--report": report, "--lowpass": lowpass, "--holdout": holdout,
              "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
-        return _plan(plan, asked, calibration, healthy or [], json)
+        return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
-    outputs.refuse([output, report], overwrite=overwrite)
+    output_files.refuse([output, report], overwrite=overwrite)
     began = time.perf_counter()
     with terminal.waiting("diagnosing", shown=not json):
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
@@ -117,7 +117,7 @@ def _each(
     """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
     from bowden.sweep import diagnose_each
 
-    given = diagnose_each.Given(calibration, healthy, holdout, lowpass)
+    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
     with diagnose_each.crew(scheduler, workers) as crew, terminal.progress("diagnosing", shown=not json) as update:
         told = diagnose_each.each(trials, given, crew, update)
     terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
@@ -179,11 +179,11 @@ def _parameters(parameters: dict[str, Any]) -> str:
                      for name, value in parameters.items())
 
 
-def _plan(name: str, asked: dict[str, Any], calibration: Path | None, healthy: list[Path], json: bool) -> int:
+def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path], json: bool) -> int:
     from bowden import planning
 
     with terminal.waiting(f"simulating {name}", shown=not json):
-        found = planning.plan(name, asked, calibration, healthy)
+        found = planning.plan(name, planning.Walk(*walk), calibration, healthy)
     terminal.emit({"experiment": name, **found.as_json()}) if json else _tell_plan(name, found)
     return 0
 

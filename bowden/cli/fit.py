@@ -11,7 +11,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from diagnosis.bench_model import BenchModel
+    from diagnosis.bench_fit import FittedBench
 
 Trials = Annotated[list[Path], typer.Argument(
     metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
@@ -36,19 +36,19 @@ def fit(
 
     Example: bowden fit good.mcap -o model.toml
     """
-    from bowden.cli import outputs
-    from diagnosis import bench_model
+    from bowden import output_files
+    from diagnosis import bench_fit
 
-    outputs.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite)
     with terminal.waiting("fitting", shown=not json):
-        found = bench_model.fit(trials, calibration, lowpass)
+        found = bench_fit.fit(trials, calibration, lowpass)
     output.write_text(found.text(), encoding="utf-8")
     result: dict[str, Any] = {"model": str(output), **found.as_json()}
     terminal.emit(result) if json else _tell(output, found)
     return 0
 
 
-def _tell(output: Path, found: BenchModel) -> None:
+def _tell(output: Path, found: FittedBench) -> None:
     terminal.table("constants", ("constant", "value", "95 % interval", "unit"), [
         (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
         for name, c in found.constants.items() if c.determined])

@@ -48,22 +48,22 @@ def identify(
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
-    from bowden import identification
-    from bowden.cli import outputs
+    from bowden import identification, output_files
 
     _drawable(what, picture)
     today = datetime.date.today().isoformat()
+    progress = terminal.Terminal(shown=not json)
     if recorded:
         _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
-        outputs.refuse([output, picture], overwrite=overwrite)
-        found = identification.again(what, recorded, calibration, date=today, quiet=json)
+        output_files.refuse([output, picture], overwrite=overwrite)
+        found = identification.again(what, recorded, calibration, date=today, progress=progress)
         return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
     sections = reached.sections(config, rate)
     chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
-    outputs.refuse([output, recording, picture], overwrite=overwrite)
+    output_files.refuse([output, recording, picture], overwrite=overwrite)
     found = identification.perform(
-        what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, quiet=json)
+        what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
     return _ended(found, output, str(recording), picture, json)
 
 

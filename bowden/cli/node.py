@@ -41,10 +41,10 @@ def backup(
 
     Example: bowden node backup servo -o servo.dcf
     """
-    from bowden.cli import outputs
+    from bowden import output_files
     from master.network import dcf
 
-    outputs.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite)
     with _bench(name, reached, config) as (link, entry):
         values = {**dcf.backup(link, entry), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     output.write_text(dcf.as_dcf(entry.dictionary, entry.node_id, values), encoding="utf-8")

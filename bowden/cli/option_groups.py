@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 from bowden.cli import options
 
 if TYPE_CHECKING:
-    from bowden.buses import Chosen
+    from bowden.buses import BusSettings
 
 
 class Walk(NamedTuple):
@@ -65,11 +65,36 @@ class Bus(NamedTuple):
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
         return sections
 
-    def chosen(self, simulated: Simulated | None = None) -> Chosen:
+    def chosen(self, simulated: Simulated | None = None) -> BusSettings:
         """The bus to open; raises `InputError` for what contradicts itself."""
-        from bowden.buses import choose
+        from bowden.buses import BENCH, VIRTUAL, bus
+        from bowden.buses import simulated as virtual
+        from parameters import InputError
 
-        return choose(self, simulated or Simulated())
+        options = dict(_option(text) for text in self.option or ())
+        asked: dict[str, Any] = {
+            name: value for name, value in (simulated or Simulated())._asdict().items() if value is not None}
+        if self.interface in (None, VIRTUAL):
+            return virtual(**{**asked, "channel": self.channel or BENCH, **options})
+        for name in asked:
+            raise InputError(f"--{name.replace('_', '-')} belongs to simulated benches; leave it out with "
+                             f"--interface {self.interface}.")
+        return bus(**{"interface": self.interface, "channel": self.channel, **options})
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """Return key and value of an interface's option: a number, true or false, else text."""
+    from parameters import InputError
+
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise InputError(f"--option {text}: expected KEY=VALUE; write for instance --option fd=true.")
+    for convert in (int, float):
+        try:
+            return key, convert(value)
+        except ValueError:
+            continue
+    return key, {"true": True, "false": False}.get(value.lower(), value)
 
 
 def grouped(command: Callable[..., int]) -> Callable[..., int]:

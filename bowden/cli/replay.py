@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bowden.cli import options
+from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, grouped
 from parameters import InputError
 
+if TYPE_CHECKING:
+    from bowden.buses import BusSettings
+    from bowden.replay.onto_bus import Played, Playing
+    from trial.read import Trial
+
+LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
+        "--direction tx leaves out what the recorded nodes sent.")
+HELP = "Enter sends the next frame, a number seeks to that second, play plays the rest, pause ends it there."
 ONTO = ("bus", "controller", "plant")
 SIMULATED = frozenset({"serial", "day", "seed", "plant", "plant_model", "channel", "option"})
 FRAMES = frozenset({"speed", "loop", "from", "to", "step", "node", "cob_id", "direction", "map"})
@@ -66,7 +75,7 @@ def replay(
     Example: bowden replay trial.mcap --onto controller
     """
     from bowden import buses, recorded
-    from bowden.replay import onto_bus, onto_controller, onto_master, onto_plant
+    from bowden.replay import onto_bus
     from bowden.replay.schedule import Selection
     from trial.read import open as opened
 
@@ -75,19 +84,129 @@ def replay(
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     given = opened(trial)
     if onto == "controller":
-        return onto_controller.replay(given, json=json)
+        return _controller(given, json=json)
     chosen = reached.chosen(simulated)
     if onto == "plant":
-        return onto_plant.replay(given, chosen, output, overwrite=overwrite, json=json)
+        return _plant(given, chosen, output, overwrite=overwrite, json=json)
     network = recorded.sections(given)["network"]
     if nodes_only:
-        return onto_master.replay(given, chosen, reached.bitrate or network.bitrate, json=json)
+        return _nodes(given, chosen, reached.bitrate or network.bitrate, json=json)
     channels = onto_bus.channel_map(map_)
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
-    return onto_bus.replay(
-        given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels,
-        speed=speed, loops=loop, stepped=step, json=json)
+    with onto_bus.opened(
+            given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels,
+            speed=speed, loops=loop) as playing:
+        if step:
+            _step(playing, shown=not json)
+        else:
+            with terminal.progress("replay", shown=not json) as update:
+                playing.run(update)
+        return _played(given, playing.played(), json=json)
+
+
+def _controller(recorded: Trial, *, json: bool) -> int:
+    from bowden.recorded import experiment
+    from bowden.replay import onto_controller
+
+    chosen = experiment(recorded)
+    with terminal.progress("controller", shown=not json) as update:
+        found = onto_controller.replay(recorded, chosen, update)
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()})
+        return 0 if found.same else 1
+    print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
+    if found.first is None:
+        print("The same, bit for bit.")
+        return 0
+    first = found.first
+    print(f"First difference: row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at "
+          f"{first.gait_percent:.2f} %: {first.signal} was {first.recorded!r}, now {first.replayed!r}.")
+    terminal.table("rows that differ", ("signal", "rows"), [
+        (name, str(count)) for name, count in found.differing.items()])
+    return 1
+
+
+def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool, json: bool) -> int:
+    from bowden.replay import onto_plant
+
+    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite,
+                              progress=terminal.Terminal(shown=not json))
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()})
+        return 0 if found.same else 1
+    print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
+          f" {'the same, bit for bit.' if found.same else 'they differ.'}")
+    terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
+        (name, row.unit, str(row.differing + row.one_sided), *(
+            f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
+        for name, row in found.figures.items()])
+    if output is not None:
+        print(f"Residuals: {output}")
+    return 0 if found.same else 1
+
+
+def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) -> int:
+    from bowden.replay import onto_master
+
+    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal(shown=not json))
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()})
+        return 0 if found.same else 1
+    print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
+          f"times differ by {found.timing_max_us:.1f} µs at most.")
+    if found.first is None:
+        print("The same, byte for byte.")
+        return 0
+    first = found.first
+    print(f"First difference: {first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first "
+          f"frame: was {first.recorded}, now {first.live}.")
+    terminal.table("frames that differ", ("COB-ID", "frames"), [
+        (name, str(count)) for name, count in found.differing.items()])
+    return 1
+
+
+def _step(playing: Playing, *, shown: bool) -> None:
+    """Take one line of standard input at a time."""
+    if shown:
+        terminal.remark(HELP)
+    for line in sys.stdin:
+        word = line.strip()
+        if word == "pause":
+            playing.pause()
+            break
+        if word == "play":
+            playing.run()
+        elif word:
+            playing.seek(_position(word))
+        else:
+            frame = playing.step()
+            if shown and frame is not None:
+                print(f"{playing.position_ns / 1e9:12.6f} s  {frame.can_id:03X}  {frame.data.hex(' ')}")
+        if playing.ended:
+            break
+
+
+def _position(word: str) -> int:
+    try:
+        return round(float(word) * 1e9)
+    except (ValueError, OverflowError):
+        raise InputError(f"{word!r} is no command; {HELP}") from None
+
+
+def _played(recorded: Trial, played: Played, *, json: bool) -> int:
+    """Say what was played; 1 where the bus did not take all of it."""
+    result = played.as_json()
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "bus", **result})
+        return 1 if played.lost else 0
+    print(f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
+          f"{played.restored} restored what was before.")
+    if played.lost:
+        terminal.remark(LOST)
+    terminal.table("lateness", ("figure", "µs"), [
+        (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])
+    return 1 if played.lost else 0
 
 
 def _refuse_others(context: typer.Context, onto: str) -> None:

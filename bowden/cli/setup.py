@@ -30,10 +30,9 @@ def init(
 
     Example: bowden init -o bench.toml
     """
-    from bowden import configuration
-    from bowden.cli import outputs
+    from bowden import configuration, output_files
 
-    outputs.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite)
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
     output.write_text(configuration.as_template(told), encoding="utf-8")
     print(f"Configuration: {output}")

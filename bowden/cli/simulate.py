@@ -11,7 +11,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from diagnosis.bench_model import BenchModel
+    from diagnosis.bench_fit import FittedBench
     from diagnosis.data.table import Table
     from diagnosis.simulation import Simulated
 
@@ -37,15 +37,15 @@ def simulate(
 
     Example: bowden simulate trial.mcap --model model.toml
     """
-    from bowden.cli import outputs
-    from diagnosis import bench_model, simulation
+    from bowden import output_files
+    from diagnosis import bench_fit, simulation
     from diagnosis.data import table
 
-    outputs.refuse([output], overwrite=overwrite)
-    used = bench_model.BenchModel({}) if model is None else bench_model.read(model)
+    output_files.refuse([output], overwrite=overwrite)
+    used = bench_fit.FittedBench({}) if model is None else bench_fit.read(model)
     given = table.read(trial)
     with terminal.waiting("simulating", shown=not json):
-        told = simulation.simulate(bench_model.as_fitted(given, used), used.values)
+        told = simulation.simulate(bench_fit.as_fitted(given, used), used.values)
     if output is not None:
         _write(output, given, told)
     figures = simulation.compared(given, told)
@@ -68,7 +68,7 @@ def _write(output: Path, given: Table, told: Simulated) -> None:
                fmt="%.9g")
 
 
-def _tell(result: dict[str, Any], figures: dict[str, Any], used: BenchModel) -> None:
+def _tell(result: dict[str, Any], figures: dict[str, Any], used: FittedBench) -> None:
     print(f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:")
     number = terminal.number
     for name, row in figures.items():

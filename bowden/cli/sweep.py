@@ -125,7 +125,7 @@ def _crew(scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool
         with sweep_run.cluster(scheduler) as crew:
             yield crew
         return
-    session.compile_laws(simulated=True, quiet=quiet)
+    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))
     with sweep_run.local(workers) as crew:
         yield crew
 

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 
@@ -49,6 +49,25 @@ def remark(text: str) -> None:
 def number(value: float | None, digits: int = 2) -> str:
     """Format a figure for a table; what is undefined is a dash."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
+
+
+class Terminal:
+    """The `bowden.progress.Progress` of a command: bars where `shown` and stderr is a terminal; remarks always."""
+
+    def __init__(self, *, shown: bool = True) -> None:
+        self._shown = shown
+
+    def running(self, what: str) -> AbstractContextManager[Callable[[float], None]]:
+        """Return a bar."""
+        return progress(what, shown=self._shown)
+
+    def waiting(self, what: str) -> AbstractContextManager[None]:
+        """Return a spinner."""
+        return waiting(what, shown=self._shown)
+
+    def remark(self, sentence: str) -> None:
+        """Say one line on stderr."""
+        remark(sentence)
 
 
 @contextmanager

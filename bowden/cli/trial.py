@@ -9,9 +9,6 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
 
-PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
-"""Relative RMSE that the paper's experiment gives by peak, its section 5.2."""
-
 
 @app.command()
 @grouped
@@ -48,7 +45,7 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    result = session.perform(prepared, output, picture, overwrite=overwrite, quiet=json)
+    result = session.perform(prepared, output, picture, overwrite=overwrite, progress=terminal.Terminal(shown=not json))
     terminal.emit(result) if json else _show(result, output, picture)
     return 0 if result["outcome"] == "completed" else 1
 
@@ -62,6 +59,8 @@ FORCE_FIGURES = (
 
 
 def _show(result: dict[str, Any], output: Path, picture: Path | None) -> None:
+    from bowden.reports import PAPER_RMSE_PERCENT
+
     figure = terminal.number
     paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
     title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "

@@ -45,8 +45,7 @@ def verify(
 
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """
-    from bowden import session
-    from bowden.cli import outputs
+    from bowden import output_files, session
 
     sections = reached.sections(config, rate)
     reference, sections["gait"], _ = session.reference(
@@ -54,11 +53,12 @@ def verify(
         peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
-    outputs.refuse(files.values(), overwrite=overwrite)
+    output_files.refuse(files.values(), overwrite=overwrite)
     prepared = {
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}
-    figures = {name: session.perform(prepared[name], path, None, overwrite=overwrite, quiet=json)
+    progress = terminal.Terminal(shown=not json)
+    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress)
                for name, path in files.items()}
     result = _compared(model, prepared["after"].experiment.known, figures)
     terminal.emit(result) if json else _tell(result, figures)

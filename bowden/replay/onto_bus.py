@@ -1,56 +1,129 @@
-"""`bowden replay --onto bus`: recorded frames on a bus, in their time or one by one."""
+"""Recorded frames on a bus, in their time or one by one."""
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from bowden.buses import Chosen, opened_one
-from bowden.cli import terminal
+from bowden.buses import BusSettings, opened_one
+from bowden.progress import SILENT, Progress
+from eds.frame import Frame
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.replay.player import Player
+    from bowden.replay.player import Lateness, Player, State
     from bowden.replay.playing_bus import Outlet
     from bowden.replay.schedule import Selection
     from trial.read import Trial
 
-LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
-        "--direction tx leaves out what the recorded nodes sent.")
-HELP = "Enter sends the next frame, a number seeks to that second, play plays the rest, pause ends it there."
+
+@dataclass(frozen=True)
+class Played:
+    """What was played: frames sent, passes begun, frames that restored what was before, frames not taken by the bus.
+
+    `left_out` counts by kind what cannot be sent; `lateness` is how late frames were handed to the bus.
+    """
+
+    frames: int
+    passes: int
+    state: State
+    restored: int
+    lost: int
+    left_out: Mapping[str, int]
+    lateness: Lateness
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures with nothing that JSON lacks."""
+        return {
+            "frames": self.frames, "passes": self.passes, "state": self.state.value, "restored_frames": self.restored,
+            "lost_frames": self.lost, **{f"left_out_{name}": count for name, count in self.left_out.items()},
+            "lateness_median_us": self.lateness.median_ns / 1e3, "lateness_p99_us": self.lateness.p99_ns / 1e3,
+            "lateness_max_us": self.lateness.max_ns / 1e3}
 
 
-def replay(
-    recorded: Trial, selection: Selection, chosen: Chosen, channels: Mapping[int, str], *, speed: float, loops: int,
-    stepped: bool, json: bool,
-) -> int:
-    """Play the frames that `selection` names; 1 where the bus did not take all of them."""
-    from bowden.replay import playing_bus
+class Playing:
+    """A player on open buses; `opened` makes one."""
+
+    def __init__(self, player: Player, bus: Any, outlet: Outlet, restored: int) -> None:
+        self.player, self._bus, self._outlet, self._restored = player, bus, outlet, restored
+        self.clock: Callable[[], int] = getattr(bus, "time_ns", time.monotonic_ns)
+
+    def run(self, progress: Callable[[float], None] = lambda share: None) -> None:
+        """Play on, until the end."""
+        from bowden.replay import playing_bus
+
+        self.player.play(self.clock())
+        playing_bus.run(self.player, self._bus, self.clock, progress=progress)
+
+    def step(self) -> Frame | None:
+        """Send the next frame, whenever it was due; None at the end."""
+        from bowden.replay import playing_bus
+
+        frame = self.player.step()
+        playing_bus.wait(self._bus, self.clock, self.clock() + playing_bus.LINGER_NS, playing_bus.ignore)
+        return frame
+
+    def seek(self, position_ns: int) -> None:
+        """Go to a position, ns of the window that is played."""
+        self.player.seek(position_ns, self.clock())
+
+    def pause(self) -> None:
+        """Send nothing further."""
+        self.player.pause(self.clock())
+
+    @property
+    def position_ns(self) -> int:
+        """Where in the window it is."""
+        return self.player.position_ns(self.clock())
+
+    @property
+    def ended(self) -> bool:
+        """Nothing is left to play."""
+        return self.player.state.value == "ended"
+
+    def played(self) -> Played:
+        """Return the figures so far."""
+        player = self.player
+        return Played(player.sent, player.pass_ + 1, player.state, self._restored, self._outlet.lost,
+                      player.schedule.left_out, player.lateness())
+
+
+@contextmanager
+def opened(
+    recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
+    speed: float = 1.0, loops: int = 1,
+) -> Iterator[Playing]:
+    """Open the buses and bring the nodes to where the selected frames begin; yields what plays them.
+
+    `channels` maps a recorded channel to a channel of `chosen`'s interface; without it one bus takes all of them.
+    """
     from bowden.replay.player import Player
     from bowden.replay.schedule import plan
 
     schedule = plan(recorded.frames, selection)
-    with _outlet(chosen, channels) as (outlet, bus):
-        clock: Callable[[], int] = getattr(bus, "time_ns", time.monotonic_ns)
+    with _outlet(chosen, channels or {}) as (outlet, bus):
         player = Player(schedule, outlet.send, speed=speed, loops=loops)
-        restored = player.seek(0, clock()) if selection.from_s > 0 else []
-        with terminal.progress("replay", shown=not (json or stepped)) as update:
-            if stepped:
-                _step(player, bus, clock, shown=not json)
-            else:
-                player.play(clock())
-                playing_bus.run(player, bus, clock, progress=update)
-    result = _result(recorded, player, outlet, len(restored))
-    terminal.emit(result) if json else _tell(result)
-    return 1 if outlet.lost else 0
+        playing = Playing(player, bus, outlet, 0)
+        restored = player.seek(0, playing.clock()) if selection.from_s > 0 else []
+        yield Playing(player, bus, outlet, len(restored))
+
+
+def replay(
+    recorded: Trial, selection: Selection, chosen: BusSettings, channels: Mapping[int, str] | None = None, *,
+    speed: float = 1.0, loops: int = 1, progress: Progress = SILENT,
+) -> Played:
+    """Play the frames that `selection` names, in their time."""
+    with opened(recorded, selection, chosen, channels, speed=speed, loops=loops) as playing:
+        with progress.running("replay") as update:
+            playing.run(update)
+        return playing.played()
 
 
 @contextmanager
-def _outlet(chosen: Chosen, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
+def _outlet(chosen: BusSettings, channels: Mapping[int, str]) -> Iterator[tuple[Outlet, Any]]:
     """The bus of each recorded channel that is mapped; without a map one bus takes all of them."""
     from bowden.replay.playing_bus import Outlet
 
@@ -66,7 +139,7 @@ def _outlet(chosen: Chosen, channels: Mapping[int, str]) -> Iterator[tuple[Outle
         yield Outlet({number: named[name] for number, name in channels.items()}), next(iter(named.values()))
 
 
-def _on(chosen: Chosen, channel: str) -> Chosen:
+def _on(chosen: BusSettings, channel: str) -> BusSettings:
     return replace(chosen, arguments={**chosen.arguments, "channel": channel})
 
 
@@ -80,56 +153,3 @@ def channel_map(given: Sequence[str] | None) -> dict[int, str]:
                              "write for instance --map 0=can1.")
         found[int(number)] = channel
     return found
-
-
-def _step(player: Player, bus: Any, clock: Callable[[], int], *, shown: bool) -> None:
-    """Take one line of standard input at a time."""
-    from bowden.replay import playing_bus
-    from bowden.replay.player import State
-
-    if shown:
-        terminal.remark(HELP)
-    for line in sys.stdin:
-        word = line.strip()
-        if word == "pause":
-            player.pause(clock())
-            break
-        if word == "play":
-            player.play(clock())
-            playing_bus.run(player, bus, clock)
-        elif word:
-            player.seek(_position(word), clock())
-        else:
-            frame = player.step()
-            playing_bus.wait(bus, clock, clock() + playing_bus.LINGER_NS, playing_bus.ignore)
-            if shown and frame is not None:
-                print(f"{player.position_ns(clock()) / 1e9:12.6f} s  {frame.can_id:03X}  {frame.data.hex(' ')}")
-        if player.state is State.ENDED:
-            break
-
-
-def _position(word: str) -> int:
-    try:
-        return round(float(word) * 1e9)
-    except (ValueError, OverflowError):
-        raise InputError(f"{word!r} is no command; {HELP}") from None
-
-
-def _result(recorded: Trial, player: Player, outlet: Outlet, restored: int) -> dict[str, Any]:
-    late = player.lateness()
-    return {
-        "trial": str(recorded.path), "onto": "bus", "frames": player.sent, "passes": player.pass_ + 1,
-        "state": player.state.value, "restored_frames": restored, "lost_frames": outlet.lost,
-        **{f"left_out_{name}": count for name, count in player.schedule.left_out.items()},
-        "lateness_median_us": late.median_ns / 1e3, "lateness_p99_us": late.p99_ns / 1e3,
-        "lateness_max_us": late.max_ns / 1e3,
-    }
-
-
-def _tell(result: Mapping[str, Any]) -> None:
-    print(f"{result['frames']} frames in {result['passes']} passes, {result['lost_frames']} not taken by the bus; "
-          f"{result['restored_frames']} restored what was before.")
-    if result["lost_frames"]:
-        terminal.remark(LOST)
-    terminal.table("lateness", ("figure", "µs"), [
-        (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])

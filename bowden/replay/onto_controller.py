@@ -1,35 +1,217 @@
-"""`bowden replay --onto controller`."""
+"""The controller once more over what a trial recorded: the same steps, and whether they say the same.
+
+The rule of this file: the steps are the walk's own (`experiment.Planned.walk`), fed with recorded inputs from its
+first row on, so that what a controller remembers is made again; every output is compared bit for bit.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import contextlib
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
-from bowden.cli import terminal
-from bowden.recorded import experiment
+import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from bowden.replay.onto_controller_laws import Comparison
-    from trial.read import Trial
+from eds.bench import Wire, wire
+from master.control.homing_fit import HomingFit
+from master.cycle.exchange import NOTHING, CycleAnnotations, Inputs
+from master.motion.experiment import Experiment, Planned
+from master.motion.home import Homed
+from parameters import InputError
+from trial.read import Trial
+from trial.signals import PDO_NAMES, TRACE
+
+INPUTS = ("servo_statusword", "servo_position_m", "servo_force_n", "knee_statusword", "knee_angle_rad",
+          "tension_start_n", "tension_end_n")
+"""Columns of `Inputs` between its stamp and its missing bits."""
+ANSWERS = ("gait_percent", "servo_target_m", "knee_target_rad", "desired_force_n", "estimated_end_force_n", "cycle",
+           "held")
+OUTPUTS = (*ANSWERS, *(signal.name for signal in TRACE))
+"""Columns that a step answers for, the trace as far as the trial has it; the frame of targets comes on top."""
+TARGETS_FRAME, ROWS = "targets_frame", "rows"
+EVERY = 500
+
+Floats = NDArray[np.float64]
 
 
-def replay(recorded: Trial, *, json: bool) -> int:
-    """Step the controller again and say whether it says the same."""
-    from bowden.replay import onto_controller_laws
+@dataclass(frozen=True)
+class Difference:
+    """One output that is not as recorded: its row in the trial, when (s), where in the gait, and both values."""
 
-    chosen = experiment(recorded)
-    with terminal.progress("controller", shown=not json) as update:
-        found = onto_controller_laws.replay(recorded, chosen, update)
-    terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()}) if json else _tell(found)
-    return 0 if found.same else 1
+    row: int
+    time_s: float
+    cycle: float
+    gait_percent: float
+    signal: str
+    recorded: float | str
+    replayed: float | str
 
 
-def _tell(found: Comparison) -> None:
-    print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
-    if found.first is None:
-        print("The same, bit for bit.")
-        return
-    first = found.first
-    print(f"First difference: row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at "
-          f"{first.gait_percent:.2f} %: {first.signal} was {first.recorded!r}, now {first.replayed!r}.")
-    terminal.table("rows that differ", ("signal", "rows"), [
-        (name, str(count)) for name, count in found.differing.items()])
+@dataclass(frozen=True)
+class Comparison:
+    """What was stepped again: rows, frames of targets compared, rows that differ by signal, the first difference."""
+
+    controller: str
+    rows: int
+    frames: int
+    differing: dict[str, int] = field(default_factory=dict)
+    first: Difference | None = None
+
+    @property
+    def same(self) -> bool:
+        """Every output is the recorded one, bit for bit."""
+        return self.first is None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it with nothing that JSON lacks."""
+        return {"same": self.same, **dataclasses.asdict(self)}
+
+
+class EndedError(Exception):
+    """The recording has no further row."""
+
+
+class Recording:
+    """A recorded trial as the cycle that a walk runs in; `made` and `frames` are what it was told, by row.
+
+    It begins at the first row of the walk and raises `EndedError` after its last.
+    """
+
+    def __init__(self, recorded: Trial, described: Wire, rows: range, progress: Callable[[float], None]) -> None:
+        columns = recorded.columns
+        ages = [columns[f"{name}_pdo_age_ns"][rows.start:rows.stop] > 0 for name in PDO_NAMES]
+        missing = sum(late.astype(np.int64) << i for i, late in enumerate(ages))
+        table = np.array([columns[name][rows.start:rows.stop] for name in INPUTS]).T.tolist()
+        stamps = recorded.time_ns[rows.start:rows.stop].tolist()
+        self._inputs = [
+            Inputs(stamp, int(servo), position, force, int(knee), angle, start, end, late)
+            for stamp, (servo, position, force, knee, angle, start, end), late
+            in zip(stamps, table, np.asarray(missing).tolist(), strict=True)
+        ]
+        before = max(rows.start - 1, 0)
+        self.targets = float(columns["servo_target_m"][before]), float(columns["knee_target_rad"][before])
+        self.inputs = self._inputs[0]
+        self.made: list[tuple[float, ...]] = []
+        self.frames: list[bytes] = []
+        self._pack, self._progress = described.targets.pack_si, progress
+
+    def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = NOTHING) -> Inputs:
+        """Keep the targets that answer `inputs`, and return the next row's inputs."""
+        percent, desired, estimated, cycle, held, trace = annotations
+        self.made.append((percent, servo_m, knee_rad, desired, estimated, cycle, held, *trace))
+        finite = math.isfinite(servo_m) and math.isfinite(knee_rad)
+        self.frames.append(self._pack(servo_m, knee_rad) if finite else b"")
+        self.targets = servo_m, knee_rad
+        done = len(self.made)
+        if not done % EVERY:
+            self._progress(done / len(self._inputs))
+        if done == len(self._inputs):
+            raise EndedError
+        self.inputs = self._inputs[done]
+        return self.inputs
+
+
+def replay(
+    recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
+) -> Comparison:
+    """Step the controller of `experiment` again over a trial of it, and compare.
+
+    Raises `InputError` where the trial does not hold what is needed.
+    """
+    recording = step_again(recorded, experiment, progress)
+    cob_id = wire(experiment.network).targets.cob_id
+    return compare(recorded, walked(recorded), cob_id, experiment.gait.controller, recording)
+
+
+def step_again(
+    recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
+) -> Recording:
+    """The walk of `experiment` over a trial's rows: what its controller made of them, by row."""
+    planned = Planned(experiment)
+    planned.homed = Homed(math.nan, _day(recorded, experiment))
+    recording = Recording(recorded, wire(experiment.network), walked(recorded), progress)
+    with contextlib.suppress(EndedError):
+        planned.walk(recording)
+    return recording
+
+
+def walked(recorded: Trial) -> range:
+    """The rows in which the controller was asked: from the run-in to the end of the run-out, or to the stop."""
+    needed = (*INPUTS, *ANSWERS, *(f"{name}_pdo_age_ns" for name in PDO_NAMES), "missed_outputs")
+    lacking = [name for name in needed if name not in recorded.columns]
+    if lacking:
+        raise InputError(f"{recorded.path}: has no column {lacking[0]}, which the controller's steps need; "
+                         "give a trial that bowden trial recorded.")
+    rows = np.flatnonzero(~np.isnan(recorded.columns["gait_percent"]))
+    if not len(rows):
+        raise InputError(f"{recorded.path}: the controller made no step in it; give a trial that reached its gait.")
+    if recorded.lost_cycles or len(rows) != rows[-1] + 1 - rows[0]:
+        raise InputError(f"{recorded.path}: control cycles are missing, and a controller remembers them; "
+                         "give a whole trial.")
+    return range(int(rows[0]), int(rows[-1]) + 1)
+
+
+def _day(recorded: Trial, experiment: Experiment) -> HomingFit:
+    """What homing found; only a controller beyond the paper uses it."""
+    found = (recorded.result or {}).get("day")
+    if isinstance(found, list) and len(found) == len(HomingFit._fields):
+        return HomingFit(*map(float, found))
+    if experiment.gait.controller == "extended" and not experiment.dry_run:
+        raise InputError(f"{recorded.path}: its result has no day, which the controller extended needs; "
+                         "give a trial that was closed.")
+    return HomingFit()
+
+
+def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording) -> Comparison:
+    """Compare what the steps gave with what was recorded, bit for bit; one NaN is like another."""
+    count = len(recording.made)
+    stepped = slice(rows.start, rows.start + count)
+    then = {name: recorded.columns[name][stepped] for name in OUTPUTS if name in recorded.columns}
+    again = dict(zip(OUTPUTS, np.array(recording.made).T, strict=True))
+    frames = _frames_by_row(recorded, targets_cob_id)[stepped]
+    told = _told(recorded, stepped)
+    marks = {name: _unlike(column, again[name]) for name, column in then.items()}
+    marks[TARGETS_FRAME] = [i for i in told if frames[i] != recording.frames[i]]
+    marks[ROWS] = [count - 1] if count < len(rows) else []
+    differing = {name: len(where) for name, where in marks.items() if where}
+    if not differing:
+        return Comparison(controller, count, len(told))
+    at, name = min(((marks[name][0], name) for name in differing), key=lambda mark: mark[0])
+    values: tuple[float | str, float | str]
+    if name == TARGETS_FRAME:
+        values = (frames[at] or b"").hex(" "), recording.frames[at].hex(" ")
+    elif name == ROWS:
+        values = float(len(rows)), float(count)
+    else:
+        values = float(then[name][at]), float(again[name][at])
+    row = rows.start + at
+    time_s, cycle, percent = (float(recorded.columns[key][row]) for key in ("time_s", "cycle", "gait_percent"))
+    return Comparison(controller, count, len(told), differing, Difference(row, time_s, cycle, percent, name, *values))
+
+
+def _unlike(one: Floats, other: Floats) -> list[int]:
+    bits = np.ascontiguousarray(one).view(np.uint64) != np.ascontiguousarray(other).view(np.uint64)
+    return np.flatnonzero(bits & ~(np.isnan(one) & np.isnan(other))).tolist()
+
+
+def _told(recorded: Trial, stepped: slice) -> list[int]:
+    """Rows whose targets left in time, from the first of `stepped`; none where no frames were recorded."""
+    if not len(recorded.frames):
+        return []
+    return np.flatnonzero(recorded.columns["missed_outputs"][stepped] == 0).tolist()
+
+
+def _frames_by_row(recorded: Trial, cob_id: int) -> list[bytes | None]:
+    """Payload of the last frame `cob_id` between a row's SYNC and the next one's, None where there is none."""
+    frames = recorded.frames
+    frames = frames[(frames["can_id"] == cob_id) & (frames["flags"] == 0)]
+    found: list[bytes | None] = [None] * len(recorded.time_ns)
+    row = np.searchsorted(recorded.time_ns, frames["time_ns"], side="left") - 1
+    for place, dlc, data in zip(row.tolist(), frames["dlc"].tolist(), frames["data"], strict=True):
+        if place >= 0:
+            found[place] = data[:dlc].tobytes()
+    return found

@@ -1,7 +1,7 @@
-"""`bowden replay --onto bus --nodes-only`: the recorded nodes before a master that lives, and what it answers.
+"""The recorded nodes before a running master, and what it answers.
 
-The rule of this file: on the virtual bus the master is this process's own, running the recorded experiment; on a
-real one it is whoever is there.
+The rule of this file: on the virtual bus the master is this process's own and runs the recorded experiment; on a real
+bus it is another program.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from bowden.buses import Chosen, opened_one
-from bowden.cli import terminal
+from bowden.buses import BusSettings, opened_one
+from bowden.progress import SILENT, Progress
 from bowden.recorded import experiment, script, sections
 from bowden.replay.onto_plant import lengths_ns
 from parameters import InputError
@@ -23,8 +23,11 @@ SILENCE_NS = 3_000_000_000
 """A master that says nothing for so long has finished."""
 
 
-def replay(recorded: Trial, chosen: Chosen, bitrate: int, *, json: bool) -> int:
-    """Let a master meet the recorded nodes; 1 where it does not say what the recorded one said."""
+def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Progress = SILENT) -> Answer:
+    """Let a master run against the recorded nodes; says where it differs from the recorded master.
+
+    Raises `InputError` for a trial without frames.
+    """
     from bowden.replay.plant_residuals import commands
     from bowden.replay.recorded_nodes import RecordedNodes, compare, said
     from eds.bench import wire
@@ -35,14 +38,11 @@ def replay(recorded: Trial, chosen: Chosen, bitrate: int, *, json: bool) -> int:
         raise InputError(f"{recorded.path}: the trial holds no CAN frames; give one that was recorded on a bus.")
     nodes = RecordedNodes(frames, frames["time_ns"] - lengths_ns(frames, bitrate), masters)
     if chosen.simulated:
-        with terminal.waiting("a master meets the recorded nodes", shown=not json):
+        with progress.waiting("a master runs against the recorded nodes"):
             _own(recorded, nodes, str(chosen.arguments["channel"]), bitrate)
     else:
-        _theirs(nodes, chosen, bitrate)
-    found = compare(said(frames, masters), nodes.heard)
-    terminal.emit({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()}) \
-        if json else _tell(found)
-    return 0 if found.same else 1
+        _theirs(nodes, chosen, bitrate, progress)
+    return compare(said(frames, masters), nodes.heard)
 
 
 def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> None:
@@ -63,29 +63,16 @@ def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> N
             run(link, tap, None, planned)
 
 
-def _theirs(nodes: RecordedNodes, chosen: Chosen, bitrate: int) -> None:
+def _theirs(nodes: RecordedNodes, chosen: BusSettings, bitrate: int, progress: Progress) -> None:
     """The recorded nodes on a real bus, until nothing is left to say or the master has finished."""
     from virtual_bus.bench import Bench
     from virtual_bus.serve import serve
 
     bench = Bench([nodes], bitrate=bitrate, node_turnaround_ns=0)
-    terminal.remark("the recorded nodes are on the bus; start a master.")
+    progress.remark("the recorded nodes are on the bus; start a master.")
 
     def finished() -> bool:
         return bool(nodes.heard) and bench.kernel.now_ns - nodes.last_ns > SILENCE_NS
 
     with opened_one(chosen, bitrate) as bus:
         serve(bus, bench, time.monotonic_ns, finished, echoes=chosen.arguments["interface"] == "udp_multicast")
-
-
-def _tell(found: Answer) -> None:
-    print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
-          f"times differ by {found.timing_max_us:.1f} µs at most.")
-    if found.first is None:
-        print("The same, byte for byte.")
-        return
-    first = found.first
-    print(f"First difference: {first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first "
-          f"frame: was {first.recorded}, now {first.live}.")
-    terminal.table("frames that differ", ("COB-ID", "frames"), [
-        (name, str(count)) for name, count in found.differing.items()])

@@ -1,4 +1,4 @@
-"""`bowden replay --onto plant`: the recorded commands into the simulated bench, residuals out."""
+"""The recorded commands into a simulated bench: what it answers, and the residuals."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bowden import provenance, session
-from bowden.buses import Chosen, opened_one
-from bowden.cli import outputs, terminal
+from bowden import output_files, provenance, session
+from bowden.buses import BusSettings, opened_one
+from bowden.progress import SILENT, Progress
 from bowden.recorded import sections
 
 if TYPE_CHECKING:
@@ -19,23 +19,27 @@ if TYPE_CHECKING:
     from trial.read import Trial
 
 
-def replay(recorded: Trial, chosen: Chosen, output: Path | None, *, overwrite: bool, json: bool) -> int:
-    """Play what the master sent, compare what the nodes answer; 1 where it is not the same, bit for bit."""
+def replay(
+    recorded: Trial, chosen: BusSettings, output: Path | None = None, *, overwrite: bool = False,
+    progress: Progress = SILENT,
+) -> Residuals:
+    """Play what the master sent to a simulated bench, and compare what its nodes answer with what was recorded.
+
+    `output` gets the residuals as a trial of its own.
+    """
     from bowden.replay.plant_residuals import residuals
     from eds.bench import wire
 
-    outputs.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite)
     described = wire(sections(recorded)["network"])
-    session.compile_laws(simulated=True, quiet=json)
-    found = residuals(recorded, simulate(recorded, chosen, described, quiet=json), described)
+    session.compile_laws(simulated=True, progress=progress)
+    found = residuals(recorded, simulate(recorded, chosen, described, progress), described)
     if output is not None:
         _write(recorded, found, output, overwrite=overwrite)
-    result = {"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()}
-    terminal.emit(result) if json else _tell(found, output)
-    return 0 if found.same else 1
+    return found
 
 
-def simulate(recorded: Trial, chosen: Chosen, described: Wire, *, quiet: bool) -> Rows:
+def simulate(recorded: Trial, chosen: BusSettings, described: Wire, progress: Progress = SILENT) -> Rows:
     """Every frame of a simulated bench that is told what the recorded one was told, at the same bus times."""
     from bowden.replay import plant_residuals, playing_bus
     from bowden.replay.player import Player
@@ -55,7 +59,7 @@ def simulate(recorded: Trial, chosen: Chosen, described: Wire, *, quiet: bool) -
             data = bytes(message.data)
             heard.add((message.time_ns, message.arbitration_id, 0, len(data), 0, not message.is_rx, data))
 
-        with terminal.progress("plant", shown=not quiet) as update:
+        with progress.running("plant") as update:
             playing_bus.wait(bus, bus.time_ns, origin_ns, hear)
             player.play(origin_ns)
             playing_bus.run(player, bus, bus.time_ns, hear, update)
@@ -80,14 +84,3 @@ def _write(recorded: Trial, found: Residuals, output: Path, *, overwrite: bool) 
     write(output, Content(found.time_ns, columns, signals=signals),
           metadata={**recorded.metadata, "experiment": "residuals", "commit": provenance.commit()},
           result={}, attachments=recorded.attachments, overwrite=overwrite)
-
-
-def _tell(found: Residuals, output: Path | None) -> None:
-    print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
-          f" {'the same, bit for bit.' if found.same else 'they differ.'}")
-    terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
-        (name, row.unit, str(row.differing + row.one_sided), *(
-            f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
-        for name, row in found.figures.items()])
-    if output is not None:
-        print(f"Residuals: {output}")

@@ -52,9 +52,14 @@ class Residual:
 
 @dataclass(frozen=True)
 class Residuals:
-    """By signal: figures, and the columns they come from, at the recorded times of SYNC, ns."""
+    """By signal: figures, and the columns they come from, at the recorded times of SYNC, ns.
+
+    `columns` are `recorded` − `simulated`; float64, one value a control cycle, NaN where a side has none.
+    """
 
     time_ns: NDArray[np.int64]
+    recorded: Mapping[str, Floats]
+    simulated: Mapping[str, Floats]
     columns: Mapping[str, Floats]
     figures: Mapping[str, Residual]
 
@@ -97,6 +102,7 @@ def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
         raise InputError(f"{recorded.path}: no SYNC was recorded, so there are no control cycles to compare.")
     time_ns = then.time_ns[:count]
     gait = _gait(recorded, time_ns)
+    sides: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     columns: dict[str, Floats] = {}
     figures: dict[str, Residual] = {}
     for signal in SIGNALS:
@@ -106,9 +112,10 @@ def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
         nothing = np.full(count, np.nan)
         one = nothing if one is None else one[:count]
         other = nothing if other is None else other[:count]
+        sides[0][signal.name], sides[1][signal.name] = one, other
         columns[signal.name] = one - other
         figures[signal.name] = _figure(signal, one, other, time_ns, gait)
-    return Residuals(time_ns, columns, figures)
+    return Residuals(time_ns, *sides, columns, figures)
 
 
 def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -11,11 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bowden.sweep import run
 from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.finder import Finder
 
 
 @dataclass(frozen=True)
@@ -23,8 +27,8 @@ class Given:
     """What every trial is diagnosed with."""
 
     calibration: Path | None
-    healthy: Sequence[Path]
-    holdout: Sequence[Path]
+    healthy: tuple[Path, ...]
+    holdout: tuple[Path, ...]
     lowpass: float | None
 
 
@@ -35,14 +39,28 @@ def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[r
 
 def perform(trial: Path, given: Given) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
-    from diagnosis.finder import Diagnosis, diagnose
+    from diagnosis.finder import Diagnosis
 
     began = time.perf_counter()
     try:
-        told = diagnose([trial], given.calibration, given.healthy, given.holdout, given.lowpass)
+        told = _finder(given, _state(given)).diagnose([trial], given.holdout)
     except InputError as error:
         told = Diagnosis("refused", warnings=[str(error)], lowpass_hz=given.lowpass)
     return told.as_json() | {"seconds": time.perf_counter() - began}
+
+
+@lru_cache(maxsize=1)
+def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
+    """Return what diagnoses the trials: its healthy trials are read and fitted once in a process."""
+    from diagnosis.finder import Finder
+
+    return Finder(given.calibration, given.lowpass).examine(given.healthy)
+
+
+def _state(given: Given) -> tuple[tuple[int, int], ...]:
+    """Size and time of change of the files behind a finder: other content makes another finder."""
+    files = [*given.healthy, *([] if given.calibration is None else [given.calibration])]
+    return tuple((told.st_size, told.st_mtime_ns) for told in (path.stat() for path in files if path.exists()))
 
 
 def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Callable[[float], None]

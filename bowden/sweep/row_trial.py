@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from bowden import buses, identification, provenance, session
-from bowden.cli.option_groups import Bus, Simulated
 from bowden.sweep.departure import motion
 from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
 from parameters import InputError
@@ -56,7 +55,7 @@ def identify(bench: Row) -> tuple[str | None, str]:
         try:
             found = identification.perform(
                 "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
-                date=datetime.date.today().isoformat(), overwrite=False, quiet=True)
+                date=datetime.date.today().isoformat())
         except InputError as error:
             return str(error), ""
     return found.reason, "" if found.calibration is None else write(found.calibration)
@@ -97,7 +96,7 @@ def _figures(row: Row, calibration: str, place: Path, folder: Path) -> dict[str,
         path.write_text(calibration, encoding="utf-8")
     prepared = session.prepare(sections, course, path, chosen(row), dry_run=False, files=attached(row))
     departing = dataclasses.replace(prepared.experiment, motion=motion(course, table(row, "departure")))
-    return session.perform(dataclasses.replace(prepared, experiment=departing), place, None, overwrite=True, quiet=True)
+    return session.perform(dataclasses.replace(prepared, experiment=departing), place, overwrite=True)
 
 
 def attached(row: Row) -> dict[str, bytes]:
@@ -107,9 +106,9 @@ def attached(row: Row) -> dict[str, bytes]:
                            (("knee", files.knee), ("desired", files.desired))})
 
 
-def chosen(row: Row) -> buses.Chosen:
+def chosen(row: Row) -> buses.BusSettings:
     """Return the virtual bus of a row, on a channel of its own."""
     bench = table(row, "bench")
-    found = Bus(channel=digest(row)).chosen(Simulated(bench.serial, bench.day, bench.seed, bench.plant))
-    more = {"steady": bench.steady.replace("+", ","), "plant_model": plant_model(row) or None}
-    return dataclasses.replace(found, arguments={**found.arguments, **more})
+    return buses.simulated(
+        bench.serial, bench.day, bench.seed, plant=bench.plant, plant_model=plant_model(row) or None,
+        channel=digest(row), steady=bench.steady.replace("+", ","))

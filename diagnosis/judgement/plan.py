@@ -23,6 +23,7 @@ from diagnosis.judgement.verdict import LEAST_FALL, LEAST_GAIN, RIVAL_GAIN, STRU
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Fit, solve
 from diagnosis.problem.floors import FLOORS
+from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import Setting, build_problem
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE, EffectParameter
@@ -88,7 +89,7 @@ def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[s
 
 
 def _planned(simulated: Table, healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Plan:
-    setting = build_problem([integrity.usable(simulated)], healthy, calibration or simulated.calibration)
+    setting = build_problem([integrity.usable(simulated)], HealthyTrials(healthy), calibration or simulated.calibration)
     if not setting.checked or len(setting.folds) < integrity.LEAST_CYCLES:
         raise InputError(f"{simulated.source}: {len(setting.folds)} laps and {len(setting.checked)} relations to check;"
                          f" expected at least {integrity.LEAST_CYCLES} and one: give an experiment that moves.")

@@ -94,7 +94,7 @@ def _weights(basis: Array, target: Array, prior: Array, noise: float) -> Array:
                                       basis.T @ target, rcond=1e-12)[0])
 
 
-def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[Array]) -> Discrepancy:
+def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[np.intp]]) -> Discrepancy:
     """Learn one relation's from features `at` and residuals `rests` of each healthy trial.
 
     `groups`: by sample, what is held back together (the trial's number, or with one trial the cycle's).

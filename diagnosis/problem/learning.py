@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 
 from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
-from diagnosis.problem.blocks import TAUT_N, Block, rmse
+from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
+from diagnosis.problem.deviations import correlated, deviating
 from diagnosis.problem.discrepancy import Discrepancy
 from diagnosis.problem.fit import Fit, Free, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
-from diagnosis.problem.healthy_fit import correlated, deviating
 from diagnosis.problem.reference import BAND, Reference
+from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
-from physics.parameters import RELATION_PARAMETERS
+from physics.relations.recorded import Memory
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None)
         tensions = [held[n] for n in ("tension_start_n", "tension_end_n") if n in held]
         if not tensions or "knee_angle_rad" not in held or "servo_position_m" not in held:
             continue
-        tension, least = sum(tensions) / len(tensions), np.minimum.reduce(tensions)
+        tension, least = np.mean(tensions, axis=0), np.min(tensions, axis=0)
         at = np.flatnonzero(np.isfinite(tension + held["knee_angle_rad"] + held["servo_position_m"]) & (least > TAUT_N))
         at = at[:: max(1, at.size // 4000)]
         rows.append(np.column_stack([np.ones(at.size), held["knee_angle_rad"][at] - KNEE_AT_FIT, tension[at],
@@ -215,7 +216,7 @@ def _short(trials: Sequence[Sequence[Block]], cycles: int = 3) -> list[Block]:
             short.append(dataclasses.replace(
                 block, keep=block.keep[inside], cycle=block.cycle[inside],
                 signals=Signals(columns, block.signals.fresh[:last], block.signals.progress[:last],
-                                None if last < whole else fine), _last={}))
+                                None if last < whole else fine), _last=Memory(REMEMBERED)))
     return short
 
 
@@ -248,8 +249,8 @@ def _bands(reference: Reference, values: Values, trials: int, relations: Mapping
     found = []
     for name, f in known.items():
         sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), RELATION_PARAMETERS[name], bounds(name)
-        if name in RELATIVE and slot.healthy:
-            sigma *= max(abs(values[name] / slot.healthy), 0.2)
+        if name in RELATIVE and slot.nominal:
+            sigma *= max(abs(values[name] / slot.nominal), 0.2)
         if name in STANDING_IN:
             sigma *= NARROW
         found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
@@ -264,7 +265,7 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
     names = list(weights)
     rests: dict[str, list[Array]] = {n: [] for n in names}
     at: dict[str, list[Array]] = {n: [] for n in names}
-    groups: dict[str, list[Array]] = {n: [] for n in names}
+    groups: dict[str, list[NDArray[np.intp]]] = {n: [] for n in names}
     spread: dict[str, list[Array]] = {n: [] for n in names}
     mine = tuple(f for f in moved.nuisance if f.name in RELATION_PARAMETERS)
     for i, trial in enumerate(trials):
@@ -279,7 +280,7 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
             rests[name].append(block.residual(alone))
             spread[name].append(block.signals[block.relation.output][block.keep])
             at[name].append(discrepancy.features(block.signals, moved.values)[block.keep])
-            groups[name].append(np.full(block.keep.size, i) if len(trials) > 1 else block.cycle)
+            groups[name].append(np.full(block.keep.size, i, dtype=np.intp) if len(trials) > 1 else block.cycle)
     plain = {n: rmse(r) for n, r in rests.items() if r}
     learnt = {n: discrepancy.learn(at[n], rests[n], groups[n]) for n in plain if _motion(n)}
     floors = {n: learnt[n].left if n in learnt else plain[n] for n in plain}

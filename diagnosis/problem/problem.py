@@ -20,7 +20,8 @@ from diagnosis.problem.candidates import Candidate, candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
-from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
+from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.problem.learning import Learnt
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from physics.relations.relation import RELATIONS
 
@@ -62,7 +63,7 @@ class Setting:
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
 
 
-def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
     """Decide what can be checked on `trials` and against what."""
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
@@ -77,28 +78,14 @@ def build_problem(trials: Sequence[Table], healthy: Sequence[Table], calibration
 
 
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-           folds: list[frozenset[int]], healthy: Sequence[Table], calibration: Mapping[str, Any] | None) -> Setting:
+           folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
     reference = of_bench(calibration)
     if healthy:
-        return _learnt(missing, checked, blocks, folds, learnt_from(healthy, checked, reference))
+        return _learnt(missing, checked, blocks, folds, healthy.fit(checked, reference))
     floors = {n: FLOORS[n] for n in checked}
     weights = {n: floors[n] * math.sqrt(CORRELATION_LENGTH[n]) for n in checked}
     return Setting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
                    candidates(checked, reference.values, reference.nuisance))
-
-
-def learnt_from(healthy: Sequence[Table], checked: Sequence[str], known: Reference) -> Learnt:
-    """Learn the bench of healthy trials over the relations `checked`; `known`: one point to start from."""
-    own = of_bench(None)
-    taught = [relations.blocks_of([t], [n for n in checked if not relations.allowed([t])[n]], relations.TAUT_N)
-              for t in healthy]
-    columns = [t.columns for t in healthy]
-    near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
-    start = own.values if near is None else of_geometry(own.values, near)
-    others = [known.values] if known.kind == "calibration" else []
-    others += [of_geometry(own.values, closed)] if closed is not None else []
-    return learn(taught, Reference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
-                 {n: CORRELATION_LENGTH[n] for n in checked}, others)
 
 
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],

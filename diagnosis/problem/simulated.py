@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from diagnosis import simulation
 from diagnosis.data.table import Table
 from diagnosis.problem.blocks import Block, cycles_of, signals_of
+from diagnosis.problem.deviations import deviating
 from diagnosis.problem.fit import Free, Problem, solve
-from diagnosis.problem.healthy_fit import deviating
 from diagnosis.problem.reference import BAND
 from physics.relations.measured import Signals
 from physics.relations.relation import Relation

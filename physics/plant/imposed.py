@@ -47,7 +47,7 @@ def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> f
     lever = m[SLOT.rope_per_knee] + 2.0 * m[SLOT.rope_per_knee_quadratic] * knee
     m[SLOT.x + NODES + 1] = anchor(m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic], knee)
     m[SLOT.v + NODES + 1] = lever * knee_w
-    return lever * knee_w
+    return float(lever * knee_w)
 
 
 @njit(inline="always")

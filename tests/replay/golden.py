@@ -17,7 +17,7 @@ ATTACHED = ("bench.toml", "calibration.toml")
 def make(controller: str, folder: Path) -> None:
     """Run one walk on the simulated bench and keep the rows of its gait, with the frames of targets."""
     from bowden.cli.app import run
-    from bowden.replay.onto_controller_laws import INPUTS, OUTPUTS, walked
+    from bowden.replay.onto_controller import INPUTS, OUTPUTS, walked
     from eds.bench import TARGETS_COB_ID
     from trial import read
     from trial.assemble import Content, write

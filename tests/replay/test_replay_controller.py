@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from bowden.replay.onto_controller_laws import OUTPUTS, replay, walked
+from bowden.replay.onto_controller import OUTPUTS, replay, walked
 from master.settings import CONTROLLERS, Impedance
 from parameters import InputError
 from trial.assemble import Content, write

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bowden.recorded import experiment
-from bowden.replay.onto_controller_laws import OUTPUTS, step_again, walked
+from bowden.replay.onto_controller import OUTPUTS, step_again, walked
 from master.settings import CONTROLLERS
 from trial import read
 

@@ -20,17 +20,21 @@ from threadpoolctl import threadpool_limits
 from diagnosis import simulation
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks, learning, problem, simulated
+from diagnosis.problem import blocks, learning, simulated
+from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learning import Learnt
 from diagnosis.problem.reference import of_bench
-from parameters import InputError, read_toml
+from parameters import InputError, declarations, read_toml
+from physics.calibration import Calibration, nominal, write
+from physics.conversions import UNRELATED, converted, to_scalars
 from physics.effects.effects_table import TABLE, stated
-from physics.relations.relation import RELATIONS
 from physics.parameters import RELATION_PARAMETERS, healthy
+from physics.plant.leg import KNEE_AT_FIT
+from physics.relations.relation import RELATIONS
 
 Values = Mapping[str, float]
 
-BENCH: Final = "bench"
+BENCH: Final = "constants"
 EVIDENCE: Final = "fitted"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
@@ -54,7 +58,7 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class BenchModel:
+class FittedBench:
     """A bench as fitted; `figures`: START and END against the simulation, N, on what the fit that made them had not seen.
 
     `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
@@ -75,6 +79,14 @@ class BenchModel:
         return {**healthy(), **{n: c.value for n, c in self.constants.items()}, **brought}
 
     @property
+    def calibration(self) -> Calibration:
+        """The scalars of a calibration that these constants tell; what they do not tell is nominal."""
+        told, base = to_scalars({**self.values, **converted(UNRELATED, self.values)}), nominal()
+        bounds = {name: declared for name, _, declared in declarations(Calibration)}
+        inside: dict[str, Any] = {n: min(max(v, bounds[n].low), bounds[n].high) for n, v in told.items() if n in bounds}
+        return dataclasses.replace(base, **inside)
+
+    @property
     def undetermined(self) -> list[str]:
         return [n for n, c in self.constants.items() if not c.determined]
 
@@ -86,7 +98,7 @@ class BenchModel:
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD, f"[{EVIDENCE}]", f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
+        lines = [HEAD, write(self.calibration), f"[{EVIDENCE}]", f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
                  f"pulls = {self.pulls}"]
         lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
                   for end, row in self.figures.items() if row["rms_n"] is not None]
@@ -96,17 +108,17 @@ class BenchModel:
         return "\n".join(lines) + "\n"
 
 
-def read(path: str | Path) -> BenchModel:
+def read(path: str | Path) -> FittedBench:
     """Read a model.toml; raises `InputError` for an unknown table, constant or effect, or a value that is no number."""
     given = read_toml(Path(path))
     for name in given:
-        if name not in (BENCH, EVIDENCE, TABLE, "found"):
+        if name not in (BENCH, EVIDENCE, TABLE, "found", "version", "bench", "scalars"):
             raise InputError(f"{path}: unknown table {name}; expected [{BENCH}.NAME] as bowden fit writes it.")
     rows = given.get(BENCH, {})
     if not isinstance(rows, Mapping) or not (rows or given.get(TABLE)):
         raise InputError(f"{path}: no [{BENCH}.NAME] in it; give a model of bowden fit -o.")
     evidence = given.get(EVIDENCE, {})
-    return BenchModel({name: _constant(path, name, row) for name, row in rows.items()},
+    return FittedBench({name: _constant(path, name, row) for name, row in rows.items()},
                       trials=tuple(evidence.get("trials", ())), pulls=int(evidence.get("pulls", 1)),
                       effects=stated(given, str(path)))
 
@@ -123,7 +135,7 @@ def _constant(path: str | Path, name: str, row: Any) -> Constant:
 
 
 def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
-        lowpass: float | None = None) -> BenchModel:
+        lowpass: float | None = None) -> FittedBench:
     """Fit the constants of a bench to healthy trials of any motion; `calibration`: one point to start from.
 
     `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
@@ -136,7 +148,7 @@ def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[
 
 
 def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] | None, lowpass: float | None
-            ) -> BenchModel:
+            ) -> FittedBench:
     findings = [f for t in given for f in integrity.examine(t)]
     for finding in findings:
         if finding.refuses:
@@ -152,7 +164,7 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
     values = _values(whole, tables)
     floors = {n: {"unit": RELATIONS[n].unit, "left": whole.floors[n], "laws_alone": whole.plain[n]}
               for n in whole.floors}
-    return BenchModel(_constants(values, whole), _unseen(rest, judged), floors, tuple(Path(t.source).name for t in given),
+    return FittedBench(_constants(values, whole), _unseen(rest, judged), floors, tuple(Path(t.source).name for t in given),
                       pulls, tuple(f.text for f in findings))
 
 
@@ -160,7 +172,7 @@ def _locked(given: Table) -> Table:
     """Return a trial whose knee is not recorded, or does not move, as one with a knee that is locked."""
     if "knee_angle_rad" in given:
         return given
-    still = np.full(len(given), learning.KNEE_AT_FIT)
+    still = np.full(len(given), KNEE_AT_FIT)
     return dataclasses.replace(given, columns={**given.columns, "knee_angle_rad": still},
                                notes=(*given.notes, "knee_angle_rad is not recorded, or constant: a locked knee."))
 
@@ -185,7 +197,7 @@ def _refuse_other_rigs(tables: Sequence[Table]) -> None:
 def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
     lacks = blocks.allowed(tables)
     checked = tuple(n for n, columns in lacks.items() if not columns)
-    return problem.learnt_from(tables, checked, of_bench(known))
+    return HealthyTrials(tables).fit(checked, of_bench(known))
 
 
 def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
@@ -231,7 +243,7 @@ def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
     return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False) for n in fixed}
 
 
-def as_fitted(given: Table, model: BenchModel) -> Table:
+def as_fitted(given: Table, model: FittedBench) -> Table:
     """Return a trial with its rope counted as the model's trials were, a knee that is not recorded as locked."""
     if model.pulls > 0:
         return given

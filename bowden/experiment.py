@@ -1,0 +1,109 @@
+"""One experiment, described by its numbers, and run on a bus into a recorded trial.
+
+The rule of this file: it turns plain arguments into the checked sections that `session` runs; what a command line
+would print is in the trial that comes back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bowden import bench_model, buses, configuration, provenance, session
+from bowden.bench_model import Model
+from bowden.buses import BusSettings
+from bowden.progress import SILENT, Progress
+from bowden.recorded_trial import TemporaryFolder, Trial
+
+GAIT = "gait"
+_OF_GAIT = ("peak_n", "period_s", "cycles", "settle", "soft_start", "controller", "idle_slack_m")
+_OF_NETWORK = ("rate_hz", "bitrate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """What is to be run; None leaves a number to the configuration, whose defaults are the paper's.
+
+    `peak_n`: peak of the desired force, N.  `period_s`: gait period, s.  `cycles`: gait cycles; the first `settle` of
+    them are left out of every figure; `soft_start` more come before, over which the peak rises.  `controller`: a name
+    of the entry-point group bowden.controllers, "module:Class", or the class itself.  `rate_hz`: control cycles per
+    second.  `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the paper's.
+    `name`: "gait", or an experiment of `bowden trial --experiment`.  `model`: what the controller works from, a bench
+    model or its file (None: the packaged nominal one).  `dry_run`: everything on the bus, drives never enabled.
+    `configuration`: a bench.toml.
+    """
+
+    peak_n: float | None = None
+    period_s: float | None = None
+    cycles: int | None = None
+    settle: int | None = None
+    soft_start: int | None = None
+    controller: str | type[Any] | None = None
+    idle_slack_m: float | None = None
+    rate_hz: int | None = None
+    bitrate: int | None = None
+    knee: str | Path | None = None
+    desired: str | Path | None = None
+    name: str = GAIT
+    model: Model | None = None
+    dry_run: bool = False
+    configuration: str | Path | None = None
+
+    def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.Prepared:
+        """Check it for a bus; raises `InputError` for whatever can be refused before a frame is sent."""
+        sections = configuration.read(None if self.configuration is None else Path(self.configuration))
+        sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
+        knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))
+        reference, sections["gait"], notes = session.reference(
+            self._overridden(sections["gait"], _OF_GAIT), knee, desired, period_given=self.period_s is not None,
+            peak_given=self.peak_n is not None)
+        for note in notes:
+            progress.remark(note)
+        model = None if self.model is None else self._model(bus)
+        return session.prepare(
+            sections, reference, None if model is None else model.calibration, bus, dry_run=self.dry_run,
+            controller_model=model if model is not None and model.effects else None,
+            files=provenance.curves(knee=knee, desired=desired), script=None if self.name == GAIT else self.name)
+
+    def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
+        given = {name: getattr(self, name) for name in names}
+        if "controller" in given:
+            given["controller"] = _name(given["controller"])
+        return configuration.override(section, {name: (f"Experiment({name}=…)", value)
+                                                for name, value in given.items()})
+
+    def _model(self, bus: BusSettings) -> bench_model.BenchModel:
+        """The model, of this bench where it says which one it belongs to."""
+        if isinstance(self.model, str | Path):
+            return bench_model.read(self.model, bench=bus.bench)
+        return bench_model.given(self.model)
+
+
+def _name(controller: str | type[Any] | None) -> str | None:
+    """Return how a trial records a controller: its name, or "module:Class"."""
+    if controller is None or isinstance(controller, str):
+        return controller
+    return f"{controller.__module__}:{controller.__qualname__}"
+
+
+def run(
+    experiment: Experiment | None = None, *, bus: BusSettings | None = None, output: str | Path | None = None,
+    overwrite: bool = False, progress: Progress = SILENT,
+) -> Trial:
+    """Run an experiment on a bus and return the recorded trial, whether it completed or stopped (`Trial.outcome`).
+
+    `bus`: `bowden.simulated(…)`, which is also the default, or `bowden.bus(…)`.  `output`: the file to record; without
+    one the recording is in a temporary folder that is removed with the trial.  Raises `InputError` for what can be
+    refused before a frame is sent; what happens on the bus ends in the outcome.
+    """
+    prepared = (experiment or Experiment()).prepared(bus or buses.simulated(), progress)
+    if output is not None:
+        return Trial(output, session.perform(prepared, Path(output), overwrite=overwrite, progress=progress))
+    folder = TemporaryFolder()
+    path = folder.path / "trial.mcap"
+    trial = Trial(path, session.perform(prepared, path, progress=progress))
+    folder.hand_to(trial.recorded)
+    return trial
+
+

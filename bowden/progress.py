@@ -1,0 +1,48 @@
+"""How a long call says how far it has come: a protocol that the caller fills in, and one that says nothing.
+
+The rule of this file: the library prints nothing and knows no terminal; whoever calls it may hand in a `Progress`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Protocol
+
+Update = Callable[[float], None]
+"""Takes the share that is done, 0 … 1."""
+
+
+def ignore(share: float) -> None:
+    """Take a share that is done and do nothing."""
+
+
+class Progress(Protocol):
+    """Who is told how a call is getting on."""
+
+    def running(self, what: str) -> AbstractContextManager[Update]:
+        """Enter around work whose share done is known; yields what takes that share."""
+
+    def waiting(self, what: str) -> AbstractContextManager[None]:
+        """Enter around work of unknown length."""
+
+    def remark(self, sentence: str) -> None:
+        """Take one sentence that a reader should see, though nothing went wrong."""
+
+
+class Silent:
+    """A `Progress` that says nothing: the default of every call."""
+
+    def running(self, what: str) -> AbstractContextManager[Update]:
+        """Return a context that ignores the share done."""
+        return nullcontext(ignore)
+
+    def waiting(self, what: str) -> AbstractContextManager[None]:
+        """Return a context that does nothing."""
+        return nullcontext()
+
+    def remark(self, sentence: str) -> None:
+        """Drop the sentence."""
+
+
+SILENT = Silent()

@@ -1,0 +1,50 @@
+"""Healthy trials and what is learnt from them, once for all the diagnoses that use them.
+
+The rule of this file: what is learnt depends on the healthy trials, the relations that are checked and the reference
+alone, so that it serves every trial in question that has the same columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from diagnosis.data.table import Table
+from diagnosis.problem import blocks
+from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
+from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
+from diagnosis.problem.reference import Reference, of_bench
+
+Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
+
+
+class HealthyTrials:
+    """Trials of this or a like bench with nothing wrong: usable samples, filtered alike."""
+
+    def __init__(self, tables: Sequence[Table] = ()) -> None:
+        self.tables = tuple(tables)
+        self._fits: dict[Key, Learnt] = {}
+
+    def __len__(self) -> int:
+        return len(self.tables)
+
+    def __iter__(self) -> Iterator[Table]:
+        return iter(self.tables)
+
+    def fit(self, checked: Sequence[str], known: Reference) -> Learnt:
+        """Return what these trials say of the relations `checked`; `known` is one point to start from."""
+        key = tuple(checked), tuple(sorted(known.values.items()))
+        if key not in self._fits:
+            self._fits[key] = self._learn(tuple(checked), known)
+        return self._fits[key]
+
+    def _learn(self, checked: tuple[str, ...], known: Reference) -> Learnt:
+        own = of_bench(None)
+        taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N)
+                  for t in self.tables]
+        columns = [t.columns for t in self.tables]
+        near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
+        start = own.values if near is None else of_geometry(own.values, near)
+        others = [known.values] if known.kind == "calibration" else []
+        others += [of_geometry(own.values, closed)] if closed is not None else []
+        return learn(taught, Reference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
+                     {n: CORRELATION_LENGTH[n] for n in checked}, others)
