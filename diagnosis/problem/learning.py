@@ -47,7 +47,7 @@ KNEE_RATIO: Final = 0.05
 KNEE_RATIO_RANGE: Final = (0.5, 2.0)
 NARROW: Final = 0.3
 """Slots that stand in for missing physics (`STANDING_IN`): 1σ after learning, of that of like benches."""
-STANDING_IN: Final = ("cable_bend", "load_slope", "viscous", "toe", "rope_per_knee_quadratic")
+STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadratic", "stribeck_ratio", "stiffness_shape")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
 """Slots whose tolerance among like benches is a share of their value."""
 STRUCTURE: Final = 0.5

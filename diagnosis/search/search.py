@@ -25,6 +25,8 @@ PARAMETER: Final = 0.01
 UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
+LEVEL: Final = 4.0
+"""How much wider than among like benches the level of a law is when the law is an effect."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,9 @@ class Search:
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
         """Return what a model of `effects` may move: their slots in their bounds, the other nuisance in its bands."""
         own = {f.name: f for c in effects for f in c.frees}
-        return tuple(f for f in self.nuisance if f.name not in own) + tuple(own.values())
+        level = {name for c in effects for name in c.level}
+        return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
+            own.values())
 
     def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None) -> Model:
         """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
@@ -205,6 +209,12 @@ class Search:
             self.grow(self.without(best, out), FIRST_REFITS)
         best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
         return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
+
+
+def _released(f: Free) -> Free:
+    """Return a band made wide for the level of a law that is said about another load, bend or time."""
+    wide = LEVEL * f.sigma
+    return replace(f, low=max(min(f.low, 0.0), f.mean - 3.0 * wide), high=f.mean + 3.0 * wide, sigma=wide)
 
 
 def _foremost(models: Iterable[Model]) -> list[Model]:
