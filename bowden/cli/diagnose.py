@@ -156,8 +156,13 @@ def _diagnosed(
 
 
 def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
-    print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
     figure = terminal.number
+    told = found.simulation
+    if told is not None:
+        after = f", {figure(told['after_rms_n'])} N with what was found" if found.causes else ""
+        print(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
+              f"(on {told['on']}).")
+    print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
     if result["causes"]:
         terminal.table("causes", ("effect", "site", "parameters", "gain (%)"), [
             (cause["effect"], cause["site"], _parameters(cause["parameters"]), figure(cause["gain_percent"], 1))

@@ -56,17 +56,43 @@ class Judge:
         healthy = sum(self._expected(n) for n in self.setting.checked)
         if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
             return False
+        if self.setting.any_rig:
+            return self._likelier(lesser, model)
         if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+            return False
+        if any(model.by_relation[n] - lesser.by_relation[n] > self._noise(n, lesser) for n in self.setting.checked):
             return False
         cuts, base = verdict.cut(lesser, model), self.search.baseline
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
+    def _likelier(self, lesser: Model, model: Model) -> bool:
+        """Whether a model pays on a rig of which no scatter is known: by the ratio of likelihoods, n·ln(χ²₀/χ²₁).
+
+        n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
+        """
+        base = self.search.baseline
+        for n, share in verdict.cut(lesser, model).items():
+            left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
+            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < verdict.MISMATCH_ELSEWHERE * base.by_relation[n]:
+                continue
+            if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
+                return True
+        return False
+
+    def _noise(self, relation: str, model: Model) -> float:
+        """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
+        expected = self._expected(relation) or model.by_relation[relation]
+        return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
+
     def _unlike(self, effect: Candidate, model: Model) -> bool:
         """Whether some slot of an effect is outside of the band of like benches: inside, nothing is to be found."""
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         banded = [bands[f.name] for f in effect.frees if f.name in bands]
-        return not banded or any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+        if banded:
+            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
+                                           for f in effect.frees)
 
     def can_improve(self, model: Model) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says)."""
@@ -178,8 +204,21 @@ class Judge:
             return None
         from diagnosis.judgement.plan import sight
 
-        return {limit.effect: {"parameter": limit.parameter, "value": limit.size, "unit": limit.unit}
+        named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
+                 for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
+        # what was named is not smaller than what could have been
+        return {limit.effect: {"parameter": limit.parameter, "unit": limit.unit, "value": limit.size if (
+            limit.parameter not in named or limit.size is None) else min(limit.size, named[limit.parameter])}
                 for limit in sight(self.setting, self.found.baseline.fit)}
+
+    def on_bounds(self) -> list[str]:
+        """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""
+        if self._strange():
+            return []
+        values = self.found.best.fit.values
+        return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}: it is at least as far off, not measured."
+                for c in self.found.best.effects for f in c.frees
+                if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * (f.high - f.low)]
 
 
 def _inside(value: float, low: float, high: float) -> float:

@@ -92,9 +92,9 @@ def ages(trials: Sequence[Table]) -> Seen | None:
     if known:
         held = np.concatenate([values[np.isfinite(values)] for values in known])
         return Seen(_counted(np.rint(held * 1e-9 / cycle_s)), cycle_s, None)
-    held = [(t, name) for name in SENSORS.values() for t in trials if name in t]
-    chances = [_chance(t, name) for t, name in held]
-    told = [(_runs(t, name), chance) for (t, name), chance in zip(held, chances, strict=True) if chance is not None]
+    read = [(t, name) for name in SENSORS.values() for t in trials if name in t]
+    chances = [_chance(t, name) for t, name in read]
+    told = [(_runs(t, name), chance) for (t, name), chance in zip(read, chances, strict=True) if chance is not None]
     if not told:
         return None
     runs = np.concatenate([r for r, _ in told])

@@ -7,13 +7,17 @@ alone, so that it serves every trial in question that has the same columns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks
+from diagnosis.problem import blocks, simulated
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
 from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
 from diagnosis.problem.reference import Reference, of_bench
+from physics.parameters import RELATION_PARAMETERS
 
+SECONDS: Final = 5.0
+"""Length of all trials together that the simulation is fitted on, s."""
 Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
 
 
@@ -23,6 +27,7 @@ class HealthyTrials:
     def __init__(self, tables: Sequence[Table] = ()) -> None:
         self.tables = tuple(tables)
         self._fits: dict[Key, Learnt] = {}
+        self._simulated: dict[int, dict[str, float]] = {}
 
     def __len__(self) -> int:
         return len(self.tables)
@@ -36,6 +41,14 @@ class HealthyTrials:
         if key not in self._fits:
             self._fits[key] = self._learn(tuple(checked), known)
         return self._fits[key]
+
+    def simulated(self, learnt: Learnt) -> dict[str, float]:
+        """Return what was learnt, moved to where the simulation fits these trials; computed once."""
+        if id(learnt) not in self._simulated:
+            values = {n: v for n, v in learnt.reference.values.items() if n in RELATION_PARAMETERS}
+            self._simulated[id(learnt)] = simulated.fitted(
+                self.tables, values, learnt.sigma, learnt.reference.nuisance, SECONDS / max(len(self.tables), 1))
+        return self._simulated[id(learnt)]
 
     def _learn(self, checked: tuple[str, ...], known: Reference) -> Learnt:
         own = of_bench(None)

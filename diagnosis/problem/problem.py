@@ -58,6 +58,11 @@ class Setting:
     def samples(self, relation: str) -> int:
         return sum(b.keep.size for b in self.blocks if b.relation.name == relation)
 
+    def independent(self, relation: str) -> float:
+        """Return how many samples of a relation count as independent on a rig that nothing is known of."""
+        step = float(np.median(np.diff(self.blocks[0].signals["time_s"])))
+        return self.samples(relation) * min(1.0, step / CORRELATED_S)
+
     def rmse(self, relation: str, chi_square: float) -> float:
         """Turn a relation's χ² into its RMSE."""
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
