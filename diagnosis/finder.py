@@ -21,7 +21,7 @@ from diagnosis.judgement import wire
 from diagnosis.judgement.judge import Judge
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire import Wire
-from diagnosis.problem import candidates, problem
+from diagnosis.problem import candidates, problem, rig
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
@@ -132,6 +132,8 @@ class Finder:
                 ) -> Diagnosis:
         healthy, known = self._healthy, self._known(trials)
         settled = problem.build_problem(trials, healthy, known)
+        if settled.any_rig and healthy and settled.checked:
+            settled = rig.against_healthy(trials, healthy.tables, lambda s: Judge(s, ()).found.best.fit)
         source = ", ".join(t.source for t in trials)
         if not settled.checked:
             lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
@@ -145,7 +147,7 @@ class Finder:
         if unfit:
             return Diagnosis("refused", warnings=[f"{t}; healthy: {', '.join(h.source for h in healthy)}" for t in unfit]
                              + warnings)
-        if carried.told and not settled.any_rig:
+        if carried.told and not settled.any_rig and not _other_rig(settled):
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
@@ -177,6 +179,11 @@ def _judge(settled: problem.Setting, trials: Sequence[Table], holdout: Sequence[
         return first
     split = Judge(settled, holdout, first)
     return split if split.found.best.effects else first
+
+
+def _other_rig(settled: problem.Setting) -> bool:
+    """Whether the trials are of a rig of another kind, known by its healthy trials alone."""
+    return settled.learnt is None and settled.reference.kind == "healthy"
 
 
 UNFIT: Final = 0.2
@@ -216,8 +223,6 @@ def _said(settled: problem.Setting, healthy: bool) -> list[str]:
         said.append("no calibration: compared with the nominal bench and the tolerances of like benches.")
     if settled.floors is None:
         said.append("no healthy trial of this bench: the answer `unexplained` is not available.")
-    if healthy and settled.any_rig:
-        said.append("healthy trials were not used: nothing is known of this rig's laws beforehand.")
     untold = [] if settled.any_rig else candidates.untold(settled.checked)
     if untold:
         lacking = sorted({c for lacks in settled.missing.values() for c in lacks})

@@ -200,7 +200,7 @@ class Judge:
 
     def limits(self) -> dict[str, Mapping[str, Any]] | None:
         """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
-        if self.setting.any_rig:
+        if self.setting.any_rig or (self.setting.learnt is None and self.setting.reference.kind == "healthy"):
             return None
         from diagnosis.judgement.plan import sight
 

@@ -85,8 +85,11 @@ class Seen:
         return self.cycle_s * math.sqrt(float(self.counts @ np.arange(COUNTED + 1) ** 2.0) / self.counts.sum())
 
 
-def ages(trials: Sequence[Table]) -> Seen | None:
-    """Return the values' ages on `trials`; None where neither the recorder nor their own noise tells."""
+def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
+    """Return the values' ages on `trials`; None where neither the recorder nor their own noise tells.
+
+    Values that sit on no grid repeat by chance as often as those of `healthy` trials.
+    """
     cycle_s = float(np.median(np.diff(trials[0]["time_s"])))
     known = [values for t in trials for name, values in t.columns.items() if name.endswith(AGE_SUFFIX)]
     if known:
@@ -94,6 +97,11 @@ def ages(trials: Sequence[Table]) -> Seen | None:
         return Seen(_counted(np.rint(held * 1e-9 / cycle_s)), cycle_s, None)
     read = [(t, name) for name in SENSORS.values() for t in trials if name in t]
     chances = [_chance(t, name) for t, name in read]
+    for i, (given, name) in enumerate(read):
+        rest = [_runs(h, name) > 0 for h in healthy if name in h and step(given, name) == step(h, name) == 0.0]
+        if rest:
+            share = float(np.mean(np.concatenate(rest)))
+            chances[i] = Chance(share, 1.0 + share * len(given))
     told = [(_runs(t, name), chance) for (t, name), chance in zip(read, chances, strict=True) if chance is not None]
     if not told:
         return None
@@ -215,7 +223,7 @@ def _told(value: float, half: float, unit: str) -> dict[str, Any]:
 
 def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> Wire:
     """Say what wire and converter did to the values of `trials`."""
-    grids, seen = coarse(trials, healthy), ages(trials)
+    grids, seen = coarse(trials, healthy), ages(trials, healthy)
     worst = max((mine for mine, rest in grids.values() if mine >= max(LEAST_STEP, COARSER * rest)), default=0.0)
     told = [Told(e, {e.parameters[0].name: worst}, 0.0) for e in CATALOGUE.values() if e.grid is not None and worst]
     figures = {name: Figures("N", True, rest / math.sqrt(12.0), mine / math.sqrt(12.0),
