@@ -25,7 +25,7 @@ from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value
 from bowden.sweep.table import Table
-from master.settings import CONTROLLERS
+from master.control.controller import CONTROLLERS
 from virtual_bus.build import GROUPS
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel
+    from physics.bench_model import BenchModel
 
 VIRTUAL = "bowden"
 KERNEL = "socketcan"
@@ -75,7 +75,9 @@ def simulated(
     if isinstance(plant_model, Path):
         model = str(plant_model)
     elif plant_model is not None and not isinstance(plant_model, str | Mapping):
-        model = plant_model.plant_tables()
+        from bowden.bench_model import tables
+
+        model = tables(plant_model)
     arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,
                  "plant": plant, "plant_model": model, **more}
     return BusSettings(arguments, True, serial, own_bench=channel is None)

@@ -127,6 +127,8 @@ def identify(
 
 
 def _model(found: Identified) -> BenchModel:
+    from physics.bench_model import of_calibration
+
     if found.calibration is None:
         raise StoppedError(found.reason or "the identification found nothing")
-    return BenchModel(found.calibration)
+    return of_calibration(found.calibration)

@@ -19,18 +19,14 @@ from bowden.buses import BusSettings, opened
 from bowden.configuration import override
 from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
-from trial.signals import INDEX
+from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
-    import can
-
-    from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
-    from master.cycle.log import Sink
-    from master.motion.experiment import Experiment, Result
-    from master.network.link import Link
+    from master.motion.experiment import Experiment, Planned, Result
+    from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
-    from physics.calibration import Calibration
+    from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -42,6 +38,7 @@ class Prepared:
     """A checked experiment, the bus it will run on, and the sections and other files it came from.
 
     `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
+    `own_signals` are the controller's own columns, behind those of every trial.
     """
 
     experiment: Experiment
@@ -49,6 +46,7 @@ class Prepared:
     chosen: BusSettings
     files: Mapping[str, bytes] = field(default_factory=dict)
     script: str = ""
+    own_signals: tuple[Signal, ...] = ()
 
     @property
     def laps(self) -> int:
@@ -58,13 +56,12 @@ class Prepared:
         cycles = self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
-    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink) -> Result:
-        """Run it on an open bus."""
-        from master.motion import experiment, scripted_experiments
+    def planned(self) -> Planned | Scripted:
+        """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
+        from master.motion.experiment import Planned
+        from master.motion.scripted_experiments import Scripted
 
-        if self.script:
-            return scripted_experiments.run(link, tap, recorder, self.experiment, self.script)
-        return experiment.run(link, tap, recorder, self.experiment)
+        return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 
 def reference(
@@ -93,48 +90,65 @@ def reference(
 
 
 def prepare(
-    sections: Mapping[str, Any], reference: Reference, calibration: Path | Calibration | None, chosen: BusSettings,
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
     script: str | None = None,
 ) -> Prepared:
     """Join sections to an experiment that can be run; raises `InputError` where it cannot.
 
-    `calibration`, `controller_model` (the effects that the controller knows of): files, or what is in them.
+    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it knows of
+    too: files, or what is in them.
     """
     from bowden import provenance
     from eds import bus_load
     from eds.bench import wire
+    from master.control import controller
     from master.motion.experiment import Experiment
     from master.motion.scripted_experiments import checked
-    from master.settings import checked_controller
-    from physics.calibration import nominal, read, refuse_beyond_validity
+    from physics.bench_model import nominal
+    from physics.calibration import refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
-    checked_controller(gait.controller, where="--controller")
+    kind = controller.find(gait.controller, where="--controller")
     if script is not None:
         checked(script, where="--experiment")
         if dry_run:
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    if isinstance(calibration, Path):
-        calibration = read(calibration, bench=chosen.bench)
-    measured = calibration or nominal()
+    bench = _bench(chosen)
+    model, told = _read(calibration, bench), _read(controller_model, bench)
+    measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
-                            known=known_effects(controller_model), **sections)
-    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
-                    script or "")
+                            known={**known_effects(model), **known_effects(told)}, **sections)
+    attached = controller_model or (model if known_effects(model) else None)
+    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
+                    script or "", controller.signals(kind))
 
 
-def known_effects(controller_model: Path | BenchModel | None) -> Effects:
-    """The effects that a controller model states; none without one."""
-    if controller_model is not None and not isinstance(controller_model, Path):
-        return controller_model.effects
-    from physics.effects.effects_table import stated
+def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
+    from physics import bench_model
 
-    return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
+    return bench_model.read(given, bench=bench) if isinstance(given, Path) else given
+
+
+def _bench(chosen: BusSettings) -> str:
+    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    from physics import bench_model
+
+    simulated = chosen.arguments.get("plant_model")
+    if simulated is None:
+        return chosen.bench
+    tables = read_toml(Path(simulated)) if isinstance(simulated, str) else simulated
+    return bench_model.from_tables(tables, str(simulated)).bench or chosen.bench
+
+
+def known_effects(model: Path | BenchModel | None) -> Effects:
+    """The effects that a bench model states; none without one."""
+    found = _read(model)
+    return {} if found is None else found.effects
 
 
 def perform(
@@ -151,17 +165,19 @@ def perform(
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
+    planned = prepared.planned()
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
         recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
-                            threaded=not simulated, overwrite=overwrite)
+                            threaded=not simulated, overwrite=overwrite,
+                            signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
         with progress.running("trial") as update, bus.host() as refused:
             sink = Watched(recorder, update, prepared.laps)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
-            result = prepared.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
     kept = recorder.failure is None
@@ -218,9 +234,12 @@ class Watched:
     def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
         self.frame, self.event = recorder.frame, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
+        self._width = recorder.width
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         """Record one control cycle."""
+        if len(values) < self._width:  # a row of which the controller says nothing
+            values = (*values, *(math.nan,) * (self._width - len(values)))
         self._record(time_ns, values)
         self._count += 1
         if not self._count % self.EVERY and values[CYCLE] >= 0:

@@ -1,7 +1,8 @@
 """model.toml: the constants of one bench as `fit` found them, each with its interval; and the fit that finds them.
 
-The rule of this file: `[bench]` holds what the relations and the simulation run on, `[effects.NAME]` may stand beside it
-as a diagnosis writes it; a constant that the data do not determine says so and keeps what was known beforehand.
+The rule of this file: `[constants.NAME]` is what relations and simulation run on, `[scalars.NAME]` the same as a
+calibration, `[effects.NAME]` may stand beside them as a diagnosis writes it; a constant that the data do not determine
+says so and keeps what was known beforehand.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class FittedBench:
-    """A bench as fitted; `figures`: START and END against the simulation, N, on what the fit that made them had not seen.
+    """A bench as fitted; `figures`: START and END against the simulation, N, on what that fit had not seen.
 
     `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
     """
@@ -98,7 +99,8 @@ class FittedBench:
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD, write(self.calibration), f"[{EVIDENCE}]", f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
+        lines = [HEAD, write(self.calibration), f"[{EVIDENCE}]",
+                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
                  f"pulls = {self.pulls}"]
         lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
                   for end, row in self.figures.items() if row["rms_n"] is not None]
@@ -125,10 +127,12 @@ def read(path: str | Path) -> FittedBench:
 
 def _constant(path: str | Path, name: str, row: Any) -> Constant:
     if name not in RELATION_PARAMETERS:
-        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of {', '.join(RELATION_PARAMETERS)}.")
+        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of "
+                         f"{', '.join(RELATION_PARAMETERS)}.")
     value = row.get("value") if isinstance(row, Mapping) else row
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in {RELATION_PARAMETERS[name].unit}.")
+        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in "
+                         f"{RELATION_PARAMETERS[name].unit}.")
     low, high = row.get("interval", (value, value)) if isinstance(row, Mapping) else (value, value)
     return Constant(float(value), float(low), float(high), RELATION_PARAMETERS[name].unit,
                     bool(row.get("determined", True)) if isinstance(row, Mapping) else True)
@@ -164,8 +168,8 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
     values = _values(whole, tables)
     floors = {n: {"unit": RELATIONS[n].unit, "left": whole.floors[n], "laws_alone": whole.plain[n]}
               for n in whole.floors}
-    return FittedBench(_constants(values, whole), _unseen(rest, judged), floors, tuple(Path(t.source).name for t in given),
-                      pulls, tuple(f.text for f in findings))
+    return FittedBench(_constants(values, whole), _unseen(rest, judged), floors,
+                       tuple(Path(t.source).name for t in given), pulls, tuple(f.text for f in findings))
 
 
 def _locked(given: Table) -> Table:
@@ -188,7 +192,7 @@ def _refuse_other_rigs(tables: Sequence[Table]) -> None:
     found = learning.geometry([t.columns for t in tables])
     if found is None or not found.stretches:
         told = "too few samples above 5 N" if found is None else (
-            f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm with R² {found.straight:.2f}")
+            f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
         raise InputError(f"{source}: no rope that a tension stretches over a knee ({told}); expected "
                          f"{1e3 * learning.STRETCH_AT_60_N[0]:g}…{1e3 * learning.STRETCH_AT_60_N[1]:g} mm: give trials "
                          "of such a bench, or diagnose them as another rig.")

@@ -25,6 +25,7 @@ from diagnosis.problem import candidates, problem, rig
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
+from physics import bench_model
 from physics.relations.relation import RELATIONS
 
 
@@ -239,4 +240,8 @@ def _filtered(given: Table, lowpass: float | None) -> Table:
 
 
 def _calibration(given: str | Path | Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    return read_toml(Path(given)) if isinstance(given, str | Path) else given
+    if not isinstance(given, str | Path):
+        return given
+    tables = read_toml(Path(given))
+    bench_model.from_tables(tables, str(given))
+    return tables

@@ -38,7 +38,8 @@ PHASES: Final = 10
 PLANT: Final = "plant."
 NAMED: Final[Mapping[str, str]] = {
     name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
-    if p.plant.startswith(PLANT) and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
+    if p.plant.startswith(PLANT)
+    and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
 """Parameter of the relations → field of the simulation that is the same quantity."""
 ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
 """Of these, what the imposed motion needs in another form, or the relations turn by their own drum."""
@@ -164,7 +165,7 @@ def rms(tables: Sequence[Table], values: Values) -> float | None:
 
 def slots() -> tuple[str, ...]:
     """Return the names of the values that the simulation reads."""
-    other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash", "start_gain",
-             "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter",
+    other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash",
+             "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter",
              "timestamp_skew")
     return tuple(n for n in RELATION_PARAMETERS if n in NAMED or n in other)

@@ -100,6 +100,10 @@ class Axis:
         self.state[law.TARGET] = self._sign * raw * self.units.position + self.origin
         self.state[law.FRESH] = 1.0
 
+    def step_to(self, raw: int) -> float:
+        """Give the way, in counts, from the last target to a new one."""
+        return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
+
     def target_velocity(self, raw: int) -> None:
         """Take over a velocity."""
         self.settings[law.TARGET_VELOCITY] = self._velocity(raw)

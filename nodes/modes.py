@@ -33,6 +33,8 @@ class ModesOfOperation(StateMachine):
         self._open = Mode.NONE
         """The cyclic mode whose set-points are followed now."""
         self._halted = False
+        self._stepped = False
+        """The last target was refused for its step."""
 
     @property
     def seeking(self) -> bool:
@@ -90,6 +92,9 @@ class ModesOfOperation(StateMachine):
     def begin(self, now_ns: int) -> None:
         """Open the mode: hold where the axis is until its first set-point comes."""
         self._halted = False
+        if self._stepped:
+            self._stepped = False
+            self.device.recover(Emcy.POSITION_LIMIT)
         if self._word & Control.HALT:
             self._halt()
             return
@@ -108,19 +113,34 @@ class ModesOfOperation(StateMachine):
         if self.seeking:
             self.phase = Phase.IDLE
 
+    @property
+    def _commanded(self) -> bool:
+        """Every master that 0x1016 names is alive: without it nobody answers for a set-point."""
+        return self.device.consumer.all_live()
+
     def to_position(self, _value: int, _now_ns: int) -> None:
-        """Take 0x607A, with the offset 0x60B0."""
-        if self._open is Mode.CSP:
-            self.axis.target_position(self.number(0x607A) + self.number(0x60B0))
+        """Take 0x607A, with the offset 0x60B0; a step beyond 0x2017 is refused with EMCY 8612h, the last one holds."""
+        if self._open is not Mode.CSP or not self._commanded:
+            return
+        target, limit = self.number(0x607A) + self.number(0x60B0), self.number(0x2017)
+        if limit and abs(self.axis.step_to(target)) > limit:
+            if not self._stepped:
+                self._stepped = True
+                self.device.emergency(Emcy.POSITION_LIMIT, Emcy.POSITION_LIMIT.register)
+            return
+        if self._stepped:
+            self._stepped = False
+            self.device.recover(Emcy.POSITION_LIMIT)
+        self.axis.target_position(target)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Take 0x60FF."""
-        if self._open is Mode.CSV:
+        if self._open is Mode.CSV and self._commanded:
             self.axis.target_velocity(value)
 
     def to_torque(self, value: int, _now_ns: int) -> None:
         """Take 0x6071."""
-        if self._open is Mode.CST:
+        if self._open is Mode.CST and self._commanded:
             self.axis.target_torque(value)
 
     # ---- homing ----

@@ -60,8 +60,8 @@ class StateMachine(Application):
         """The drive function goes off, or a stop takes over."""
 
     def ready(self) -> bool:
-        """Say whether row 4 may turn the drive function on."""
-        return not self.awaits_release
+        """Say whether row 4 may turn the drive function on: nobody's release is outstanding, and its master lives."""
+        return not self.awaits_release and self.device.consumer.all_live()
 
     def cured(self) -> bool:
         """Say whether no cause of a fault is present."""
@@ -229,7 +229,8 @@ class Guard(NamedTuple):
 
 GUARDS: Final[Mapping[int, Guard]] = MappingProxyType({
     2: Guard("no emergency stop awaits its release", lambda machine: not machine.awaits_release),
-    4: Guard("no emergency stop awaits its release; START has a value (servo)", lambda machine: machine.ready()),
+    4: Guard("no emergency stop awaits its release; who 0x1016 names lives; START has a value (servo)",
+             lambda machine: machine.ready()),
     15: Guard("no cause is left: emergency stop released, rope below its trip level", lambda machine: machine.cured()),
     16: Guard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
 })

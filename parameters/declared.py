@@ -16,8 +16,8 @@ class InputError(ValueError):
     """What the user gave cannot be used; its text is one sentence that says where, what and what to do."""
 
 
-class RenamedWarning(UserWarning):
-    """A file gives a parameter by an older name; it is read all the same."""
+class Remark(UserWarning):
+    """What a reader of a file should know, one sentence: the file is read all the same."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,9 @@ def _on_knee(before: float, after: float) -> float:
 
 _ON_KNEE: Final = _on_knee(PARAMETERS["fabric_share_before"].nominal, PARAMETERS["fabric_share_after"].nominal)
 
+GAIN_PER_HZ: Final = PARAMETERS["servo_position_gain"].nominal / PARAMETERS["servo_bandwidth"].nominal
+"""1/s of the servo's position loop per Hz of its bandwidth, as on the nominal bench."""
+
 MEASURED: Final = (
     Form("cable_exponent", ("mu1", "theta1"), lambda mu, theta: mu * theta),
     Form("stiffness_a", ("stretch_a", "stiffness_shape", "stiffness_scale"), lambda a, h, s: a * (1.0 + h) / s),
@@ -35,6 +38,7 @@ MEASURED: Final = (
     Form("cable_compliance", ("lead_compliance", "sheath_compliance", "stiffness_scale"),
          lambda lead, sheath, s: (lead + 0.5 * sheath) / s),
     Form("breakaway", ("stribeck_ratio",), lambda ratio: max(0.0, ratio - 1.0)),
+    Form("servo_bandwidth", ("servo_position_gain",), lambda gain: gain / GAIN_PER_HZ),
     Form("fabric_share", ("fabric_share_before", "fabric_share_after"),
          lambda before, after: before + 0.5 * _on_knee(before, after)),
 )
@@ -47,6 +51,7 @@ SIMULATED: Final = (
     Form("lead_compliance", ("cable_compliance", "sheath_compliance", "stiffness_b", "stretch_b"),
          lambda c, sheath, b, nominal_b: c * nominal_b / b - 0.5 * sheath),
     Form("stribeck_ratio", ("breakaway",), lambda beta: 1.0 + beta),
+    Form("servo_position_gain", ("servo_bandwidth",), lambda bandwidth: GAIN_PER_HZ * bandwidth),
     Form("fabric_share_before", ("fabric_share",), lambda share: share - 0.5 * _ON_KNEE),
     Form("fabric_share_after", ("fabric_share",), lambda share: 1.0 - share - 0.5 * _ON_KNEE),
 )

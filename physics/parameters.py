@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from parameters import RenamedWarning, parameter
+from parameters import Remark, parameter
 from physics import laws
 
 Range = tuple[float, float]
@@ -132,10 +132,15 @@ _FRICTION: Final = (
        plant="plant.cable_bend", like_benches=0.05, search=(-0.7, 1.5), any_rig=(-0.7, 1.5), likely=(-0.5, 0.5),
        neutral=0.0, bench_only=True),
     _P("load_slope", "", "λ: μ1 and μ2 times 1 + λ·(T/40 N − 1)", 0.0, -0.9, 2.0, "assumed: Amontons' law",
-       plant="plant.load_slope", like_benches=0.03, search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
+       plant="plant.load_slope", calibration="load_slope",
+       assumed=Assumed(0.0, -0.9, 2.0, "assumed: Amontons' law", "λ: both exponents times 1 + λ·(T/40 N − 1)"),
+       like_benches=0.03, search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
        neutral=0.0),
     _P("viscous", "N·s/m", "viscous friction of rope in sheath, whole length", 0.0, 0.0, 60.0,
-       "paper, 3.1: Coulomb friction only", plant="plant.viscous", like_benches=0.5, any_rig=(-1e4, 1e4),
+       "paper, 3.1: Coulomb friction only", plant="plant.viscous", calibration="viscous",
+       assumed=Assumed(0.0, 0.0, 200.0, "paper, 3.1: Coulomb friction only",
+                       "viscous friction of the rope in its sheath"),
+       like_benches=0.5, any_rig=(-1e4, 1e4),
        likely=(3.0, 20.0), neutral=0.0),
     _P("stribeck_ratio", "", "static over sliding friction μs/μc, of rope and fabric", 1.0, 0.3, 5.0,
        "paper, 3.1: Coulomb friction only", plant="plant.stribeck_ratio", like_benches=0.05, search=(1.0, 4.0),
@@ -168,7 +173,7 @@ _FRICTION: Final = (
        "assumed: noise of a sensor", ideal=-INFINITE, any_rig=(-INFINITE, 10.0)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 10e-3, 0.1,
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
-       assumed=Assumed(0.02, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
+       assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom); no motion here tells it",
                        "time by which friction lags the sliding speed")),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: as the rope's", plant="plant.fabric_presliding_m", calibration="fabric_presliding",
@@ -251,26 +256,30 @@ _PATH: Final = (
 )
 
 
-def _sensor(side: str, free: bool, any_offset: Range, **assumed: Any) -> tuple[Parameter, ...]:
+def _sensor(
+    side: str, free: bool, any_offset: Range, gain: Mapping[str, Any], offset: Mapping[str, Any],
+) -> tuple[Parameter, ...]:
     """Rows of one tension sensor that a relation reads."""
     where = f"{side}_sensor"
     return (
         _P(f"{side}_gain", "", "gain", 1.0, 0.1, 3.0, "assumed: calibrated", plant=f"{where}.gain", like_benches=0.003,
            search=(0.5, 1.5), any_rig=(0.5, 1.5), likely=(0.92, 1.08), neutral=1.0,
-           made=_T("offset", 0.005, "maker's class 0.5")),
+           made=_T("offset", 0.005, "maker's class 0.5"), **gain),
         _P(f"{side}_offset", "N", "error of the zero", 0.0, -100.0, 100.0, "assumed: tared", plant=f"{where}.offset_n",
            like_benches=0.1, search=(-20.0, 20.0), any_rig=any_offset, likely=(-3.0, 3.0), neutral=0.0, free=free,
-           made=_T("offset", 0.1, "assumed: 0.05 % of full scale"), **assumed),
+           made=_T("offset", 0.1, "assumed: 0.05 % of full scale"), **offset),
         _P(f"{side}_drift", "N", "change of the zero over drift_s", 0.0, -100.0, 100.0, "assumed: warmed up",
            plant=f"{where}.drift_n", search=(-20.0, 20.0), any_rig=(-20.0, 20.0), likely=(-3.0, 3.0), neutral=0.0),
     )
 
 
 _START: Final = _sensor(
-    "start", True, (-1e3, 1e3), calibration="start_offset",
-    assumed=Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
-    daily=_T("offset", 0.2, "assumed: temperature of the bridge"))
-_END: Final = _sensor("end", False, (-20.0, 20.0))
+    "start", True, (-1e3, 1e3),
+    {"calibration": "start_gain",
+     "assumed": Assumed(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's where no friction is between")},
+    {"calibration": "start_offset", "assumed": Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
+     "daily": _T("offset", 0.2, "assumed: temperature of the bridge")})
+_END: Final = _sensor("end", False, (-20.0, 20.0), {}, {})
 _SENSORS: Final = (
     _P("end_mass", "kg", "mass that the END sensor carries on its cantilever", 0.0, 0.0, 0.5,
        "paper, 5.2: named, not given", plant="plant.end_mass_kg", any_rig=(0.0, 0.5), likely=(0.05, 0.15), neutral=0.0,
@@ -406,6 +415,12 @@ _MEASURED: Final = (
        calibration="stiffness_a", assumed=Assumed(-1.7e-6, -1e-4, 0.0, "equation (10), ak")),
     _P("stiffness_b", "m/N", "linear term of the stretch", 3e-4, 1e-6, 1e-2, "equation (10), bk",
        calibration="stiffness_b", assumed=Assumed(3e-4, 1e-6, 1e-2, "equation (10), bk")),
+    _P("stretch_short", "m/N", "departure of the stretch from (10) that fades over 8 N, s1", 0.0, -1e-2, 1e-2,
+       "(10): none", calibration="stretch_short", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
+    _P("stretch_wide", "m/N", "departure of the stretch from (10) that fades over 30 N, s2", 0.0, -1e-2, 1e-2,
+       "(10): none", calibration="stretch_wide", assumed=Assumed(0.0, -1e-2, 1e-2, "(10): none")),
+    _P("identified_to", "N", "START tension up to which the bench was identified", 300.0, 1.0, 300.0,
+       "neutral: no bound", calibration="identified_to", assumed=Assumed(300.0, 1.0, 300.0, "neutral: no bound")),
     _P("swing_p", "m", "encoder position at the upright knee under 20 N", 22.17e-3, -1.0, 1.0, "equation (11), p2",
        calibration="swing_p", assumed=Assumed(22.17e-3, -1.0, 1.0, "equation (11), p2")),
     _P("cable_exponent", "", "capstan exponent of the cable, μ1·θ", 0.08 * math.pi / 2, 0.0, 1.0, "mu1, theta1",
@@ -416,12 +431,18 @@ _MEASURED: Final = (
        assumed=Assumed(3.7e-5, 0.0, 1e-3, "assumed: 27 N/mm against a stuck rope")),
     _P("breakaway", "", "friction that rest adds to sliding friction, relative, β", 0.0, 0.0, 4.0, "stribeck_ratio",
        calibration="breakaway", assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
+    _P("fabric_breakaway", "", "friction that rest adds to sliding friction of the fabric on the knee, relative", 0.0,
+       0.0, 4.0, "stribeck_ratio", calibration="fabric_breakaway",
+       assumed=Assumed(0.0, 0.0, 4.0, "assumed: none on the day of identification")),
     _P("fabric_share", "", "share of the fabric's stretch on the rope's side of the knee", 0.425, 0.0, 1.0,
        "fabric_share_before and half of what lies on the knee", calibration="fabric_share",
        assumed=Assumed(0.4, 0.0, 1.0, "assumed: geometry")),
     _P("start_lag", "s", "time by which START's reading lags its force", 1e-3, 0.0, 0.1,
        "assumed: a low-pass of 200 Hz and half a sampling interval", calibration="start_lag",
        assumed=Assumed(1e-3, 0.0, 0.1, "assumed: a low-pass of 200 Hz and half a sampling interval")),
+    _P("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
+       "assumed: the model is the bench", calibration="homed_friction",
+       assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
 )
 
 PARAMETERS: Final[Mapping[str, Parameter]] = {
@@ -439,11 +460,11 @@ RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_ar
 
 
 def current_names(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return `table` with today's names; one `RenamedWarning`, beginning with `where`, says what was renamed."""
+    """Return `table` with today's names; one `Remark`, beginning with `where`, says what was renamed."""
     old = [name for name in table if name in RENAMED]
     if old:
         told = ", ".join(f"{name} is called {RENAMED[name]} today" for name in old)
-        warnings.warn(f"{where}: {told}; read as such.", RenamedWarning, stacklevel=2)
+        warnings.warn(f"{where}: {told}; read as such.", Remark, stacklevel=2)
     return {RENAMED.get(name, name): value for name, value in table.items()}
 
 

@@ -6,10 +6,8 @@ The rule of this file: what a bench is made of is chosen here, by name; nothing 
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any, cast
 
 import eds
@@ -17,9 +15,10 @@ import nodes
 from eds.bench import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
+from parameters.plugins import load
 from physics.converter import Converter, SensorParameters
 from physics.drive_loops import SERVO_GAINS
-from physics.plant.bench_plant import Plant, PlantParameters, create
+from physics.plant.bench_plant import Plant, PlantParameters
 from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.faults import declared
@@ -31,6 +30,7 @@ from virtual_bus.scatter import DAY, Tables, scattered, stream
 from virtual_bus.truth import Truth
 
 PLANTS = "bowden.plants"
+OWN = {"bowden": "physics.plant:create"}
 GAUGES = {START: ("start_sensor", START_FEELS), END: ("end_sensor", END_FEELS)}
 GAINS = {"position_gain": key(0x60FB, 1), "position_integral": key(0x60FB, 2)}
 
@@ -82,30 +82,10 @@ def build(options: Options, channel: str) -> Bench:
 def factory(name: str) -> Factory:
     """Return the plant factory of that name in the group `bowden.plants`, or the one at "module:callable".
 
-    The own one needs no installation.  Raises `InputError` for what is neither installed nor importable.
+    The current folder is searched after the module path.  Raises `InputError` for what is neither installed nor
+    importable.
     """
-    if ":" in name:
-        return _imported(name)
-    found = {entry.name: entry for entry in entry_points(group=PLANTS)}
-    if name in found:
-        return cast(Factory, found[name].load())
-    if name == "bowden":
-        return create
-    known = ", ".join(sorted({*found, "bowden"}))
-    raise InputError(f"plant {name!r} is not installed; expected one of {known}, module:callable, or install what "
-                     "offers it.")
-
-
-def _imported(name: str) -> Factory:
-    module, _, attribute = name.partition(":")
-    try:
-        made = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"plant {name!r} cannot be imported ({error}); give module:callable of what is on the "
-                         "module path.") from None
-    if not callable(made):
-        raise InputError(f"plant {name!r} is no callable; give a factory of (parameters, seed).")
-    return cast(Factory, made)
+    return cast(Factory, load("plant", name, PLANTS, OWN))
 
 
 def nominal(given: Mapping[str, Any] | None, where: str = "plant_model") -> Tables:

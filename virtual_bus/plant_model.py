@@ -1,7 +1,8 @@
 """What a plant model says: nominal values by table, effects by their names, and what the wire does to PDOs.
 
-The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; an
-effect is at work with the very values that are stated, whatever serial and day drew.
+The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; what was
+measured on a bench (`physics.bench_model`) and effects are at work with the very values that are stated, whatever
+serial and day drew.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
+from physics import bench_model
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
 from physics.parameters import current_names
@@ -43,8 +45,11 @@ def read(given: str | Path | Mapping[str, Any] | None) -> Model:
         where, tables = str(given), read_toml(Path(given))
     stated = effects.apply(effects_table.stated(tables, where))
     wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
+    known = bench_model.from_tables(tables, where).simulated()
+    for table, values in known.items():
+        stated[table] = {**values, **stated.get(table, {})}
     own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
-           for name, table in tables.items() if name not in (*NAMES, effects_table.EVIDENCE)}
+           for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}
     return Model(where, own, stated, faults(wire))
 
 

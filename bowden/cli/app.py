@@ -10,7 +10,7 @@ from typing import TextIO
 import typer
 import typer.exceptions
 
-from parameters import InputError, RenamedWarning
+from parameters import InputError, Remark
 
 app = typer.Typer(
     name="bowden",
@@ -51,7 +51,7 @@ def run(arguments: Sequence[str]) -> int:
 def _remark(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
             line: str | None = None) -> None:
     """Say a remark on what was read as one line; any other warning as Python does."""
-    if issubclass(category, RenamedWarning):
+    if issubclass(category, Remark):
         print(f"bowden: {message}", file=sys.stderr)
     else:
         print(warnings.formatwarning(message, category, filename, lineno, line), file=file or sys.stderr)

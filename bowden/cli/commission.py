@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,6 @@ from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
-    from master.cycle.run_safely import Outcome
     from master.motion.commission import Procedure
 
 Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start or end.", show_default=False)]
@@ -123,9 +122,10 @@ class _Bench:
 
     def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
         """Run one procedure and say what it found."""
-        found: dict[str, Any] = {}
+        from bowden import commissioning
+
         with terminal.waiting(what, shown=not json):
-            outcome = self._conduct(procedure, found)
+            outcome, found = commissioning.perform(self.chosen, self.sections, procedure)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
         if json:
@@ -135,15 +135,3 @@ class _Bench:
                 (name, terminal.number(value, 4)) for name, value in found.items()])
             print(f"{what}: {result['outcome']}" + (f": {outcome.reason}" if outcome.reason else "."))
         return 0 if outcome.reason is None else 1
-
-    def _conduct(self, procedure: Procedure, found: dict[str, Any]) -> Outcome:
-        from bowden import session
-        from bowden.buses import opened
-        from master.cycle.run_safely import run_safely
-        from master.network.link import Link
-
-        network = self.sections["network"]
-        session.compile_laws(simulated=self.chosen.simulated)
-        with opened(self.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus, bus.host():
-            return run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, self.sections["limits"],
-                           lambda exchange: found.update(procedure(exchange)))

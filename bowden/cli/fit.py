@@ -55,7 +55,8 @@ def _tell(output: Path, found: FittedBench) -> None:
     print(f"Not determined by these trials: {', '.join(found.undetermined)}.")
     terminal.table("measured less simulated, on the last part of each trial, which the fit had not seen", (
         "signal", "RMS (N)", "peak (N)"), [
-        (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1)) for name, row in found.figures.items()])
+        (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
+        for name, row in found.figures.items()])
     for warning in found.warnings:
         print(f"Warning: {warning}")
     print(f"Model: {output}")

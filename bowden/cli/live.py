@@ -70,19 +70,19 @@ def _say(viewer: Viewer, *, json: bool) -> None:
 
 
 def _play(path: Path, host: str, port: int, speed: float, ended: Callable[[], bool], *, json: bool) -> int:
-    from bowden.live.playback import Deck
+    from bowden.live.playback import TrialPlayback
     from bowden.live.viewer import Viewer
     from trial.player_tape import SPEEDS
     from trial.read import open as opened
 
     if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise InputError(f"--speed {speed:g}: expected {SPEEDS[0]:g} … {SPEEDS[1]:g}; give another one.")
-    deck = Deck(opened(path), speed, time.monotonic_ns)
-    viewer = Viewer(path.name, host, port, deck.units, span_ns=deck.span_ns, asked=deck.asked)
+    playback = TrialPlayback(opened(path), speed, time.monotonic_ns)
+    viewer = Viewer(path.name, host, port, playback.units, span_ns=playback.span_ns, asked=playback.asked)
     _say(viewer, json=json)
     try:
         while not ended():
-            deck.look(viewer)
+            playback.look(viewer)
             time.sleep(LOOK_S)
     finally:
         viewer.close()

@@ -72,8 +72,8 @@ def _tell(result: dict[str, Any], figures: dict[str, Any], used: FittedBench) ->
     print(f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:")
     number = terminal.number
     for name, row in figures.items():
-        terminal.table(f"{name}: measured less simulated, RMS {number(row['rms_n'])} N, peak {number(row['peak_n'], 1)} N",
-                       ("class", "samples", "RMS (N)", "mean (N)"), [
+        title = f"{name}: measured less simulated, RMS {number(row['rms_n'])} N, peak {number(row['peak_n'], 1)} N"
+        terminal.table(title, ("class", "samples", "RMS (N)", "mean (N)"), [
             (one["class"], str(one["samples"]), number(one["rms_n"]), number(one["mean_n"]))
             for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
     if not figures:

@@ -13,7 +13,7 @@ from trial.player_tape import Playback, Tape, player
 from trial.read import Trial
 
 
-class Deck:
+class TrialPlayback:
     """A trial to be played by `clock` (ns); `units` are its columns, `span_ns` its first and last time."""
 
     def __init__(self, recorded: Trial, speed: float, clock: Callable[[], int]) -> None:

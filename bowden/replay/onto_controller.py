@@ -7,18 +7,19 @@ first row on, so that what a controller remembers is made again; every output is
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bowden.replay.comparison import Comparison
 from eds.bench import Wire, wire
+from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
 from master.cycle.exchange import NOTHING, CycleAnnotations, Inputs
+from master.cycle.safety import StopError
 from master.motion.experiment import Experiment, Planned
 from master.motion.home import Homed
 from parameters import InputError
@@ -31,7 +32,8 @@ INPUTS = ("servo_statusword", "servo_position_m", "servo_force_n", "knee_statusw
 ANSWERS = ("gait_percent", "servo_target_m", "knee_target_rad", "desired_force_n", "estimated_end_force_n", "cycle",
            "held")
 OUTPUTS = (*ANSWERS, *(signal.name for signal in TRACE))
-"""Columns that a step answers for, the trace as far as the trial has it; the frame of targets comes on top."""
+"""Columns that a step answers for, the trace as far as the trial has it; the controller's own columns and the frame of
+targets come on top."""
 TARGETS_FRAME, ROWS = "targets_frame", "rows"
 EVERY = 500
 
@@ -51,24 +53,13 @@ class Difference:
     replayed: float | str
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """What was stepped again: rows, frames of targets compared, rows that differ by signal, the first difference."""
+@dataclass(frozen=True, kw_only=True)
+class ControllerComparison(Comparison[Difference]):
+    """What was stepped again: rows, and frames of targets compared; rows that differ by signal."""
 
     controller: str
     rows: int
     frames: int
-    differing: dict[str, int] = field(default_factory=dict)
-    first: Difference | None = None
-
-    @property
-    def same(self) -> bool:
-        """Every output is the recorded one, bit for bit."""
-        return self.first is None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it with nothing that JSON lacks."""
-        return {"same": self.same, **dataclasses.asdict(self)}
 
 
 class EndedError(Exception):
@@ -81,7 +72,9 @@ class Recording:
     It begins at the first row of the walk and raises `EndedError` after its last.
     """
 
-    def __init__(self, recorded: Trial, described: Wire, rows: range, progress: Callable[[float], None]) -> None:
+    def __init__(
+        self, recorded: Trial, described: Wire, rows: range, progress: Callable[[float], None], own: tuple[str, ...]
+    ) -> None:
         columns = recorded.columns
         ages = [columns[f"{name}_pdo_age_ns"][rows.start:rows.stop] > 0 for name in PDO_NAMES]
         missing = sum(late.astype(np.int64) << i for i, late in enumerate(ages))
@@ -98,11 +91,14 @@ class Recording:
         self.made: list[tuple[float, ...]] = []
         self.frames: list[bytes] = []
         self._pack, self._progress = described.targets.pack_si, progress
+        self.outputs = (*OUTPUTS, *own)
+        self._width = len(TRACE) + len(own)
 
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = NOTHING) -> Inputs:
         """Keep the targets that answer `inputs`, and return the next row's inputs."""
         percent, desired, estimated, cycle, held, trace = annotations
-        self.made.append((percent, servo_m, knee_rad, desired, estimated, cycle, held, *trace))
+        lacks = (math.nan,) * (self._width - len(trace))
+        self.made.append((percent, servo_m, knee_rad, desired, estimated, cycle, held, *trace, *lacks))
         finite = math.isfinite(servo_m) and math.isfinite(knee_rad)
         self.frames.append(self._pack(servo_m, knee_rad) if finite else b"")
         self.targets = servo_m, knee_rad
@@ -117,7 +113,7 @@ class Recording:
 
 def replay(
     recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
-) -> Comparison:
+) -> ControllerComparison:
     """Step the controller of `experiment` again over a trial of it, and compare.
 
     Raises `InputError` where the trial does not hold what is needed.
@@ -132,9 +128,10 @@ def step_again(
 ) -> Recording:
     """The walk of `experiment` over a trial's rows: what its controller made of them, by row."""
     planned = Planned(experiment)
-    planned.homed = Homed(math.nan, _day(recorded, experiment))
-    recording = Recording(recorded, wire(experiment.network), walked(recorded), progress)
-    with contextlib.suppress(EndedError):
+    planned.homed = Homed(math.nan, _day(recorded, experiment, planned.kind))
+    recording = Recording(recorded, wire(experiment.network), walked(recorded), progress,
+                          tuple(signal.name for signal in signals(planned.kind)))
+    with contextlib.suppress(EndedError, StopError):
         planned.walk(recording)
     return recording
 
@@ -155,23 +152,25 @@ def walked(recorded: Trial) -> range:
     return range(int(rows[0]), int(rows[-1]) + 1)
 
 
-def _day(recorded: Trial, experiment: Experiment) -> HomingFit:
-    """What homing found; only a controller beyond the paper uses it."""
+def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:
+    """What homing found; the default for a controller that does not use it."""
     found = (recorded.result or {}).get("day")
-    if isinstance(found, list) and len(found) == len(HomingFit._fields):
+    if isinstance(found, list) and 4 <= len(found) <= len(HomingFit._fields):
         return HomingFit(*map(float, found))
-    if experiment.gait.controller == "extended" and not experiment.dry_run:
-        raise InputError(f"{recorded.path}: its result has no day, which the controller extended needs; "
-                         "give a trial that was closed.")
+    if kind.uses_homing_fit and not experiment.dry_run:
+        raise InputError(f"{recorded.path}: its result has no day, which the controller {experiment.gait.controller} "
+                         "needs; give a trial that was closed.")
     return HomingFit()
 
 
-def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording) -> Comparison:
+def compare(
+    recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording
+) -> ControllerComparison:
     """Compare what the steps gave with what was recorded, bit for bit; one NaN is like another."""
     count = len(recording.made)
     stepped = slice(rows.start, rows.start + count)
-    then = {name: recorded.columns[name][stepped] for name in OUTPUTS if name in recorded.columns}
-    again = dict(zip(OUTPUTS, np.array(recording.made).T, strict=True))
+    then = {name: recorded.columns[name][stepped] for name in recording.outputs if name in recorded.columns}
+    again = dict(zip(recording.outputs, np.array(recording.made).T, strict=True))
     frames = _frames_by_row(recorded, targets_cob_id)[stepped]
     told = _told(recorded, stepped)
     marks = {name: _unlike(column, again[name]) for name, column in then.items()}
@@ -179,7 +178,7 @@ def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, 
     marks[ROWS] = [count - 1] if count < len(rows) else []
     differing = {name: len(where) for name, where in marks.items() if where}
     if not differing:
-        return Comparison(controller, count, len(told))
+        return ControllerComparison(controller=controller, rows=count, frames=len(told), differing={}, first=None)
     at, name = min(((marks[name][0], name) for name in differing), key=lambda mark: mark[0])
     values: tuple[float | str, float | str]
     if name == TARGETS_FRAME:
@@ -190,7 +189,8 @@ def compare(recorded: Trial, rows: range, targets_cob_id: int, controller: str, 
         values = float(then[name][at]), float(again[name][at])
     row = rows.start + at
     time_s, cycle, percent = (float(recorded.columns[key][row]) for key in ("time_s", "cycle", "gait_percent"))
-    return Comparison(controller, count, len(told), differing, Difference(row, time_s, cycle, percent, name, *values))
+    first = Difference(row, time_s, cycle, percent, name, *values)
+    return ControllerComparison(controller=controller, rows=count, frames=len(told), differing=differing, first=first)
 
 
 def _unlike(one: Floats, other: Floats) -> list[int]:

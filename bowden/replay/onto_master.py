@@ -16,14 +16,14 @@ from bowden.replay.onto_plant import lengths_ns
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.replay.recorded_nodes import Answer, RecordedNodes
+    from bowden.replay.recorded_nodes import MasterComparison, RecordedNodes
     from trial.read import Trial
 
 SILENCE_NS = 3_000_000_000
 """A master that says nothing for so long has finished."""
 
 
-def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Progress = SILENT) -> Answer:
+def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Progress = SILENT) -> MasterComparison:
     """Let a master run against the recorded nodes; says where it differs from the recorded master.
 
     Raises `InputError` for a trial without frames.

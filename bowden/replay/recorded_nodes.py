@@ -1,21 +1,23 @@
-"""The nodes of a recorded trial as one device that says again what they said, to a master that lives.
+"""The nodes of a recorded trial as one device that sends their recorded frames again, to a running master.
 
-The rule of this file: sans-IO, time goes in.  Every recorded frame of a node is hung on what it followed: an SDO
-response on its request, anything else on the last NMT command or SYNC before it; it is sent as long after that as it
-was then.  So a master may start when it likes, and where it does what it did, it hears what it heard.
+The rule of this file: sans-IO, time goes in.  Every recorded frame of a node follows a frame of the master: an SDO
+response its request, any other the last NMT command or SYNC before it.  It is sent as long after that frame as it was
+in the recording.  So a master may start at any time, and hears the recorded answers as long as it sends what the
+recorded master sent.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from heapq import heappop, heappush
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bowden.replay.comparison import Comparison
 from bowden.replay.schedule import Rows, frame_of
 from eds.cia301 import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from eds.frame import Frame
@@ -128,31 +130,20 @@ class Difference:
     live: str | None
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a live master said against the recorded one: frames compared, those that differ by COB-ID, the first.
+@dataclass(frozen=True, kw_only=True)
+class MasterComparison(Comparison[Difference]):
+    """What a live master sent against the recorded one: frames compared; frames that differ by COB-ID.
 
-    `beyond` counts what it said after the recording's end; `timing_max_us` is the largest difference in time, both
+    `beyond` counts what it sent after the recording's end; `timing_max_us` is the largest difference in time, both
     counted from the first frame.
     """
 
     frames: int
     beyond: int
     timing_max_us: float
-    differing: Mapping[str, int] = field(default_factory=dict)
-    first: Difference | None = None
-
-    @property
-    def same(self) -> bool:
-        """Every recorded frame of the master came again, byte for byte."""
-        return self.first is None
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it with nothing that JSON lacks."""
-        return {"same": self.same, **asdict(self)}
 
 
-def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> Answer:
+def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterComparison:
     """Compare two masters COB-ID by COB-ID: the n-th frame of one with the n-th of the other."""
     one, other = _by_cob_id(recorded), _by_cob_id(live)
     differences: list[Difference] = []
@@ -175,7 +166,8 @@ def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> Answer:
                 differences.append(Difference(can_id, number, time_ns / 1e9, None, payload))
     counted = Counter(f"{difference.cob_id:03X}" for difference in differences)
     first = min(differences, key=lambda difference: difference.time_s, default=None)
-    return Answer(len(recorded), beyond, late_ns / 1e3, dict(sorted(counted.items())), first)
+    return MasterComparison(frames=len(recorded), beyond=beyond, timing_max_us=late_ns / 1e3,
+                            differing=dict(sorted(counted.items())), first=first)
 
 
 def _by_cob_id(heard: Sequence[Heard]) -> dict[int, list[tuple[int, str]]]:

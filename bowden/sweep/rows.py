@@ -23,7 +23,8 @@ from bowden import configuration, session
 from bowden.sweep.departure import Departure
 from eds import bus_load
 from eds.bench import Network, wire
-from master.settings import Gait, checked_controller
+from master.control import controller
+from master.settings import Gait
 from parameters import InputError, checked, parameter
 from physics.reference import Reference
 from virtual_bus.build import GROUPS, steady
@@ -214,7 +215,7 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
         gait = reference(row, varied)[1]
         row |= {"gait.period_s": gait.period_s, "gait.peak_n": gait.peak_n}
     gait = table(row, "gait")
-    checked_controller(gait.controller, where="gait")
+    controller.find(gait.controller, where="gait")
     if gait.settle >= gait.cycles:
         raise InputError(f"settle = {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
     steady(bench.steady.replace("+", ","))

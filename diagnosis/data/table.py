@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 UNITS: Final[Mapping[str, str]] = {
     "time_s": "s", "gait_percent": "%", "cycle": "",

@@ -86,7 +86,7 @@ class Judge:
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
     def _unlike(self, effect: Candidate, model: Model) -> bool:
-        """Whether some slot of an effect is outside of the band of like benches: inside, nothing is to be found."""
+        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         banded = [bands[f.name] for f in effect.frees if f.name in bands]
         if banded:
@@ -173,10 +173,10 @@ class Judge:
         return {"effect": cause.name, "site": cause.site, "parameters": parameters,
                 "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
 
-    def _likeness(self, slot: str) -> float:
+    def _likeness(self, parameter: str) -> float:
         """Return 1σ of the healthy value among like benches; 0 where nothing is known of it."""
         bands = {f.name: f.sigma for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
-        return bands.get(slot, 0.0)
+        return bands.get(parameter, 0.0)
 
     def figures(self) -> dict[str, verdict.Figures]:
         """Return every relation's figures, those that were not checked marked so."""

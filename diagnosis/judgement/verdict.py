@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.problem.cross_validation import CycleSquares
 from diagnosis.search.search import Found, Model
 from physics.effects.effect import Effect
-
-Array = NDArray[np.float64]
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
@@ -136,7 +133,7 @@ def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, liken
 
 
 def curvature_sigma(model: Model, name: str) -> float:
-    """Return 1σ of a slot from the fit's curvature."""
+    """Return 1σ of a parameter from the fit's curvature."""
     scale = np.sqrt(np.maximum(np.diag(model.fit.curvature), 1e-300))
     even = model.fit.curvature / np.outer(scale, scale)
     at = [f.name for f in model.fit.free].index(name)

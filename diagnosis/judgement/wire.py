@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from diagnosis.data.table import AGE_SUFFIX, Table
 from diagnosis.judgement.verdict import Figures
 from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect
+from physics.laws import Array
 from physics.sampling_laws import COUNTED
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 SENSORS: Final[Mapping[str, str]] = {"start_sensor": "tension_start_n", "end_sensor": "tension_end_n"}

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from diagnosis.data.table import Table
+from physics.laws import Array
 from physics.parameters import PARAMETERS
 from physics.relations import relation as models
 from physics.relations.measured import Fine, Signals
 from physics.relations.recorded import Memory
 from physics.relations.relation import RELATIONS, Relation
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 SAMPLE_BUDGET: Final = 10_000

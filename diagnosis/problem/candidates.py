@@ -1,4 +1,4 @@
-"""The catalogue's effects as the fits see them: which slots each one frees, within what, and from where to start.
+"""The catalogue's effects as the fits see them: which parameters each one frees, within what, and from where to start.
 
 The rule of this file: everything comes from the declarations of `physics.effects.catalogue`; no effect is named here.
 """
@@ -22,9 +22,9 @@ MAX_STARTS: Final = 8
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect: the slots it frees, and the points its fits start from (at each the effect is at work).
+    """One effect: the parameters it frees, and the points its fits start from (at each the effect is at work).
 
-    `likely`: by slot, where its value is expected on such a bench; empty where nothing is known of the rig.
+    `likely`: by parameter, where its value is expected on such a bench; empty where nothing is known of the rig.
     """
 
     name: str
@@ -35,22 +35,22 @@ class Candidate:
     level: tuple[str, ...] = ()
 
     def unlikely(self, values: Mapping[str, float]) -> int:
-        """Return how many of its slots are outside of where they are expected."""
+        """Return how many of its parameters are outside of where they are expected."""
         return sum(not low <= values[f.name] <= high for f in self.frees if f.name in self.likely
                    for low, high in (self.likely[f.name],))
 
     @property
-    def slots(self) -> frozenset[str]:
+    def parameters(self) -> frozenset[str]:
         return frozenset(f.name for f in self.frees)
 
 
 def candidates(
     checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False
 ) -> list[Candidate]:
-    """Return every effect that some slot of the `checked` relations can show and that `nuisance` does not swallow.
+    """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
 
     An effect is offered where the relation that shows it first can be checked.
-    `any_rig`: the bounds are the slots' own, for rigs of any size, and what reads this bench's geometry is left out.
+    `any_rig`: bounds are those for rigs of any size, and what reads this bench's geometry is left out.
     """
     checked = tuple(checked)
     visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))

@@ -49,7 +49,7 @@ def features(signals: Signals, values: Values) -> Array:
     time = signals["time_s"]
     found = []
     if signals.has("rope_m"):
-        found += [np.tanh(signals["rope_m_s"] / 0.02), signals["rope_m_s"] / 0.1, memory_laws.presliding(
+        found += [np.tanh(signals["rope_m_s"] / 0.02), signals["rope_m_s"] / 0.1, memory_laws.slipped(
             signals["rope_m"], signals.fresh, max(values["presliding"], 5e-5))]
     if signals.has("knee_angle_rad"):
         found.append(signals["knee_angle_rad"])

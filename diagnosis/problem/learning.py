@@ -35,7 +35,8 @@ Values = Mapping[str, float]
 
 WIDE: Final[Mapping[str, float]] = {
     "mu1": 0.05, "mu2": 0.15, "fabric_wrap": 1.0, "cable_bend": 0.1, "load_slope": 0.2, "viscous": 10.0,
-    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3, "fabric_presliding_ratio": 1.0,
+    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3,
+    "fabric_presliding_ratio": 1.0,
     "stiffness_scale": 0.4, "stiffness_shape": 0.5, "toe": 1e-3, "cable_share": 0.15, "rope_zero": 50e-3,
     "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
@@ -47,14 +48,16 @@ KNEE_RATIO: Final = 0.05
 KNEE_RATIO_RANGE: Final = (0.5, 2.0)
 NARROW: Final = 0.3
 """Slots that stand in for missing physics (`STANDING_IN`): 1σ after learning, of that of like benches."""
-STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadratic", "stribeck_ratio", "stiffness_shape")
+STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadratic", "stribeck_ratio",
+                      "stiffness_shape")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
 """Slots whose tolerance among like benches is a share of their value."""
 STRUCTURE: Final = 0.5
 """Share of what the laws leave that another trial may leave in another way."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
-COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape", "rope_zero", "rope_per_knee")
+COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
+                 "rope_zero", "rope_per_knee")
 FULL: Final = 2
 """Coarse fits that are carried on."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
@@ -186,8 +189,9 @@ def _wide(reference: Reference) -> list[Free]:
         at, half = reference.values[name], 4.0 * sigma
         found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
     ratio, low, high = reference.values["rope_per_knee"], *KNEE_RATIO_RANGE
-    found["rope_per_knee"] = Free("rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
-                               KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
+    found["rope_per_knee"] = Free(
+        "rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
+        KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
     return list(found.values())
 
 
@@ -199,7 +203,8 @@ def bounds(name: str) -> tuple[float, float]:
 
 def _step(name: str) -> float:
     """Return the scale on which a slot's slopes are taken."""
-    return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0, "servo_bandwidth": 5.0,
+    return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0,
+            "servo_bandwidth": 5.0,
             "knee_bandwidth": 5.0}.get(name, math.inf)
 
 

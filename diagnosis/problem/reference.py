@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +16,8 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.fit import Free
-from physics.conversions import from_scalars
+from physics import bench_model
+from physics.bench_model import BenchModel
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy, ideal
 from physics.plant.leg import KNEE_AT_FIT
@@ -44,11 +45,13 @@ IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presli
 def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
     """Return the bench of the signal table, its values from `calibration` where that has them."""
     values = {**healthy(), **_brought()}
-    given = (calibration or {}).get("scalars", {})
-    nuisance, spreads = [], _spreads(given)
-    told = from_scalars({name: float(row["value"]) for name, row in given.items()})
+    model = bench_model.from_tables(calibration or {}, "calibration")
+    nuisance, spreads, told, known = [], _spreads(model), model.related(), model.at_work()
+    values |= known
     for name, p in RELATION_PARAMETERS.items():
-        values[name] = told.get(name, p.nominal) if name in IDENTIFIED else p.nominal
+        if name in IDENTIFIED:
+            values[name] = told.get(name, p.nominal)
+        values[name] = known.get(name, values[name])
         sigma = math.hypot(p.like_benches, spreads.get(name, 0.0))
         if sigma > 0.0:
             at, (low, high) = values[name], p.rig_bounds
@@ -56,12 +59,14 @@ def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
     return Reference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
 
 
-def _spreads(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the 1σ of what a calibration tells, from the intervals of its scalars."""
-    at = {name: float(row["value"]) for name, row in given.items()}
+def _spreads(model: BenchModel) -> dict[str, float]:
+    """Return the 1σ of what a bench model tells, from the intervals of its values."""
     total: dict[str, float] = {}
-    for scalar, row in given.items():
-        low, high = (from_scalars({**at, scalar: float(end)}) for end in row.get("interval", (at[scalar], at[scalar])))
+    for measured, evidence in model.evidence.items():
+        if not math.isfinite(evidence.low + evidence.high):
+            continue
+        low, high = (replace(model, values={**model.values, measured: end}).related()
+                     for end in (evidence.low, evidence.high))
         for name in IDENTIFIED:
             if name in low and low[name] != high[name]:
                 total[name] = math.hypot(total.get(name, 0.0), (high[name] - low[name]) / (2.0 * 1.96))

@@ -20,8 +20,8 @@ from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import correlated
 from diagnosis.problem.fit import Fit, Free, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
-from diagnosis.problem.problem import Setting, build_problem
 from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.problem.problem import Setting, build_problem
 from diagnosis.problem.reference import BAND, Reference
 from physics.parameters import RELATION_PARAMETERS
 

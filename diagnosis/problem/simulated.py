@@ -1,7 +1,6 @@
 """The many-segment simulation as one more relation of a fit: START and END, N, under a trial's own motion.
 
-The rule of this file: it is slow beside the relations (some 25 times as fast as the bench moves), so it comes last, from
-where they arrived, over what it reads.
+The rule of this file: it is slow beside the relations, so it comes last, from where they arrived, over what it reads.
 """
 
 from __future__ import annotations

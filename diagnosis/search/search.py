@@ -110,7 +110,7 @@ class Search:
         self.baseline = self.model((), start)
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
-        """Return what a model of `effects` may move: their slots in their bounds, the other nuisance in its bands."""
+        """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
         own = {f.name: f for c in effects for f in c.frees}
         level = {name for c in effects for name in c.level}
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(

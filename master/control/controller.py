@@ -1,75 +1,145 @@
-"""Which controller runs: one pure `step`, whatever the name.
+"""What a controller is: a part that is configured for a gait and stepped once a control cycle.
 
-The rule of this file: it chooses and decides nothing; `none`, `friction`, `impedance` and `paper` are the paper's
-(`control.paper`), `extended` goes beyond (`control.extended`); any of them may be told of effects
+The rule of this file: it knows no controller by name.  The packaged ones are in `control.packaged`; others come by the
+entry-point group bowden.controllers or as "module:Class".  Any of them may be told of effects beyond the calibration
 (`control.effect_correction`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from abc import abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeVar, cast
 
-from master.control import extended, paper
-from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.controller_io import Column, ControllerInput, Outputs, Trace
 from master.control.effect_correction import Correction
 from master.control.gait_table import GaitTable
 from master.control.homing_fit import HomingFit
 from master.settings import Impedance
+from parameters import InputError
+from parameters.plugins import load
 from physics.calibration import Calibration
+from trial.signals import UNITS, Signal
 
-Uncorrected = paper.Config | extended.Config
-State = paper.State | extended.State
+GROUP: Final = "bowden.controllers"
+_HOME: Final = "master.control.packaged"
+PACKAGED: Final[Mapping[str, str]] = MappingProxyType({
+    "none": f"{_HOME}:Uncompensated", "friction": f"{_HOME}:FrictionCompensation", "impedance": f"{_HOME}:ImpedanceLaw",
+    "paper": f"{_HOME}:PaperController", "extended": f"{_HOME}:ExtendedController",
+})
+"""The controllers of this project by name."""
+CONTROLLERS: Final = tuple(PACKAGED)
+_NAME: Final = re.compile("[a-z][a-z0-9_]*")
 
+__all__ = ["CONTROLLERS", "Column", "Conditions", "Controller", "ControllerInput", "Outputs", "Trace", "find",
+           "with_effects"]
 
-@dataclass(frozen=True)
-class Corrected:
-    """A controller with effects that it knows of undone around it; its targets act `ahead` samples later."""
-
-    within: Uncorrected
-    correction: Correction
-    ahead: int
-
-    @property
-    def gait(self) -> GaitTable:
-        """The gait of the controller within."""
-        return self.within.gait
-
-
-Config = Uncorrected | Corrected
-
-__all__ = ["Config", "ControllerInput", "Outputs", "State", "Trace", "configure", "initial", "step"]
+State = TypeVar("State")
 
 
-def configure(
-    name: str, calibration: Calibration, gait: GaitTable, impedance: Impedance, day: HomingFit,
-    undone: Correction | None = None,
-) -> Config:
-    """Fold a controller's constants; `day` is what homing found, and only `extended` uses it.
+class Conditions(NamedTuple):
+    """What a controller is configured with beside the model and the gait.
 
-    `undone`: effects that the calibration's scalars do not say, tabulated for this gait.
+    `homing`: what homing found of this day; the default before homing.
     """
-    config: Uncorrected
-    if name == "extended":
-        config = extended.configure(calibration, day, gait, impedance)
-        ahead = config.ahead
-    else:
-        config, ahead = paper.configure(name, calibration, gait, impedance), 0
-    return config if undone is None else Corrected(config, undone, ahead)
+
+    impedance: Impedance
+    homing: HomingFit = HomingFit()
 
 
-def initial(config: Config) -> State:
-    """The memory that a controller starts with."""
-    if isinstance(config, Corrected):
-        return initial(config.within)
-    return extended.State(config.law) if isinstance(config, extended.Config) else paper.State()
+class Controller(Protocol[State]):
+    """One controller, configured.  Constants are in the object, memory is in `State`, which `step` takes and gives.
+
+    A class that inherits this writes `step` and `initial`, and a constructor that takes the arguments of `configure`.
+
+    `slack_share`: share of the configured idle slack that it wants while no force is desired.  `uses_homing_fit`: it
+    takes friction, stretch and START's offset from `Conditions.homing`, else from the model.  `columns`: its own
+    columns in the trial.  `ahead`: control cycles after the step at which a target acts, by its own reckoning.
+    """
+
+    slack_share: ClassVar[float] = 1.0
+    uses_homing_fit: ClassVar[bool] = False
+    columns: ClassVar[tuple[Column, ...]] = ()
+    ahead: int = 0
+
+    @classmethod
+    def configure(cls, model: Calibration, gait: GaitTable, conditions: Conditions) -> Controller[State]:
+        """Return the controller for one gait on one bench: called before the first control cycle, and after homing."""
+        made: Controller[State] = cast(Any, cls)(model, gait, conditions)
+        return made
+
+    @abstractmethod
+    def initial(self) -> State:
+        """Return the memory that it starts with."""
+
+    @abstractmethod
+    def step(self, seen: ControllerInput, state: State) -> tuple[Outputs, State, Trace]:
+        """Return one control cycle's targets, the memory after it, and its trace.
+
+        Pure: equal arguments give equal answers, so that a trial can be replayed onto it bit for bit.  It has less
+        than the compute budget of a control cycle.
+        """
 
 
-def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
-    """One control cycle, pure: the same arguments give the same answer; `state` is of `config`'s controller."""
-    if type(config) is Corrected:
-        undone, within = config.correction, config.within
-        outputs, state, trace = step(undone.seen(seen, within.start_offset_n), state, within)
-        return undone.feed_forward(outputs, seen.sample + config.ahead), state, trace
-    if type(config) is extended.Config:
-        return extended.step(seen, state, config)  # type: ignore[arg-type]
-    return paper.step(seen, state, config)  # type: ignore[arg-type]
+Kind = type[Controller[Any]]
+
+
+def find(name: str, *, where: str) -> Kind:
+    """Return the controller of that name, or at "module:Class"; raises `InputError`, beginning with `where`."""
+    try:
+        kind = load("controller", name, GROUP, PACKAGED)
+        _check(name, kind)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return cast(Kind, kind)
+
+
+def _check(name: str, kind: Any) -> None:
+    lacks = [part for part in ("configure", "initial", "step", "slack_share", "uses_homing_fit", "columns", "ahead")
+             if not hasattr(kind, part)]
+    if lacks or getattr(kind.step, "__isabstractmethod__", False):
+        raise InputError(f"controller {name!r} lacks {', '.join(lacks) or 'step'}; inherit "
+                         "bowden.controllers.Controller and write initial and step.")
+    taken = set(UNITS)
+    for column in kind.columns:
+        if not _NAME.fullmatch(column.name) or column.name in taken:
+            why = "taken" if column.name in taken else "no name of a column"
+            raise InputError(f"controller {name!r}: {column.name!r} is {why}; give small letters, digits and _, unlike "
+                             "any signal of /cycle.")
+        taken.add(column.name)
+
+
+def signals(kind: Kind) -> tuple[Signal, ...]:
+    """Return a controller's own columns as signals of `/cycle`, behind those of every trial."""
+    return tuple(Signal(column.name, column.unit, column.text, derived=True) for column in kind.columns)
+
+
+class WithEffects(Controller[State]):
+    """A controller with effects that it knows of undone around it."""
+
+    def __init__(self, within: Controller[State], correction: Correction, start_offset_n: float) -> None:
+        self._within, self._correction, self._start_offset_n = within, correction, start_offset_n
+        self.ahead = within.ahead
+
+    def initial(self) -> State:
+        """Return the memory of the controller within."""
+        return self._within.initial()
+
+    def step(self, seen: ControllerInput, state: State) -> tuple[Outputs, State, Trace]:
+        """Step the controller within on what it would see without the effects, and put them into its targets."""
+        undone = self._correction
+        outputs, state, trace = self._within.step(undone.seen(seen, self._start_offset_n), state)
+        return undone.feed_forward(outputs, seen.sample + self.ahead), state, trace
+
+
+def with_effects(
+    kind: Kind, model: Calibration, gait: GaitTable, conditions: Conditions, undone: Correction | None
+) -> Controller[Any]:
+    """Configure a controller; `undone`: effects that the model's scalars do not say, tabulated for this gait."""
+    within = kind.configure(model, gait, conditions)
+    if undone is None:
+        return within
+    offset_n = conditions.homing.start_offset_n if kind.uses_homing_fit else model.start_offset
+    return WithEffects(within, undone, offset_n)

@@ -1,4 +1,4 @@
-"""What goes into a controller and comes out of it, the same for all of them.
+"""What goes into a controller and comes out of it, for every controller.
 
 The rule of this file: `ControllerInput` has no END; a controller cannot use what it cannot see.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from typing import NamedTuple
+
+NAN = math.nan
 
 
 class ControllerInput(NamedTuple):
@@ -30,13 +32,26 @@ class Outputs(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """Why the targets are what they are; all but two are the signals of `trial.signals.TRACE`, in its order."""
+    """Why the targets are what they are, NaN where a controller has no such thing.
+
+    The first two and the six after them are signals of `/cycle`; `own` are the values of the controller's own
+    `columns`, in their order.
+    """
 
     desired_force_n: float
-    estimated_end_force_n: float
-    feedforward_m: float
-    impedance_dx_m: float
-    friction_ratio: float
-    rope_direction: float
-    strain_direction: float
-    estimated_end_half_n: float = math.nan
+    estimated_end_force_n: float = NAN
+    feedforward_m: float = NAN
+    impedance_dx_m: float = NAN
+    friction_ratio: float = NAN
+    rope_direction: float = NAN
+    strain_direction: float = NAN
+    estimated_end_half_n: float = NAN
+    own: tuple[float, ...] = ()
+
+
+class Column(NamedTuple):
+    """A trace column of a controller's own: its name in the trial, its SI unit ("1" for a pure number), its meaning."""
+
+    name: str
+    unit: str
+    text: str = ""

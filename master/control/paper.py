@@ -47,10 +47,11 @@ class Config:
     gain_m_n: float
 
 
-def configure(name: str, calibration: Calibration, gait: GaitTable, impedance: Impedance) -> Config:
-    """Fold a controller's constants; `name` is none, friction, impedance or paper."""
+def configure(
+    calibration: Calibration, gait: GaitTable, impedance: Impedance, *, compensates: bool, listens: bool
+) -> Config:
+    """Fold a controller's constants: whether it `compensates` friction, and `listens` to the estimated END force."""
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
-    listens = name in ("impedance", "paper")
     return Config(
         gait=gait,
         swing_k=calibration.swing_k,
@@ -60,7 +61,7 @@ def configure(name: str, calibration: Calibration, gait: GaitTable, impedance: I
         fabric_slope=calibration.fabric_friction * calibration.wrap_slope,
         cable_compliance=calibration.cable_compliance,
         start_offset_n=calibration.start_offset,
-        compensates=name in ("friction", "paper"),
+        compensates=compensates,
         decay=decay,
         gain_m_n=(1.0 - decay) / impedance.stiffness_n_m if listens else 0.0,
     )

@@ -16,6 +16,8 @@ from eds.cia301 import SYNC_COB_ID
 from eds.scales import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.log import Log
+from master.cycle.plausibility import Plausibility
+from master.cycle.reception import Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Link, stamp_ns
 from trial.signals import TRACE
@@ -66,6 +68,7 @@ class Exchange:
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
     `annotations` is what a row says of whoever steps, where `advance` is not told.
     `kept`, where it is a list, gets (target, position, knee, START, END) of each whole cycle.
+    `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
 
     def __init__(self, link: Link, wire: Wire, log: Log, guard: Guard, budget_ns: int) -> None:
@@ -88,7 +91,12 @@ class Exchange:
         self._late_in_row = [0, 0, 0, 0]
         self._first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
-        self._told = False
+        self._told = self._doubled_sync = False
+        self._misses = 0
+        self._miss_text = ""
+        self.rehoming = False
+        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9)
+        self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
 
@@ -113,6 +121,11 @@ class Exchange:
         """One cycle with the targets of the last one."""
         return self.advance(*self.targets)
 
+    def rehomed(self, by_m: float) -> None:
+        """The servo's position reads `by_m` more from now on."""
+        self.rehoming = False
+        self.plausibility.shift(by_m)
+
     def command(self, servo_word: int, knee_word: int) -> None:
         """Send both controlwords, event-driven: they act when they arrive."""
         plan = self.wire.controlwords
@@ -127,19 +140,24 @@ class Exchange:
         inputs = self.inputs
         if self.kept is not None and not inputs.missing:
             self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
+        data, watch = self._pack_targets(servo_m, knee_rad), self.link.watch
+        if watch is not None:
+            watch.sent(self.wire.targets.cob_id, data)
         sent = self.link.try_send(can.Message(
-            arbitration_id=self.wire.targets.cob_id, data=self._pack_targets(servo_m, knee_rad), is_extended_id=False
-        ))
+            arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
         if not sent or self.inputs.missing:
             self._note_miss(sent)
+        elif self._misses:
+            self._end_misses()
         if not self._told:
+            self._told = True
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
-        self._told = sync_ns < 0
-        if self._told:
+        if sync_ns < 0:
+            self.guard.heed_strangers()
             raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
         return self._latch(sync_ns)
 
@@ -153,18 +171,40 @@ class Exchange:
         while (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id == SYNC_COB_ID:
-                return stamp_ns(message)
-            if can_id in slots:
-                self._take(message, self.inputs.sync_ns)
+                if not self._repeats(stamp_ns(message)):
+                    return stamp_ns(message)
+            elif can_id in slots:
+                if self.inputs.missing >> slots[can_id][0] & 1:
+                    self._take(message, self.inputs.sync_ns)
+                else:
+                    self._note_doubled(message, slots[can_id][0])
         return -1
 
+    def _repeats(self, sync_ns: int) -> bool:
+        """Whether a SYNC comes within half a period of the last one: that one is doubled, and no new cycle."""
+        if self.inputs.sync_ns < 0 or sync_ns - self.inputs.sync_ns > self.wire.period_ns // 2:
+            return False
+        if self.link.watch is not None:
+            self.link.watch.doubled(sync_ns, self._count, "SYNC")
+        self._doubled_sync = True
+        return True
+
+    def _note_doubled(self, message: can.Message, i: int) -> None:
+        """An input of this cycle that came twice, where SYNC did not."""
+        if self.link.watch is not None and not self._doubled_sync:
+            self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {self.wire.nodes[ORDER[i]].name}")
+
     def _take(self, message: can.Message, sync_ns: int) -> int:
-        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is shorter than the plan or says "no value"."""
+        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
         i, size = self._slots[message.arbitration_id]
         if len(message.data) < size:
             return 0
         values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
+            return 0
+        if not self._reception.takes(i, values, self.rehoming):
+            self.log.event(stamp_ns(message), "miss", "master",
+                           f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
             return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
@@ -174,15 +214,24 @@ class Exchange:
     def _latch(self, sync_ns: int) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
         self._arrival_ns = [NAN, NAN, NAN, NAN]
+        self._told = False
         deadline = sync_ns + self._budget_ns
         receive, slots, missing = self.link.receive, self._slots, 0b1111
+        self._doubled_sync = False
+        self._reception.begin()
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:
-                missing &= ~self._take(message, sync_ns)
-            elif can_id == SYNC_COB_ID:
-                self._early_ns = stamp_ns(message)
+                if missing >> slots[can_id][0] & 1:
+                    missing &= ~self._take(message, sync_ns)
+                else:
+                    self._note_doubled(message, slots[can_id][0])
+            elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
+                self._early_ns = stamp
                 break
+            elif can_id == SYNC_COB_ID and self.link.watch is not None:
+                self.link.watch.doubled(stamp_ns(message), self._count, "SYNC")
+                self._doubled_sync = True
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
@@ -191,7 +240,7 @@ class Exchange:
         late = self._late_in_row
         if missing or any(late):
             self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
-        self.guard.check(inputs, self._late_in_row)
+        self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         return inputs
 
     def _derive(self, inputs: Inputs) -> None:
@@ -209,7 +258,19 @@ class Exchange:
             self.stale_inputs += inputs.missing.bit_count()
         names = [self.wire.nodes[ORDER[i]].name for i in range(4) if inputs.missing >> i & 1]
         text = " and ".join([*(f"no inputs of {name}" for name in names), *([] if sent else ["targets too late"])])
+        if text == self._miss_text:
+            self._misses += 1
+            return
+        if self._misses:
+            self._end_misses()
+        self._misses, self._miss_text = 1, text
         self.log.event(inputs.sync_ns, "miss", "master", f"{text}.")
+
+    def _end_misses(self) -> None:
+        """Say how long a run of equal misses was, once it is over; one alone is told already."""
+        if self._misses > 1:
+            self.log.event(self.inputs.sync_ns, "miss", "master", f"{self._miss_text}, {self._misses} cycles in a row.")
+        self._misses, self._miss_text = 0, ""
 
     def _row(self, annotations: CycleAnnotations, sent: bool) -> tuple[float, ...]:
         """One row in the order of `trial.signals.SIGNALS`."""

@@ -5,15 +5,18 @@ The rule of this file: everything that can be computed or refused is, before the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
 
 import can
 
 from eds.bench import Network
 from master import settings
 from master.control import controller
-from master.control.controller_io import ControllerInput
+from master.control.controller import Conditions, Controller, ControllerInput
 from master.control.effect_correction import Effects, calibrated, correction
 from master.control.gait_table import GaitTable, samples_of, tabulate
 from master.control.homing_fit import HomingFit
@@ -25,12 +28,13 @@ from master.cycle.run_safely import Outcome, run_safely
 from master.motion import gait, moves
 from master.motion.home import Homed, home
 from master.network.link import Link
+from parameters import InputError
 from physics import inverse
-from physics.calibration import Calibration, nominal, refuse_beyond_validity
+from physics.calibration import Calibration, nominal, refuse_beyond_validity, said_of
 from physics.reference import Reference
 
-LEADING = 2.0 / 3.0
-"""Share of the idle slack that a controller needs which undoes the drive's lag: the rope then follows the knee."""
+KNEE_SAMPLES = 400
+"""Points of a gait cycle at which a knee motion is held against the limits."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,8 @@ class Result:
     """How it ended: "completed", or "stopped" with the reason; counts over every control cycle; the bus's time.
 
     `day` is what homing found of it: with the trial's inputs it makes every step of the controller again.
-    `warning` says where the experiment was run otherwise than asked for.
+    `warning` says where the experiment was run otherwise than asked for.  `signal` is the number of the signal that
+    asked for the end, 0 for none: a command line ends with 128 + that.
     """
 
     outcome: str
@@ -70,6 +75,7 @@ class Result:
     friction_half_width_m: float | None
     day: HomingFit | None = None
     warning: str | None = None
+    signal: int = 0
 
 
 def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment) -> Result:
@@ -78,8 +84,7 @@ def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: E
     Raises `InputError` before anything is sent where the experiment cannot be run at all; whatever happens on the
     bus ends in a `Result`.
     """
-    trial = Planned(experiment)
-    return result_of(run_safely(link, tap, recorder, experiment.network, experiment.limits, trial.perform), trial)
+    return Planned(experiment).run(link, tap, recorder)
 
 
 def result_of(outcome: Outcome, trial: Planned) -> Result:
@@ -93,7 +98,25 @@ def result_of(outcome: Outcome, trial: Planned) -> Result:
         friction_half_width_m=trial.homed.half_width_m if trial.homed else None,
         day=trial.homed.day if trial.homed else None,
         warning=trial.warning,
+        signal=outcome.signal,
     )
+
+
+def refuse_beyond_limits(experiment: Experiment) -> None:
+    """Raise `InputError` for a knee motion that the limits would stop."""
+    limits = experiment.limits
+    for reference in filter(None, (experiment.reference, experiment.motion)):
+        angles = [reference.at(i / KNEE_SAMPLES).knee_angle_rad for i in range(KNEE_SAMPLES + 1)]
+        if not limits.knee_low_rad <= min(angles) <= max(angles) <= limits.knee_high_rad:
+            raise InputError(
+                f"the knee would move from {math.degrees(min(angles)):.1f} to {math.degrees(max(angles)):.1f} degrees; "
+                f"limits.knee_low_rad and knee_high_rad allow {math.degrees(limits.knee_low_rad):.1f} to "
+                f"{math.degrees(limits.knee_high_rad):.1f}; give another curve, or limits that bench and limb bear.")
+        fastest = max(abs(b - a) for a, b in pairwise(angles)) * KNEE_SAMPLES / reference.period_s
+        if fastest > limits.knee_rad_s:
+            raise InputError(
+                f"the knee would move at up to {fastest:.1f} rad/s; limits.knee_rad_s allows {limits.knee_rad_s:g}; "
+                f"give a period of at least {reference.period_s * fastest / limits.knee_rad_s:.2f} s.")
 
 
 class Planned:
@@ -105,11 +128,12 @@ class Planned:
     def __init__(self, experiment: Experiment) -> None:
         chosen, rate_hz = experiment.gait, experiment.network.rate_hz
         calibration, rest = calibrated(experiment.calibration, experiment.known)
-        settings.checked_controller(chosen.controller, where="gait")
+        self.kind = controller.find(chosen.controller, where="gait")
         refuse_beyond_validity(calibration, experiment.reference.peak_n)
+        refuse_beyond_limits(experiment)
         knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
         self.experiment, self.calibration = experiment, calibration
-        slack_m = chosen.idle_slack_m * (LEADING if chosen.controller == "extended" else 1.0)
+        slack_m = chosen.idle_slack_m * self.kind.slack_share
         self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m)
         self.rising = [tabulate(calibration, knee, desired * (i + 1) / (chosen.soft_start + 1), 1.0 / rate_hz, slack_m)
                        for i in range(chosen.soft_start)]
@@ -117,21 +141,40 @@ class Planned:
         samples = self.table.samples
         self.first = gait.run_in_sample(self.table)
         self.rest = gait.resting_sample(self.idle, samples // 20, samples // 2)
-        adapts = chosen.controller == "extended"
-        self.undone = {id(table): correction(calibration, table, rest, adapts=adapts)
+        self.undone = {id(table): correction(calibration, table, rest, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
         self.homed: Homed | None = None
-        self.impedance, self.warning = derated(
+        self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
+        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
+        self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None
         inverse.prepare()
-        rehearsed = self.control(self.table)
-        controller.step(ControllerInput(0, 0.0, 0.0, 0.0, 0.0), controller.initial(rehearsed), rehearsed)
+        self._rehearse()
 
-    def control(self, table: GaitTable) -> controller.Config:
+    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink | None) -> Result:
+        """Run it on the bus of `link`, as `run` does."""
+        experiment = self.experiment
+        return result_of(
+            run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform), self)
+
+    def _rehearse(self) -> None:
+        """Step the controller once, so that what it compiles or refuses is done before a frame is sent."""
+        name = self.experiment.gait.controller
+        try:
+            rehearsed = self.control(self.table)
+            (servo, knee), _, trace = rehearsed.step(ControllerInput(0, 0.0, 0.0, 0.0, 0.0), rehearsed.initial())
+            float(servo), float(knee), [float(value) for value in (*trace[:8], *trace.own)]
+        except InputError:
+            raise
+        except gait.ENDS_A_STEP as error:
+            raise InputError(f"controller {name}: {gait.raised(error)} when it was tried before the trial; "
+                             "mend it.") from error
+
+    def control(self, table: GaitTable) -> Controller[Any]:
         """The chosen controller over a gait table, on the day that homing found."""
-        chosen, day = self.experiment, self.homed.day if self.homed else HomingFit()
-        return controller.configure(
-            chosen.gait.controller, self.calibration, table, self.impedance, day, self.undone[id(table)])
+        day = self.homed.day if self.homed else HomingFit()
+        return controller.with_effects(
+            self.kind, self.calibration, table, Conditions(self.impedance, day), self.undone[id(table)])
 
     def perform(self, exchange: Exchange) -> None:
         """Enable, home and walk; with `dry_run` only the walk, on drives that are off."""
@@ -159,10 +202,19 @@ class Planned:
             return float(before + sample // samples) if sample >= 0 else -1.0
 
         for i, table in enumerate(self.rising, 1 - len(self.rising)):
-            gait.run(exchange, self.control(table), begin, i * samples, number, self._led())
+            self._walked(exchange, table, begin, i * samples, number, self._led())
             begin = i * samples
-        gait.run(exchange, self.control(self.table), begin, last, number, self._led())
-        gait.run(exchange, self.control(self.idle), last, last + self.rest, lambda sample: -1.0)
+        self._walked(exchange, self.table, begin, last, number, self._led())
+        self._walked(exchange, self.idle, last, last + self.rest, lambda sample: -1.0)
+
+    def _walked(
+        self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
+        led: Callable[[int], float] | None = None,
+    ) -> None:
+        name = self.experiment.gait.controller
+        with gait.naming(name):
+            control = self.control(table)
+        gait.run(exchange, control, table, first, last, number, led, name=name, own=len(self.kind.columns))
 
     def _led(self) -> Callable[[int], float] | None:
         """The knee's target by sample where its motion departs from the reference, eased in over the run-in."""

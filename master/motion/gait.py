@@ -5,19 +5,25 @@ The rule of this file: a cycle whose needed inputs are not all of this SYNC make
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import isfinite
+from typing import Any, Final, Protocol
 
 import numpy as np
 
-from master.control.controller import Config, ControllerInput, initial, step
+from master.control.controller import Controller, ControllerInput
+from master.control.controller_io import Trace
 from master.control.gait_table import GaitTable, tabulate
 from master.cycle.exchange import NEEDED, CycleAnnotations, Exchange, Inputs
+from master.cycle.safety import Condition, StopError
 from master.motion import moves
 from master.settings import Homing
 from physics.calibration import Calibration
 from physics.reference import Reference
 
+ENDS_A_STEP: Final = (Exception, SystemExit)
+"""What a controller may raise that ends in the safe stop; Ctrl-C is taken elsewhere."""
 HURRY = 5.0
 """The approach to the run-in runs slack, this much faster than homing."""
 
@@ -58,27 +64,67 @@ def approach(exchange: Exchange, gait: GaitTable, sample: int, homing: Homing) -
     moves.move(exchange, servo, gait.knee[sample], HURRY * homing.rope_m_s, homing.knee_rad_s)
 
 
+def raised(error: BaseException) -> str:
+    """Return what an error says, in half a sentence."""
+    text = " ".join(str(error).split())
+    return f"raised {type(error).__name__}" + (f" ({text})" if text else "")
+
+
+@contextmanager
+def naming(name: str) -> Iterator[None]:
+    """Turn what a controller raises into a safe stop that names it."""
+    try:
+        yield
+    except ENDS_A_STEP as error:
+        raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}") from error
+
+
 def run(
-    exchange: Cycle, config: Config, first: int, last: int, number: Callable[[int], float],
-    led: Callable[[int], float] | None = None,
+    exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
+    number: Callable[[int], float], led: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
 ) -> None:
     """Run samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
-    `led` gives the knee's target by sample where somebody else leads it: the controller expects its own reference.
+    `led` gives the knee's target by sample where it does not follow the reference that the controller expects.  `own`
+    is how many columns the controller `name` has of its own.  A controller that raises, or whose targets are not
+    finite, raises `StopError`.
     """
-    samples, advance = config.gait.samples, exchange.advance
-    state, inputs = initial(config), exchange.inputs
+    samples, advance, desired = table.samples, exchange.advance, table.desired
+    with naming(name):
+        step, state = control.step, control.initial()
+    inputs = exchange.inputs
     for sample in range(first, last):
         i = sample % samples
         if inputs.missing & NEEDED:
             inputs = advance(*exchange.targets, CycleAnnotations(
-                100.0 * i / samples, config.gait.desired[i], cycle=number(sample), held=1.0))
+                100.0 * i / samples, desired[i], cycle=number(sample), held=1.0))
             continue
         seen = ControllerInput(
             sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
-        (servo, knee), state, trace = step(seen, state, config)
+        try:
+            (servo, knee), state, trace = step(seen, state)
+            whole = isfinite(servo) and isfinite(knee) and len(trace.own) == own
+            told = trace[2:8] + trace.own if own else trace[2:8]
+            isfinite(sum(told))  # what is no number must not reach the recorder
+        except ENDS_A_STEP as error:
+            raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}, {_place(i, samples, number(sample))}"
+                            ) from error
+        if not whole:
+            raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
+                                                  f"{_place(i, samples, number(sample))}")
         inputs = advance(servo, knee if led is None else led(sample), CycleAnnotations(
-            100.0 * i / samples, trace[0], trace[1], number(sample), 0.0, trace[2:]))
+            100.0 * i / samples, trace[0], trace[1], number(sample), 0.0, told))
+
+
+def _wrong(servo: float, knee: float, trace: Trace, own: int) -> str:
+    for signal, value in (("servo target", servo), ("knee target", knee)):
+        if not isfinite(value):
+            return f"gave a {signal} of {value}"
+    return f"gave {len(trace.own)} values for its {own} own columns"
+
+
+def _place(i: int, samples: int, cycle: float) -> str:
+    return f"{f'gait cycle {cycle:g}' if cycle >= 0.0 else 'outside the gait cycles'} at {100.0 * i / samples:.1f} %"
 
 
 def idle_table(gait: GaitTable, calibration: Calibration) -> GaitTable:

@@ -130,19 +130,24 @@ def laps(name: str, cycles: int) -> int:
 
 def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment, name: str) -> Result:
     """Run the experiment `name` on the bus of `link`, on the bench that `experiment` describes."""
-    bench = _Scripted(experiment, checked(name, where="experiment"))
-    outcome = run_safely(link, tap, recorder, experiment.network, experiment.limits, bench.perform)
-    return result_of(outcome, bench.planned)
+    return Scripted(experiment, name).run(link, tap, recorder)
 
 
-class _Scripted:
-    """One script on one bench."""
+class Scripted:
+    """One script on one bench, with its tables made; raises `InputError` where it cannot be run."""
 
     def __init__(self, experiment: Experiment, name: str) -> None:
+        checked(name, where="experiment")
         cycles = next((part.cycles for part in SCRIPTS[name] if isinstance(part, Walk) and part.cycles), None)
         if cycles is not None:
             experiment = dataclasses.replace(experiment, gait=dataclasses.replace(experiment.gait, cycles=cycles))
         self.name, self.planned, self.count = name, Planned(experiment), 0
+
+    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink | None) -> Result:
+        """Run it on the bus of `link`."""
+        experiment = self.planned.experiment
+        outcome = run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform)
+        return result_of(outcome, self.planned)
 
     def perform(self, exchange: Exchange) -> None:
         """Enable, home, and run every part."""

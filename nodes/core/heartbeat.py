@@ -101,6 +101,10 @@ class Consumer(Part):
             watched.lost = False
             self._device.emcy.clear(Emcy.HEARTBEAT, watched.node_id)
 
+    def all_live(self) -> bool:
+        """Say whether every node that 0x1016 lists has been heard and is not overdue; true where it lists none."""
+        return all(watched.due_ns != FAR_NS for watched in self._watched)
+
     def poll(self, now_ns: int) -> int:
         """Report who is overdue."""
         for watched in [w for w in self._watched if w.due_ns <= now_ns]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
 from physics.laws import Array
-from physics.memory_laws import presliding
+from physics.memory_laws import slipped
 from physics.plant.cable import CableParameters
 from physics.plant.fabric import FabricParameters
 
@@ -55,8 +55,8 @@ def _viscous(course: Trajectory, values: Values) -> Trajectory:
 def _presliding(course: Trajectory, values: Values) -> Trajectory:
     fresh = np.zeros(course.rope_m.size, dtype=np.bool_)
     fresh[0] = True
-    slip = presliding(course.rope_m, fresh, values["presliding"])
-    strained = presliding(course.stretch_m, fresh, values["presliding"])
+    slip = slipped(course.rope_m, fresh, values["presliding"])
+    strained = slipped(course.stretch_m, fresh, values["presliding"])
     return course._replace(rope_slip=slip, fabric_slip=strained)
 
 

@@ -6,7 +6,6 @@ T1/T2 = e^(μ·dθ) exactly: the friction force is s·(T1 + T2)·tanh(μ·dθ/2)
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from numba import njit
@@ -34,18 +33,6 @@ class CableParameters:
     slack_m: float = declared("slack")
     encoder_zero_m: float = declared("rope_zero")
     slack_drag: float = declared("slack_drag")
-
-
-@njit(inline="always")
-def stribeck(ratio: float, speed: float, v: float) -> float:
-    """Return the friction's factor at the sliding speed `v`: 1 + (μs/μc − 1)·e^(−(v/vs)²)."""
-    return 1.0 + (ratio - 1.0) * math.exp(-((v / speed) ** 2))
-
-
-@njit(inline="always")
-def load_dependence(slope: float, tension: float) -> float:
-    """Return the friction's factor at the tension, N: 1 + λ·(T/40 N − 1), at least 0.05."""
-    return max(0.05, 1.0 + slope * (tension / 40.0 - 1.0))
 
 
 @njit(inline="always")

@@ -15,7 +15,7 @@ import numpy as np
 
 from parameters import InputError
 from physics.laws import Array
-from physics.plant.fabric import TANGENT_FROM
+from physics.path_laws import TANGENT_FROM
 from physics.plant.leg import anchor
 from physics.plant.state_layout import (
     CABLE_NODES,

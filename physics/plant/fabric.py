@@ -7,16 +7,12 @@ w·(b·T + a·T²), a < 0, and is continued along its tangent from 90 % of the t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Final
 
 from numba import njit
 
 from physics.parameters import declared
-
-TANGENT_FROM: Final = 0.9
-"""Share of the turning tension −b/2a above which the stretch goes on linearly."""
+from physics.path_laws import stretched
 
 
 @dataclass(frozen=True)
@@ -47,6 +43,5 @@ def strap(
     Never pushing; damping at most as large as the elastic force.
     """
     e = max(0.0, elongation) * per_share
-    bent = (b - math.sqrt(max(0.0, b * b - a4 * min(e, e_tangent)))) * half
-    elastic = bent + k_tangent * max(0.0, e - e_tangent)
+    elastic = stretched(e, b, a4, half, e_tangent, k_tangent)
     return elastic + min(elastic, max(-elastic, damping * rate))

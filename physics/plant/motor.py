@@ -38,13 +38,6 @@ class ServoParameters:
 
 
 @njit(inline="always")
-def dahl(s: float, travel: float) -> float:
-    """Return the pre-sliding state after `travel` (in units of δ): ds/dx = (1 − s·sgn v)/δ; |s| ≤ 1 is kept."""
-    dz = min(1.0, max(-1.0, travel))
-    return s + dz - s * abs(dz)
-
-
-@njit(inline="always")
 def supply(volts: float, ohms: float, shaft_watts: float) -> float:
     """Return the bus voltage, V, under the load `shaft_watts`; a supply does not take power back."""
     return max(0.2 * volts, volts - ohms * max(0.0, shaft_watts) / max(volts, 1.0))

@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from numba import njit
 
+from physics.path_laws import presliding_step
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.leg import GRAVITY, anchor, knee_limit, reducer
-from physics.plant.motor import current_step, dahl, supply
+from physics.plant.motor import current_step, supply
 from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 
 STEP_NS: Final = 10_000
@@ -44,7 +45,7 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
     loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
     m[SLOT.servo_v] += STEP_S / m[SLOT.servo_inertia_kg] * (force - loss)
     m[SLOT.servo_x] += STEP_S * m[SLOT.servo_v]
-    m[SLOT.servo_s] = dahl(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])
+    m[SLOT.servo_s] = presliding_step(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])
 
 
 @njit(inline="always")
@@ -59,7 +60,7 @@ def knee(m: Any, demand_nm: float, rope_nm: float) -> None:
     loss = m[SLOT.knee_coulomb_nm] * m[SLOT.motor_s] + m[SLOT.knee_viscous] * m[SLOT.motor_w]
     m[SLOT.motor_w] += STEP_S / m[SLOT.knee_inertia] * (m[SLOT.motor_t] - loss - through)
     m[SLOT.motor_q] += STEP_S * m[SLOT.motor_w]
-    m[SLOT.motor_s] = dahl(m[SLOT.motor_s], STEP_S * m[SLOT.motor_w] / m[SLOT.knee_presliding_rad])
+    m[SLOT.motor_s] = presliding_step(m[SLOT.motor_s], STEP_S * m[SLOT.motor_w] / m[SLOT.knee_presliding_rad])
     weight = m[SLOT.leg_moment_kg_m] * GRAVITY * math.sin(m[SLOT.leg_q])
     beyond = max(0.0, m[SLOT.leg_q] - m[SLOT.stop_high_rad]) - max(0.0, m[SLOT.stop_low_rad] - m[SLOT.leg_q])
     weight += m[SLOT.stop_stiffness] * beyond
@@ -121,8 +122,8 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "parameters", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain",
-    "plant/step",
+    "laws", "parameters", "path_laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout",
+    "plant/chain", "plant/step",
 )
 
 

@@ -13,10 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.laws import Array
 from physics.plant.motor import ServoParameters
 from physics.relations.measured import Signals, start_tension
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Values = Mapping[str, float]
 
@@ -47,7 +47,7 @@ def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
 
 
 def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
-    slip = states.presliding(position, fresh, p["drive_presliding"])
+    slip = states.slipped(position, fresh, p["drive_presliding"])
     return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.laws import Array
 from physics.plant.leg import GRAVITY
 from physics.relations.recorded import Memory
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 T = TypeVar("T")

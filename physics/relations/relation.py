@@ -12,15 +12,13 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from physics.effects.catalogue import CATALOGUE
+from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS, healthy, ideal
 from physics.relations import drive_relations, transmission
 from physics.relations.measured import Fine, Signals, Values
 from physics.relations.recorded import Recorded
-
-Array = NDArray[np.float64]
 
 
 class Relation(NamedTuple):

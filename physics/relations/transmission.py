@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from physics import memory_laws as states
-from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
+from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N, Array
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations import tension_chain as chain
 from physics.relations.measured import Signals, end_tension, leg_angle, start_reading, start_tension
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 STRETCH_LINEAR: Final = STIFFNESS_B_MM_N * MILLI

@@ -36,7 +36,7 @@ def found(measured: Table) -> Diagnosis:
     """A diagnosis as the finder gives it, of two models fitted here."""
     setting = build_problem([measured], (), None)
     candidate = next(c for c in setting.offered if c.name == "cable_friction")
-    free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.slots)
+    free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.parameters)
     plain = solve(setting.problem, setting.reference.values, setting.reference.nuisance)
     fitted = solve(setting.problem, {**plain.values, **candidate.starts[-1]}, (*free, *candidate.frees))
     base, best = (Model(effects, fit, setting.problem, setting.folds)

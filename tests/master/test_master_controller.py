@@ -35,7 +35,9 @@ def table(peak_n: float = 40.0, calibration: Calibration | None = None) -> GaitT
 
 
 def configured(name: str, impedance: settings.Impedance | None = None) -> paper.Config:
-    return paper.configure(name, nominal(), table(), impedance or settings.Impedance())
+    listens, compensates = name in ("impedance", "paper"), name in ("friction", "paper")
+    return paper.configure(nominal(), table(), impedance or settings.Impedance(), compensates=compensates,
+                           listens=listens)
 
 
 def seen(sample: int, start_n: float, knee_rad: float) -> paper.ControllerInput:

@@ -15,7 +15,7 @@ from master.control import controller
 from master.control.controller_io import ControllerInput, Outputs
 from master.control.effect_correction import Correction, calibrated, correction
 from master.control.gait_table import GaitTable, tabulate
-from master.control.homing_fit import HomingFit
+from master.control.packaged import PaperController
 from master.motion import gait
 from master.motion.experiment import Experiment, run
 from master.network.link import Link
@@ -129,14 +129,14 @@ def test_friction_that_homing_measures_is_not_counted_twice() -> None:
 
 
 def test_a_controller_without_effects_is_the_controller_itself() -> None:
-    plain = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit())
-    told = controller.configure("paper", nominal(), table(), settings.Impedance(), HomingFit(),
-                                tabulated({"end_gain": {"end_gain": 1.05}}))
-    state, same = controller.initial(plain), controller.initial(told)
+    given = PaperController, nominal(), table(), controller.Conditions(settings.Impedance())
+    plain = controller.with_effects(*given, None)
+    told = controller.with_effects(*given, tabulated({"end_gain": {"end_gain": 1.05}}))
+    state, same = plain.initial(), told.initial()
     for sample in range(300):
         seen = ControllerInput(sample, 0.01, 0.0, table().knee[sample], 10.0)
-        outputs, state, _ = controller.step(seen, state, plain)
-        others, same, _ = controller.step(seen, same, told)
+        outputs, state, _ = plain.step(seen, state)
+        others, same, _ = told.step(seen, same)
         assert outputs == pytest.approx(others, abs=1e-12)
 
 

@@ -20,7 +20,7 @@ MDEG = math.pi / 180e3
 
 def in_mode(mode: Mode, node_id: int = SERVO) -> DriveRig:
     rig = DriveRig(node_id)
-    rig.setup(but=[(0x1400, 5)])
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
     rig.run(5)
     rig.write(0x6060, 0, mode)
     rig.to(ENABLED)

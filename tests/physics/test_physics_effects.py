@@ -56,7 +56,7 @@ def test_declaration_is_consistent(effect: Effect) -> None:
         assert p.neutral is None or p.low <= p.neutral <= p.high
 
 
-def test_slots_are_owned_by_one_effect() -> None:
+def test_parameters_are_owned_by_one_effect() -> None:
     names = [p.name for effect in CATALOGUE.values() for p in effect.parameters]
     assert len(names) == len(set(names))
 

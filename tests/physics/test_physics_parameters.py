@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from parameters import RenamedWarning, declarations
+from parameters import Remark, declarations
 from physics import calibration
 from physics.calibration import Calibration
 from physics.conversions import MEASURED, RELATED, SIMULATED, UNRELATED, converted, from_scalars, to_scalars
@@ -107,10 +107,10 @@ def test_a_whole_calibration_comes_back() -> None:
 
 
 def test_older_names_are_read_with_a_remark() -> None:
-    with pytest.warns(RenamedWarning, match="moment_arm_m is called rope_per_knee today"):
+    with pytest.warns(Remark, match="moment_arm_m is called rope_per_knee today"):
         model = plant_model.read({"plant": {"moment_arm_m": 0.05, "moment_arm": 1e-3}})
     assert model.tables["plant"] == {"rope_per_knee": 0.05, "rope_per_knee_quadratic": 1e-3}
-    with pytest.warns(RenamedWarning, match="knee_ratio is called rope_per_knee today"):
+    with pytest.warns(Remark, match="knee_ratio is called rope_per_knee today"):
         found = stated({"effects": {"moment_arm": {"moment_arm": 1e-3, "knee_ratio": {"value": 0.04}}}}, "m.toml")
     assert found == {"moment_arm": {"rope_per_knee_quadratic": 1e-3, "rope_per_knee": 0.04}}
     assert set(RENAMED.values()) <= set(PARAMETERS)

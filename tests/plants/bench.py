@@ -138,17 +138,17 @@ class Bench:
         return self.mu1 * self.theta1 + self.mu2 * (self.wrap + self.wrap_slope * abs(LOADED_KNEE))
 
     def loose_drag_n(self, speed_m_s: float) -> float:
-        """What it costs to drag the rope without load through its sheath at a speed, N: weight, grease, loose drag."""
-        return self.loose_drag * self.rope_kg * GRAVITY + (self.viscous + self.loose_viscous) * abs(speed_m_s)
+        """What it costs to drag the rope without load through its sheath at a speed, N: weight and loose drag."""
+        return self.loose_drag * self.rope_kg * GRAVITY + self.loose_viscous * abs(speed_m_s)
 
 
-(E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT, DRIFT_S,
- LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN, MASS, LOOSE, LIGHT, N1, N2,
- CELLS, FIRST) = range(37)
+(E1, BEND, MU2, WRAP, WRAP_SLOPE, DELTA1, DELTA2, RATIO1, RATIO2, SPEED, MEMORY, LOAD, LOAD_N, VISCOUS, DRIFT,
+ DRIFT_S, LEAD, SHEATH, KIND, CURVE, LINEAR, BEND_N, POWER, SOFT, BEFORE, OVER, AFTER, CREEP, CREEP_S, TORN,
+ MASS, LOOSE, LIGHT, N1, N2, CELLS, FIRST) = range(37)
 """Places in the path's flat parameter array; an implementation's own numbers begin at FIRST."""
 
 START, MIDDLE, END, OLD_X, OLD_W, GAMMA, RISING, TIME, OWN = range(9)
-"""Places in the path's flat state: tensions at START, before the knee and at END, then memory; OWN: the method's own."""
+"""Places in the path's flat state: tensions at START, before the knee and at END, then memory; OWN: the method's."""
 
 
 def pack(bench: Bench) -> np.ndarray:
@@ -170,7 +170,7 @@ def _stretch(bench: Bench) -> tuple[float, float]:
     from tests.plants.stretch import curved
 
     kind = STRETCHES.index(bench.structure.stretch)
-    at_60 = float(curved(60.0, kind, bench.bend_n, bench.power))
+    at_60 = float(curved.py_func(60.0, kind, bench.bend_n, bench.power))
     return bench.curve * bench.stretch_60 / at_60, (1.0 - bench.curve) * bench.stretch_60 / 60.0
 
 

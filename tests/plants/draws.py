@@ -108,7 +108,8 @@ def draw(serial: int, day: int = 0, implementation: str | None = None) -> Bench:
 
 
 def _stribeck(kind: Structure, room: float, serial: int) -> dict[str, float]:
-    ratio = {side: 1.0 + room * _even(0.05, MOST_RATIO - 1.0)(u(f"constant {side} ratio", serial)) for side in ("sheath", "fabric")}
+    excess = _even(0.05, MOST_RATIO - 1.0)
+    ratio = {side: 1.0 + room * excess(u(f"constant {side} ratio", serial)) for side in ("sheath", "fabric")}
     return {f"{side}_ratio": value if kind.stribeck in (side, "both") else 1.0 for side, value in ratio.items()}
 
 
@@ -138,7 +139,7 @@ def _curve(kind: Structure, values: dict[str, float], serial: int) -> dict[str, 
 
 
 def on_day(bench: Bench) -> Bench:
-    """What a day changes: friction ± 10 % each, stiffness ± 3 %, zero ± 0.1 mm, START ± 0.2 N, creep, breakaway, play."""
+    """What a day changes: friction ± 10 % each, stiffness ± 3 %, zero ± 0.1 mm, START ± 0.2 N, creep, breakaway."""
     def swing(name: str) -> float:
         return 2.0 * u(f"day {name}", bench.serial, bench.day) - 1.0
 

@@ -145,7 +145,7 @@ OUTSIDE: dict[str, Effect] = {
 EFFECTS = PATH | SENSOR | DRIVE | WIRE
 """Every effect of the catalogue that the family has, by the catalogue's name."""
 IN_PLANT = frozenset(PATH | SENSOR | DRIVE | OUTSIDE)
-"""Those that a plant behind the nodes can have; dead times, rounding and lost PDOs are the converters' and the wire's."""
+"""Those that a plant behind nodes can have; dead times, rounding and lost PDOs are the converters' or the wire's."""
 ABSENT = {"saturation": "shows only in a drive that is driven to its limit: use the plant's force_limit",
           "supply_sag": "no supply in the family's drive"}
 """What the catalogue has and the family has not, with the reason."""

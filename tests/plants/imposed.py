@@ -72,7 +72,7 @@ def forced(bench: Bench, time_s: Array, rope_m: Array, knee_rad: Array) -> Force
     """As `run`, with the tension before the knee and the leg's angle."""
     method = METHODS[bench.structure.implementation]
     k, p, z = mechanics.parameters(bench), method.parameters(bench), method.state(bench)
-    anchored = float(mechanics.anchor(k, knee_rad[0]))
+    anchored = float(mechanics.anchor.py_func(k, knee_rad[0]))
     loose = min(float(rope_m[0]), anchored + float(k[mechanics.K_ZERO]) - 1e-3)
     n = round(LEAD_IN_S / DT)
     time = np.concatenate([time_s[0] + DT * np.arange(-n, 0), time_s])
@@ -80,7 +80,7 @@ def forced(bench: Bench, time_s: Array, rope_m: Array, knee_rad: Array) -> Force
     knee = np.concatenate([np.full(n, knee_rad[0]), knee_rad])
     out = [np.zeros(time.size) for _ in range(4)]
     out[3][0] = knee[0]
-    method.settle(z, p, float(mechanics.paid(k, rope[0])), anchored)
+    method.settle(z, p, float(mechanics.paid.py_func(k, rope[0])), anchored)
     method.run(k, z, p, time, rope, knee, bench.leg_weight, *out)
     return Forces(*(values[n:] for values in out))
 
@@ -141,7 +141,7 @@ def gait(bench: Bench, peak_n: float = 40.0, period_s: float = 1.3, cycles: int 
 
 def _unloaded(bench: Bench, knee: Array) -> Array:
     k = mechanics.parameters(bench)
-    on = np.array([mechanics.anchor(k, angle) for angle in knee.tolist()])
+    on = np.array([mechanics.anchor.py_func(k, angle) for angle in knee.tolist()])
     return on + k[mechanics.K_ZERO]
 
 
@@ -155,14 +155,21 @@ def _repeated(bench: Bench, target: Array, knee_target: Array, peak_n: float, pr
         desired_force(percent, peak_n, preload_n), percent, np.repeat(np.arange(cycles), n).astype(float))
 
 
-@njit(cache=True)
-def _rubbed(k, v):
-    out = np.zeros(v.size)
-    s = 0.0
-    for i in range(v.size):
-        s = mechanics.bristle(s, DT * v[i] / k[mechanics.K_PRESLIDING])
-        out[i] = mechanics.servo_friction(k, s, v[i])
-    return out
+def _compile(sources: int):
+    @njit(cache=True)
+    def rubbed(k, v):
+        _ = sources
+        out = np.zeros(v.size)
+        s = 0.0
+        for i in range(v.size):
+            s = mechanics.bristle(s, DT * v[i] / k[mechanics.K_PRESLIDING])
+            out[i] = mechanics.servo_friction(k, s, v[i])
+        return out
+
+    return rubbed
+
+
+_rubbed = _compile(mechanics.SOURCES)
 
 
 def late(signal: Array, seconds: float) -> Array:

@@ -1,8 +1,8 @@
 """Servo, knee drive, leg and bridges: what moves and feels at both ends of the path, in steps of 50 µs.
 
-The rule of this file: masses at the rope and at the knee, semi-implicit; the drives' own loops live in the devices, here
-are torque lag (first or second order), friction and inertia.  A torque becomes force at the rope by the radius that the
-servo's unit objects say (20 mm), whatever the bench's drum: its drive has the gear that goes with it.
+The rule of this file: masses at the rope and at the knee, semi-implicit; the drives' own loops live in the devices,
+here are torque lag (first or second order), friction and inertia.  A torque becomes force at the rope by the radius
+that the servo's unit objects say (20 mm), whatever the bench's drum: its drive has the gear that goes with it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ RING_DAMPING = 0.06
 
 X, V, FORCE, RATE, RUB, Q, W, TORQUE, KNEE_RUB, LEG, OLD_LEG, LEG_RATE, LEG_SWING, FELT_START, FELT_END, FELT_LATE, \
     RINGING, RING_RATE, OLD_END, DONE, STATES = range(21)
-"""Places of the state: rope and its speed, servo force and its rate, servo's bristle; knee motor's angle, speed, torque,
-bristle; the leg and what follows from it; the bridges; steps done."""
+"""Places of the state: rope and its speed, servo force and its rate, servo's bristle; knee motor's angle, speed,
+torque, bristle; the leg and what follows from it; the bridges; steps done."""
 
 
 def parameters(bench: b.Bench) -> np.ndarray:
@@ -45,20 +45,20 @@ def parameters(bench: b.Bench) -> np.ndarray:
         bench.resonance])
 
 
-@njit(cache=True)
+@njit
 def anchor(k, leg):
     """Displacement of the rope's anchor on the leg, m: zero at 13 % of gait."""
     on = leg - KNEE_AT_FIT
     return k[K_ARM] * on + k[K_ARM2] * on * on
 
 
-@njit(cache=True)
+@njit
 def paid(k, encoder):
     """Rope at the drum, m, for the encoder's reading: without zero and slack, with what an eccentric drum adds."""
     return encoder - k[K_ZERO] + k[K_ECC] * (math.sin(encoder / k[K_DRUM] + k[K_PHASE]) - math.sin(k[K_PHASE]))
 
 
-@njit(cache=True)
+@njit
 def follow(k, leg, knee, load_nm, dt):
     """The leg's angle behind the knee motor's, `dt` later; `load_nm`: what pulls the leg towards extension."""
     half = 0.5 * k[K_PLAY]
@@ -70,20 +70,20 @@ def follow(k, leg, knee, load_nm, dt):
     return min(max(leg, knee - half), knee + half)
 
 
-@njit(cache=True)
+@njit
 def bristle(s, way):
     """Dahl's state after a way in units of its length."""
     sign = 1.0 if way >= 0.0 else -1.0
     return sign + (s - sign) * math.exp(-abs(way))
 
 
-@njit(cache=True)
+@njit
 def servo_friction(k, s, v):
     """The servo's friction at the rope, N."""
     return (k[K_COULOMB] * s * (1.0 + k[K_ASYM] * s) + k[K_VISCOUS] * (v + k[K_VISCOUS_ASYM] * abs(v)) + k[K_OFFSET])
 
 
-@njit(cache=True)
+@njit
 def move(m, k, servo_nm, knee_nm, start, middle):
     """Move servo, knee drive and leg by one step under held torques and the path's tensions."""
     dt = STEP_S
@@ -113,7 +113,7 @@ def move(m, k, servo_nm, knee_nm, start, middle):
     m[LEG_RATE] = rate
 
 
-@njit(cache=True)
+@njit
 def feel(m, k, z):
     """Let the bridges follow the tensions by one step: own lag, END's mass and filter, a cantilever that rings."""
     dt = STEP_S
@@ -132,9 +132,10 @@ def feel(m, k, z):
 
 
 def digest() -> int:
-    """A number of the family's sources: numba's cache does not see a change in an imported module."""
+    """A number of the compiled sources: numba's cache does not see a change in an imported module."""
     here = Path(__file__).parent
-    text = b"".join(path.read_bytes() for path in sorted(here.glob("*.py")) if not path.name.startswith("test_"))
+    laws = [here / f"{name}.py" for name in ("bench", "friction", "mechanics", "stretch")]
+    text = b"".join(path.read_bytes() for path in (*laws, *sorted(here.glob("path_*.py"))))
     return int.from_bytes(hashlib.sha256(text).digest()[:7], "big")
 
 

@@ -37,7 +37,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, looked_up, table
 
 SUBSTEP_S = 0.5e-3
@@ -71,7 +71,7 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[[Q1, Q2, OLD_W]] = w
 
 
-@njit(cache=True)
+@njit
 def turned(s, travel, delta):
     """(Dahl state after `travel`, its derivative): s → ±1 by e^(−|travel|/δ)."""
     sign = 1.0 if travel >= 0.0 else -1.0
@@ -79,15 +79,16 @@ def turned(s, travel, delta):
     return sign + (s - sign) * fade, (sign - s) * fade / delta * sign
 
 
-@njit(cache=True)
+@njit
 def balance(up, k_up, down, k_down, s, ds, exponent):
     """Force on a site, N, and its derivatives by the tension above, below (through stiffness) and the slip."""
     low, high = math.exp(-0.5 * s * exponent), math.exp(0.5 * s * exponent)
     force = up * low - down * high
-    return force, -k_up * low - k_down * high - 0.5 * exponent * ds * (up * low + down * high), k_down * high, k_up * low
+    own = -k_up * low - k_down * high - 0.5 * exponent * ds * (up * low + down * high)
+    return force, own, k_down * high, k_up * low
 
 
-@njit(cache=True)
+@njit
 def loose(p, weight, speed, loaded_n):
     """Drag of a site's own weight, N, and its derivative by speed; gone where the rope is taut."""
     size = p[LOOSE] * weight / (1.0 + loaded_n)
@@ -95,7 +96,7 @@ def loose(p, weight, speed, loaded_n):
     return size * t, size * (1.0 - t * t) / STILL_M_S
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`."""
     before = z[END]
@@ -121,7 +122,7 @@ def step(z, p, x, w, theta, dt):
         f2, a22, _, a21 = balance(t1, k_1 / torn, t2, k_2 / torn, s2, ds2, grip2)
         d1, c1 = loose(p, GRAVITY * mass, v1, t0 + t1)
         d2, c2 = loose(p, GRAVITY * mass, v2, t1 + t2)
-        grease = p[VISCOUS] * min(1.0, t0 + t1)
+        grease = p[VISCOUS] * greased(0.5 * (t0 + t1))
         r1 = f1 - mass * (v1 - z[V1]) / dt - (grease + light) * v1 - d1
         r2 = f2 - mass * (v2 - z[V2]) / dt - light * (v2 - surface) - d2
         j11, j22 = a11 * dt - mass / dt - grease - light - c1, a22 * dt - mass / dt - light - c2

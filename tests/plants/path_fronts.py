@@ -39,7 +39,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, looked_up, table
 
 SUBSTEP_S = 0.5e-3
@@ -73,7 +73,7 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[OLD_W] = w
 
 
-@njit(cache=True)
+@njit
 def pull(z, p, x, w, nodes, torn):
     """Set tension and stiffness of every element for the tried positions."""
     n1 = int(p[N1])
@@ -92,7 +92,7 @@ def pull(z, p, x, w, nodes, torn):
             z[t + e], z[t + nodes + 1 + e] = force, stiff / torn
 
 
-@njit(cache=True)
+@njit
 def unbalanced(z, p, moved_w, nodes, dt):
     """Set the force on every node and its derivatives by the positions; return the largest, N."""
     n1 = int(p[N1])
@@ -111,7 +111,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
         up, down = z[t + i], z[t + i + 1]
         k_up, k_down = z[t + nodes + 1 + i], z[t + nodes + 2 + i]
         weight = p[LOOSE] * GRAVITY * p[MASS] / nodes
-        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, up + down) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * greased(0.5 * (up + down)) if sheathed else 0.0)
         force = up * low - down * high - s * weight - drag * slip / dt
         z[OWN + 5 * nodes + i] = force
         z[OWN + 6 * nodes + i] = k_up * low
@@ -122,7 +122,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
     return worst
 
 
-@njit(cache=True)
+@njit
 def correct(z, nodes):
     """Solve the tridiagonal system (Thomas) and move the tried positions; return the largest move, m."""
     r, a, d, c, q = OWN + 5 * nodes, OWN + 6 * nodes, OWN + 7 * nodes, OWN + 8 * nodes, OWN + 9 * nodes
@@ -138,7 +138,7 @@ def correct(z, nodes):
     return far
 
 
-@njit(cache=True)
+@njit
 def grip(z, p, theta, nodes):
     """Set the limit of every node, as an exponent."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -150,7 +150,7 @@ def grip(z, p, theta, nodes):
             p, ratio, z[OWN + 2 * nodes + i])
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`."""
     n1 = int(p[N1])

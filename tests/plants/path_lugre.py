@@ -40,7 +40,7 @@ from tests.plants.bench import (
     START,
     VISCOUS,
 )
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import TABLE, TOP_N, looked_up, table
 
 SUBSTEP_S = 10e-6
@@ -51,7 +51,7 @@ SLOW = 10
 TABLES = FIRST, FIRST + TABLE + 1, FIRST + 2 * (TABLE + 1)
 MASSES = FIRST + 3 * (TABLE + 1)
 FABRIC_KG = 0.006
-DAMPING = 4.0
+DAMPING = 10.0
 """N·s/m of an element."""
 
 
@@ -80,13 +80,13 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[OLD_X], z[OLD_W] = x, w
 
 
-@njit(cache=True)
+@njit
 def damped(force, rate):
-    """Tension with damping, N: never pushing, damped by no more than half of it."""
-    return force + min(0.5 * force, max(-0.5 * force, DAMPING * rate))
+    """Tension with damping, N: never pushing, damped by at most as much."""
+    return force + min(force, max(-0.9 * force, DAMPING * rate))
 
 
-@njit(cache=True)
+@njit
 def pull(z, p, x, vx, w, vw, nodes, torn):
     """Set the tension of every element."""
     n1 = int(p[N1])
@@ -103,7 +103,7 @@ def pull(z, p, x, vx, w, vw, nodes, torn):
         z[t + i] = damped(force, z[v + i - 1] - rate)
 
 
-@njit(cache=True)
+@njit
 def refresh(z, p, theta, vw, nodes, dt):
     """Set grip and steady bristle state of every node for load and remembered speed, `dt` after the last time."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -117,7 +117,7 @@ def refresh(z, p, theta, vw, nodes, dt):
         z[OWN + 4 * nodes + i] = math.tanh(0.5 * exponent)
 
 
-@njit(cache=True)
+@njit
 def glide(z, p, vw, nodes, dt):
     """Move every node by `dt`."""
     n1 = int(p[N1])
@@ -128,7 +128,7 @@ def glide(z, p, vw, nodes, dt):
         normal = z[t + i] + z[t + i + 1]
         mass = p[MASSES + i]
         s = z[OWN + 2 * nodes + i]
-        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * min(1.0, normal) if sheathed else 0.0)
+        drag = p[LIGHT] / nodes + (p[VISCOUS] / n1 * greased(0.5 * normal) if sheathed else 0.0)
         rub = s * (z[OWN + 4 * nodes + i] * normal + p[LOOSE] * mass * GRAVITY / (1.0 + normal))
         v = z[OWN + nodes + i] + dt / mass * (
             z[t + i] - z[t + i + 1] - rub - drag * (z[OWN + nodes + i] - surface))
@@ -140,7 +140,7 @@ def glide(z, p, vw, nodes, dt):
         z[OWN + 2 * nodes + i] = s + (way - abs(way) * s / steady) / (1.0 + abs(way) / steady)
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`, both led there evenly, in substeps."""
     nodes = int(p[N1] + p[N2])

@@ -37,7 +37,7 @@ from tests.plants.bench import (
     VISCOUS,
 )
 from tests.plants.draws import stream
-from tests.plants.friction import age, breakaway, exponents, loaded, remembered, softer
+from tests.plants.friction import age, breakaway, exponents, greased, loaded, remembered, softer
 from tests.plants.stretch import stretch
 
 SUBSTEP_S = 1e-3
@@ -73,7 +73,7 @@ def settle(z: np.ndarray, p: np.ndarray, x: float, w: float) -> None:
     z[OLD_X] = x
 
 
-@njit(cache=True)
+@njit
 def climb(z, p, i, nodes, travel, force, delta, exponent, ratio, viscous, dt):
     """Tension above node `i` whose slip travel is `travel` and tension below is `force`."""
     cells = int(p[CELLS])
@@ -85,11 +85,11 @@ def climb(z, p, i, nodes, travel, force, delta, exponent, ratio, viscous, dt):
         s += p[FIRST + cells + j] * z[new + j]
     z[NODES + 2 * nodes + i] = travel
     grip = exponent * loaded(p, force) * breakaway(p, ratio, z[NODES + nodes + i])
-    grease = viscous * moved / dt * min(1.0, force)
+    grease = viscous * moved / dt * greased(force)
     return max(0.0, force * math.exp(s * grip) + grease)
 
 
-@njit(cache=True)
+@njit
 def shoot(z, p, end, w, theta, dt):
     """(rope needed at the drum, START, tension before the knee) for an END tension."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -107,9 +107,9 @@ def shoot(z, p, end, w, theta, dt):
     return travel + p[LEAD] * force, force, middle
 
 
-@njit(cache=True)
+@njit
 def find(z, p, x, w, theta, dt):
-    """Set START, MIDDLE and END for rope `x` at the drum: secant from the last slope, then false position (Illinois)."""
+    """Set START, MIDDLE and END for rope `x` at the drum: secant, then false position (Illinois)."""
     a = z[END]
     at, start, middle = shoot(z, p, a, w, theta, dt)
     f_a = at - x
@@ -141,7 +141,7 @@ def find(z, p, x, w, theta, dt):
     return True
 
 
-@njit(cache=True)
+@njit
 def step(z, p, x, w, theta, dt):
     """Move the path by `dt` to rope `x` at the drum and anchor `w`; tensions are in z[START], z[MIDDLE], z[END]."""
     n1, n2 = int(p[N1]), int(p[N2])
@@ -150,7 +150,8 @@ def step(z, p, x, w, theta, dt):
     first = NODES + 3 * nodes
     if find(z, p, x, w, theta, dt):
         for i in range(nodes):
-            z[NODES + nodes + i] = remembered(p, z[NODES + nodes + i], (z[NODES + 2 * nodes + i] - z[NODES + i]) / dt, dt)
+            slip = z[NODES + 2 * nodes + i] - z[NODES + i]
+            z[NODES + nodes + i] = remembered(p, z[NODES + nodes + i], slip / dt, dt)
             z[NODES + i] = z[NODES + 2 * nodes + i]
         z[first : first + nodes * cells] = z[first + nodes * cells : first + 2 * nodes * cells]
     else:

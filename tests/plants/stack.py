@@ -1,7 +1,7 @@
 """What of a family bench does not live in the plant: the drive's position loop, for a trial through the whole stack.
 
-The rule of this file: the plant's name carries serial, day and effects; the servo's loop is trimmed in the device, so it
-goes with the plant model.  Run with serial 0 of the product, which scatters nothing besides.
+The rule of this file: the plant's name carries serial, day and effects; the servo's loop is trimmed in the device, so
+it goes with the plant model.  Run with serial 0 of the product, which scatters nothing besides.
 """
 
 from __future__ import annotations

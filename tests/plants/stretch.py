@@ -16,7 +16,7 @@ TABLE = 2048
 TOP_N = 400.0
 
 
-@njit(cache=True)
+@njit
 def curved(force, kind, bend_n, power):
     """The curved part at `force`, N: parabola turned to its tangent, exponential, power law, toe."""
     if kind == 0:
@@ -30,7 +30,7 @@ def curved(force, kind, bend_n, power):
     return force / (1.0 + force / bend_n)
 
 
-@njit(cache=True)
+@njit
 def stretch(force, p):
     """Stretch of the whole fabric, m, at a force, N, without creep; below zero continued along its first slope."""
     if force < 0.0:
@@ -49,7 +49,7 @@ def table(p: np.ndarray, rope: float, share: float) -> np.ndarray:
     return np.append(np.interp(step * np.arange(TABLE), length, force), step)
 
 
-@njit(cache=True)
+@njit
 def looked_up(elongation, p, first):
     """(tension, N; stiffness, N/m) of the element whose table begins at `first` of `p`; both 0 where slack."""
     if elongation <= 0.0:

@@ -23,7 +23,7 @@ TICK_NS = 250_000
 
 def plain(implementation: str, serial: int = 2, **changes: float) -> Bench:
     """A bench without what is not capstan: no grease, no breakaway, no creep, no load slope, no play."""
-    none = {name: 0.0 for name in ("viscous", "creep", "load_slope", "play", "loose_viscous", "eccentricity")}
+    none = dict.fromkeys(("viscous", "creep", "load_slope", "play", "loose_viscous", "eccentricity"), 0.0)
     bench = draws.draw(serial, 0, implementation)
     return replaced(bench, **{**none, "sheath_ratio": 1.0, "fabric_ratio": 1.0, "presliding": 5e-5,
                               "fabric_presliding": 5e-5, **changes})
@@ -39,7 +39,7 @@ def pulled(bench: Bench, *turns: float, speed: float = 0.03) -> tuple[np.ndarray
 
 
 def led(plant: FamilyPlant, cuts_ns: list[int], until_ns: int = 400_000_000) -> list[tuple[float, ...]]:
-    """What a plant says at each drive tick while the rope is wound in and let go; also asked at `cuts_ns` in between."""
+    """What a plant says at each drive tick while rope is wound in and let go; also asked at `cuts_ns` in between."""
     said = [tuple(plant.reset(0))]
     for tick in range(TICK_NS, until_ns + 1, TICK_NS):
         pull = 0.8 if tick < until_ns // 2 else -0.1

@@ -42,7 +42,7 @@ def make(controller: str, folder: Path) -> None:
 def main() -> None:
     """Make all of them."""
     sys.path.insert(0, str(Path(__file__).parents[2]))
-    from master.settings import CONTROLLERS
+    from master.control.controller import CONTROLLERS
 
     FOLDER.mkdir(exist_ok=True)
     with TemporaryDirectory() as folder:

@@ -13,7 +13,8 @@ import pytest
 
 from bowden.recorded import experiment
 from bowden.replay.onto_controller import OUTPUTS, replay, walked
-from master.settings import CONTROLLERS, Impedance
+from master.control.controller import CONTROLLERS
+from master.settings import Impedance
 from parameters import InputError
 from trial.assemble import Content, write
 from trial.read import Trial

@@ -12,7 +12,7 @@ import pytest
 
 from bowden.recorded import experiment
 from bowden.replay.onto_controller import OUTPUTS, step_again, walked
-from master.settings import CONTROLLERS
+from master.control.controller import CONTROLLERS
 from trial import read
 
 FOLDER = Path(__file__).parent / "golden"

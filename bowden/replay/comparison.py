@@ -1,0 +1,31 @@
+"""What a replay compared with the recording: the parts that every comparison has.
+
+The rule of this file: a comparison is bit for bit; it counts what differs by name and keeps the first difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Generic, TypeVar
+
+Difference = TypeVar("Difference")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison(Generic[Difference]):
+    """`differing`: how many of each name differ; `first`: the first difference, None where there is none."""
+
+    differing: Mapping[str, int]
+    first: Difference | None
+
+    @property
+    def same(self) -> bool:
+        """Everything compared is as recorded, bit for bit."""
+        return self.first is None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it with nothing that JSON lacks."""
+        told = asdict(self)
+        ends = {name: told.pop(name) for name in ("differing", "first")}
+        return {"same": self.same, **told, **ends}

@@ -1,0 +1,79 @@
+"""The five controllers of this project, as the plug-ins that they are.
+
+The rule of this file: it joins the pure steps of `paper` and `extended` to `Controller` and holds no law.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from master.control import extended, paper
+from master.control.controller import Conditions, Controller
+from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.gait_table import GaitTable
+from physics.calibration import Calibration
+
+
+class _OfThePaper(Controller[paper.State]):
+    """The table of `paper`: friction in the feedforward or not, impedance on the estimated END force or not."""
+
+    compensates: ClassVar[bool]
+    listens: ClassVar[bool]
+
+    def __init__(self, model: Calibration, gait: GaitTable, conditions: Conditions) -> None:
+        self._config = paper.configure(
+            model, gait, conditions.impedance, compensates=self.compensates, listens=self.listens)
+
+    def initial(self) -> paper.State:
+        """Return no deviation."""
+        return paper.State()
+
+    def step(self, seen: ControllerInput, state: paper.State) -> tuple[Outputs, paper.State, Trace]:
+        """Return one control cycle (`paper.step`)."""
+        return paper.step(seen, state, self._config)
+
+
+class Uncompensated(_OfThePaper):
+    """Stretch and swing fed forward, nothing else."""
+
+    compensates, listens = False, False
+
+
+class FrictionCompensation(_OfThePaper):
+    """Friction in the feedforward."""
+
+    compensates, listens = True, False
+
+
+class ImpedanceLaw(_OfThePaper):
+    """The impedance law on the estimated END force."""
+
+    compensates, listens = False, True
+
+
+class PaperController(_OfThePaper):
+    """Both: the paper's compensated impedance controller."""
+
+    compensates, listens = True, True
+
+
+class ExtendedController(Controller[extended.State]):
+    """The controller beyond the paper (`extended`).
+
+    It undoes the drive's lag, so that the rope follows the knee and two thirds of the idle slack are enough.
+    """
+
+    slack_share = 2.0 / 3.0
+    uses_homing_fit = True
+
+    def __init__(self, model: Calibration, gait: GaitTable, conditions: Conditions) -> None:
+        self._config = extended.configure(model, conditions.homing, gait, conditions.impedance)
+        self.ahead = self._config.ahead
+
+    def initial(self) -> extended.State:
+        """Return the memory before the first gait cycle."""
+        return extended.State(self._config.law)
+
+    def step(self, seen: ControllerInput, state: extended.State) -> tuple[Outputs, extended.State, Trace]:
+        """Return one control cycle (`extended.step`)."""
+        return extended.step(seen, state, self._config)

@@ -1,0 +1,193 @@
+"""The library: docs/library.md and docs/controllers.md run against the installed wheel, and what a caller relies on."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bowden
+from bowden.progress import Silent
+from trial.mcap_file import cdr
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("bowden", "diagnosis", "eds", "master", "nodes", "parameters", "physics", "trial", "virtual_bus")
+SHORT = bowden.Experiment(period_s=0.6, cycles=1, settle=0)
+MORE = """
+import numpy as np
+assert trial.outcome == again.outcome == after.outcome == "completed", (trial, again, after)
+assert np.array_equal(frame["tension_start_n"], start) and start.dtype == np.float64
+assert frame.attrs["units"]["tension_start_n"] == "N"
+assert trial.digest() == again.digest()
+assert trial.metadata["controller"] == "extended" and "calibration.toml" in trial.attachments
+assert "peak_n" in refused
+assert model.bench == "virtual 3"
+assert found.verdict == "found" and [cause["effect"] for cause in found.causes] == ["start_gain"], found
+assert simulation.residuals["tension_start_n"].shape == simulation.time_ns.shape
+assert after.metadata["controller_model"] == "start_gain"
+assert len(digests) == 1
+"""
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """The code blocks of a page."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel of this source tree in it, made without a network."""
+    place = tmp_path_factory.mktemp("wheel")
+    source, installed = place / "source", place / "site"
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / name, source / name)
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-index", "--no-build-isolation", "--no-deps", "-w", str(place), str(source)],
+                   check=True, capture_output=True)
+    subprocess.run([*pip, "install", "--no-index", "--no-deps", "--target", str(installed),
+                    *map(str, place.glob("*.whl"))], check=True, capture_output=True)
+    return installed
+
+
+def outside(site: Path, folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in a folder outside the repository, with the installed wheel."""
+    told = subprocess.run([sys.executable, "-W", "error", *command], cwd=folder, capture_output=True, text=True,
+                          env={**os.environ, "PYTHONPATH": str(site), "PYTHONSAFEPATH": "1"}, check=False)
+    assert told.returncode == 0, told.stderr
+    return told
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_outside_the_repository_against_the_installed_wheel(site: Path, tmp_path: Path) -> None:
+    code = "\n".join(blocks("library.md", "python"))
+    check = f"import bowden, pathlib\nassert pathlib.Path(bowden.__file__).is_relative_to({str(site)!r})\n"
+    told = outside(site, tmp_path, "-c", check + code + MORE)
+    assert told.stderr == ""
+    made = sorted(path.name for path in tmp_path.iterdir())
+    assert made == ["calibration.toml", "diagnosis.html", "trial.html", "trial.mcap"]
+
+
+@pytest.mark.slow
+def test_the_controller_of_the_page_runs_and_replays_bit_for_bit(site: Path, tmp_path: Path) -> None:
+    (code,), (commands,) = blocks("controllers.md", "python"), blocks("controllers.md", "sh")
+    assert len(code[code.index("class "):].splitlines()) <= 20
+    (tmp_path / "integral.py").write_text(code, encoding="utf-8")
+    for line in commands.splitlines():
+        said = outside(site, tmp_path, str(site / "bin" / "bowden"), *line.split()[1:], "--json")
+    assert '"same": true' in said.stdout
+    trial = bowden.Trial(tmp_path / "integral.mcap")
+    assert trial.units["lacking_force_n"] == "N"
+    assert np.nanmax(trial.columns["lacking_force_n"]) > 1.0
+    assert np.isnan(trial.columns["lacking_force_n"][0])
+
+
+def test_the_packages_are_typed_and_the_names_are_there() -> None:
+    folders = {path.parent for package in PACKAGES for path in (ROOT / package).rglob("__init__.py")}
+    assert [folder for folder in folders if not (folder / "py.typed").exists()] == []
+    assert set(bowden._HOMES) == set(bowden.__all__) <= set(dir(bowden))
+    assert all(getattr(bowden, name) is not None for name in bowden.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        bowden.nothing  # noqa: B018
+
+
+def test_the_contract_against_the_command_line_names_every_part_of_the_library() -> None:
+    linter = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    (named,) = (set(contract["source_modules"]) for contract in linter["contracts"]
+                if "bowden.cli" in contract.get("forbidden_modules", ()))
+    parts = {path.stem for path in (ROOT / "bowden").iterdir()
+             if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {f"bowden.{part}" for part in parts - {"__init__", "cli"}} | set(PACKAGES) - {"bowden"} == named
+
+
+def test_importing_it_imports_nothing_heavy() -> None:
+    code = "import bowden, sys; print(sorted({'numpy', 'typer', 'can', 'canopen', 'numba'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_nothing_is_printed_and_a_temporary_trial_is_removed_with_its_object(capfd: pytest.CaptureFixture[str]) -> None:
+    trial = bowden.run(SHORT)
+    folder = trial.path.parent
+    columns = trial.columns
+    assert len(columns["time_s"]) == len(trial) == len(trial.time_ns)
+    assert capfd.readouterr() == ("", "")
+    del trial
+    gc.collect()
+    assert not folder.exists()
+    assert np.isfinite(columns["time_s"]).all()
+
+
+def test_progress_is_handed_in() -> None:
+    shares: list[float] = []
+
+    class Heard(Silent):
+        @contextmanager
+        def running(self, what: str) -> Iterator[Callable[[float], None]]:
+            yield shares.append
+
+    bowden.run(SHORT, progress=Heard())
+    assert shares == sorted(shares)
+    assert 0.0 < shares[-1] <= 1.0
+
+
+@pytest.mark.parametrize(("call", "says"), [
+    (lambda: bowden.run(bowden.Experiment(cycles=0)), "cycles"),
+    (lambda: bowden.run(bowden.Experiment(name="dance")), "dance"),
+    (lambda: bowden.run(bowden.Experiment(controller="no_such:Thing")), "no_such:Thing"),
+    (lambda: bowden.run(bowden.Experiment(model="none.toml")), "none.toml"),
+    (lambda: bowden.run(SHORT, output="/none/trial.mcap"), "/none"),
+    (lambda: bowden.run(SHORT, bus=bowden.bus("no_such_interface", "can0")), "no_such_interface"),
+    (lambda: bowden.simulated(serial=-1), "serial -1"),
+    (lambda: bowden.bus("bowden"), "bowden.simulated"),
+    (lambda: bowden.Trial("none.mcap"), "none.mcap"),
+    (lambda: bowden.identify("everything"), "everything"),
+    (lambda: bowden.identify(trials=["a.mcap"], bus=bowden.simulated()), "without a bus"),
+    (lambda: bowden.Diagnosis().fit("none.mcap"), "none.mcap"),
+    (lambda: bowden.Diagnosis().diagnose([]), "no trial"),
+])
+def test_bad_input_is_one_sentence(call: Callable[[], object], says: str, tmp_path: Path,
+                                   monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(bowden.InputError) as raised:
+        call()
+    assert says in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    from diagnosis.finder import diagnose
+    from diagnosis.problem import healthy_trials
+
+    fits: list[Any] = []
+    fit = healthy_trials.fit_healthy
+    monkeypatch.setattr(healthy_trials, "fit_healthy", lambda *given: fits.append(given) or fit(*given))
+    walk = bowden.Experiment(period_s=1.1, cycles=3, settle=0)
+    trials = [bowden.run(walk, bus=bowden.simulated(serial=2, seed=seed)) for seed in range(3)]
+    finder = bowden.Diagnosis().fit(trials[0])
+    told = [finder.diagnose(trial).as_json() for trial in trials[1:]]
+    assert len(fits) == 1
+    alone = diagnose([trials[2].path], healthy=[trials[0].path])
+    assert alone.as_json() == told[1]
+
+
+def test_the_cycle_of_a_packaged_controller_has_no_column_more() -> None:
+    trial = bowden.run(SHORT)
+    with trial.path.open("rb") as file:
+        assert cdr.CYCLE.encode() in file.read()
+    from trial.signals import COLUMNS
+
+    assert tuple(trial.columns) == COLUMNS
