@@ -1,6 +1,6 @@
 """model.toml: the constants of one bench as `fit` found them, each with its interval; and the fit that finds them.
 
-The rule of this file: `[constants.NAME]` is what relations and simulation run on, `[scalars.NAME]` the same as a
+The rule of this file: `[constants.NAME]` is what relations and simulation run on, `[parameters.NAME]` the same as a
 calibration, `[effects.NAME]` may stand beside them as a diagnosis writes it; a constant that the data do not determine
 says so and keeps what was known beforehand.
 """
@@ -114,7 +114,7 @@ def read(path: str | Path) -> FittedBench:
     """Read a model.toml; raises `InputError` for an unknown table, constant or effect, or a value that is no number."""
     given = read_toml(Path(path))
     for name in given:
-        if name not in (BENCH, EVIDENCE, TABLE, "found", "version", "bench", "scalars"):
+        if name not in (BENCH, EVIDENCE, TABLE, "found", "version", "bench", "scalars", "parameters"):
             raise InputError(f"{path}: unknown table {name}; expected [{BENCH}.NAME] as bowden fit writes it.")
     rows = given.get(BENCH, {})
     if not isinstance(rows, Mapping) or not (rows or given.get(TABLE)):

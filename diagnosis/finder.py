@@ -146,8 +146,8 @@ class Finder:
                 *warnings])
         unfit = _unfit(settled)
         if unfit:
-            return Diagnosis("refused", warnings=[f"{t}; healthy: {', '.join(h.source for h in healthy)}" for t in unfit]
-                             + warnings)
+            named = ", ".join(h.source for h in healthy)
+            return Diagnosis("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
         if carried.told and not settled.any_rig and not _other_rig(settled):
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
@@ -199,9 +199,9 @@ def _unfit(settled: problem.Setting) -> list[str]:
     for name in ("friction", "elasticity", "kinematics"):
         left, spread = settled.learnt.plain.get(name, 0.0), settled.learnt.spread.get(name, 0.0)
         if left > UNFIT * spread:
-            told.append(f"the healthy trials do not fit: {name} leaves {left:.3g} of {spread:.3g} {RELATIONS[name].unit} "
-                        f"({100.0 * left / spread:.0f} %; expected below {100.0 * UNFIT:.0f} %); give healthy trials of "
-                        "this bench, recorded as these are, with rope and knee moving, or none")
+            told.append(f"the healthy trials do not fit: {name} leaves {left:.3g} of {spread:.3g} "
+                        f"{RELATIONS[name].unit} ({100.0 * left / spread:.0f} %; expected below "
+                        f"{100.0 * UNFIT:.0f} %); give healthy trials of this bench, recorded as these are, or none.")
     return told
 
 

@@ -166,6 +166,6 @@ def rms(tables: Sequence[Table], values: Values) -> float | None:
 def slots() -> tuple[str, ...]:
     """Return the names of the values that the simulation reads."""
     other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash",
-             "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter",
-             "timestamp_skew")
+             "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay",
+             "end_filter", "timestamp_skew")
     return tuple(n for n in RELATION_PARAMETERS if n in NAMED or n in other)

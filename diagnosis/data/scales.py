@@ -40,13 +40,13 @@ def contradictions(given: Table) -> Iterator[Finding]:
     spans = [float(np.ptp(v[known])) for v in (start, end)] if known.any() else [0.0, 0.0]
     for name, mine, other, beside in ((held[0], spans[0], spans[1], held[1]), (held[1], spans[1], spans[0], held[0])):
         if other > LOADED_N and mine < READS_NOTHING * other:
-            yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: it reads "
-                          "nothing; leave the column out, or record the trial again.", True)
+            yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: it "
+                          "reads nothing; leave the column out, or record the trial again.", True)
             return
-    if known.any() and min(spans) > 0.0 and float(np.mean(start[known] == end[known])) > EQUAL:
-        yield Finding(f"{given.source}: tension_end_n equals tension_start_n in "
-                      f"{100.0 * float(np.mean(start[known] == end[known])):.1f} % of the rows: one is a copy of the other; "
-                      "leave tension_end_n out, or record it.", True)
+    equal = float(np.mean(start[known] == end[known])) if known.any() else 0.0
+    if min(spans) > 0.0 and equal > EQUAL:
+        yield Finding(f"{given.source}: tension_end_n equals tension_start_n in {100.0 * equal:.1f} % of the rows: one "
+                      "is a copy of the other; leave tension_end_n out, or record it.", True)
 
 
 def rope_per_knee(given: Table) -> float | None:
@@ -62,9 +62,10 @@ def rope_per_knee(given: Table) -> float | None:
     return float(np.polyfit(angle[known], rope[known], 1)[0])
 
 
-def against_bench(trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None
-                  ) -> Iterator[Finding]:
-    """Yield the trials whose rope or knee is counted otherwise than on the bench that healthy trials or scalars tell."""
+def against_bench(
+    trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None,
+) -> Iterator[Finding]:
+    """Yield the trials whose rope or knee is counted otherwise than on the known bench."""
     told = [r for r in map(rope_per_knee, healthy) if r is not None]
     if told:
         known, where = float(np.median(told)), "in the healthy trials"
@@ -80,11 +81,11 @@ def against_bench(trials: Sequence[Table], healthy: Sequence[Table], calibration
             continue
         factor = abs(mine / known)
         if mine * known < 0.0 and 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
-            yield Finding(f"{given.source}: knee_angle_rad has the other sign than {where} ({mine:.4g} m of rope per rad, "
-                          f"expected about {known:.4g}); flexion is negative: turn the column's sign.", True)
+            yield Finding(f"{given.source}: knee_angle_rad has the other sign than {where} ({mine:.4g} m of rope per "
+                          f"rad, expected about {known:.4g}); flexion is negative: turn the column's sign.", True)
         elif told and not 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
             near = min(UNITS, key=lambda u: abs(np.log(factor / u)))
             probably = f", probably {UNITS[near]}" if abs(np.log(factor / near)) < 0.4 else ""
-            yield Finding(f"{given.source}: servo_position_m moves {factor:.3g} times as far per knee angle as {where}"
-                          f"{probably}; positions are in metres: divide the column by {near if probably else factor:.3g}.",
-                          True)
+            yield Finding(f"{given.source}: servo_position_m moves {factor:.3g} times as far per knee angle as "
+                          f"{where}{probably}; positions are in metres: divide the column by "
+                          f"{near if probably else factor:.3g}.", True)

@@ -74,7 +74,8 @@ class Judge:
         base = self.search.baseline
         for n, share in verdict.cut(lesser, model).items():
             left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
-            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < verdict.MISMATCH_ELSEWHERE * base.by_relation[n]:
+            least = verdict.MISMATCH_ELSEWHERE * base.by_relation[n]
+            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < least:
                 continue
             if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
                 return True
@@ -87,6 +88,9 @@ class Judge:
 
     def _unlike(self, effect: Candidate, model: Model) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
+        if not any(abs(model.fit.values[f.name] - self.search.start[f.name])
+                   > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
+            return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         banded = [bands[f.name] for f in effect.frees if f.name in bands]
         if banded:
@@ -207,16 +211,20 @@ class Judge:
         named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
                  for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
         # what was named is not smaller than what could have been
-        return {limit.effect: {"parameter": limit.parameter, "unit": limit.unit, "value": limit.size if (
-            limit.parameter not in named or limit.size is None) else min(limit.size, named[limit.parameter])}
-                for limit in sight(self.setting, self.found.baseline.fit)}
+        told = {}
+        for limit in sight(self.setting, self.found.baseline.fit):
+            size = limit.size
+            if size is not None and limit.parameter in named:
+                size = min(size, named[limit.parameter])
+            told[limit.effect] = {"parameter": limit.parameter, "value": size, "unit": limit.unit}
+        return told
 
     def on_bounds(self) -> list[str]:
         """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""
         if self._strange():
             return []
         values = self.found.best.fit.values
-        return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}: it is at least as far off, not measured."
+        return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}; it is not measured."
                 for c in self.found.best.effects for f in c.frees
                 if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * (f.high - f.low)]
 

@@ -26,15 +26,16 @@ Values = Mapping[str, float]
 
 def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials
            ) -> dict[str, Any] | None:
-    """Return `before_rms_n`, `after_rms_n` and `on` (holdout, or unseen cycles); None where nothing can be simulated."""
+    """Return `before_rms_n`, `after_rms_n` and what they are `on`; None where nothing can be simulated."""
     setting = judge.setting
-    if setting.any_rig or (setting.learnt is None and setting.reference.kind == "healthy") or not any(simulated.can(t) for t in (holdout or trials)):
+    elsewhere = setting.any_rig or (setting.learnt is None and setting.reference.kind == "healthy")
+    if elsewhere or not any(simulated.can(t) for t in (holdout or trials)):
         return None
     base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
     before, after = judge.found.baseline, judge.found.best
     if holdout:
-        told = [simulation.rms([t for t in holdout if simulated.can(t)], _moved(base, setting.reference.values, m.fit.values))
-                for m in (before, after)]
+        ahead = [t for t in holdout if simulated.can(t)]
+        told = [simulation.rms(ahead, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
         return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "holdout"}
     told = [_unseen(judge, m, trials, base) for m in (before, after if after.effects else before)]
     return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "cycles that the fit has not seen"}

@@ -50,6 +50,8 @@ STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
 OPEN: Final = 0.1
 """Excess of a relation over its healthy χ², in that, from which a further effect is looked for."""
+CERTAIN: Final = 2.0
+"""Departure from the healthy value, in 1σ of the fit, below which a value says nothing."""
 MATERIAL: Final = 0.5
 """Departure from absence that is a find, of the least that the catalogue expects (of a tenth of its largest, where
 absence lies among what is expected)."""

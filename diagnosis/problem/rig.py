@@ -46,8 +46,9 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched:
     floors = {n: rmse(r) for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked) if b.keep.size]
-    return Setting(False, relations.allowed(trials), checked, blocks, folds_of(np.concatenate([b.cycle for b in blocks])),
-                   reference, reference.values, weights, floors, candidates(checked, reference.values, nuisance, True))
+    folds = folds_of(np.concatenate([b.cycle for b in blocks]))
+    return Setting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values, weights, floors,
+                   candidates(checked, reference.values, nuisance, True))
 
 
 def _band(f: Free, values: Sequence[float]) -> Free:

@@ -1,4 +1,4 @@
-"""Hidden cases on the family of `tests.plants`: any structure, any constants, unequal noise and rates, by serial and seed.
+"""Hidden cases on the family of `tests.plants`: any structure and constants, unequal noise and rates, by serial, seed.
 
 The rule of this file: a job says everything; what is hidden is drawn by the family and never handed to the finder; each
 trial is of a like bench of its own, within the tolerance of like benches; whether a case counts the oracle says.
