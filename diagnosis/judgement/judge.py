@@ -211,7 +211,7 @@ class Judge:
         named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
                  for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
         # what was named is not smaller than what could have been
-        told = {}
+        told: dict[str, Mapping[str, Any]] = {}
         for limit in sight(self.setting, self.found.baseline.fit):
             size = limit.size
             if size is not None and limit.parameter in named:

@@ -283,7 +283,7 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
             if not block.keep.size:
                 continue
             rests[name].append(block.residual(alone))
-            spread[name].append(block.signals[block.relation.output][block.keep])
+            spread[name].append(_known(block.signals[block.relation.output]))
             at[name].append(discrepancy.features(block.signals, moved.values)[block.keep])
             groups[name].append(np.full(block.keep.size, i, dtype=np.intp) if len(trials) > 1 else block.cycle)
     plain = {n: rmse(r) for n, r in rests.items() if r}
@@ -297,6 +297,10 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
             lengths[n] = max(correlated(left), LEAST_CORRELATION_LENGTH)
     return Learnt(moved, _sigmas(together), floors, plain,
                   {n: float(np.std(np.concatenate(s))) for n, s in spread.items() if s}, lengths, learnt, len(trials))
+
+
+def _known(values: Array) -> Array:
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _motion(relation: str) -> bool:

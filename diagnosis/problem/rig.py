@@ -47,8 +47,9 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched:
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked) if b.keep.size]
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
-    return Setting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values, weights, floors,
-                   candidates(checked, reference.values, nuisance, True))
+    offered = candidates(checked, reference.values, nuisance, True)
+    return Setting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values, weights,
+                   floors, offered)
 
 
 def _band(f: Free, values: Sequence[float]) -> Free:
