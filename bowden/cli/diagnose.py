@@ -174,6 +174,11 @@ def _all_nominal(trials: list[Path]) -> bool:
 
 def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
     figure = terminal.number
+    told = found.simulation
+    if told is not None:
+        after = f", {figure(told['after_rms_n'])} N with what was found" if found.causes else ""
+        print(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
+              f"(on {told['on']}).")
     if unmeasured and found.verdict in ("found", "ambiguous"):
         print("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
               "itself cannot be told from what is wrong with it.\nNo cause is named on this footing; --json lists the "

@@ -88,7 +88,7 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
     try:
         bringup.bring_up(link, described, exchange.log)
         link.emergencies.clear()
-        link.watch = BusWatch(described)
+        link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:
         return StopError(Condition.REFUSED, str(error))
     except (bringup.RefusedError, SdoError, StopError) as error:
