@@ -52,8 +52,9 @@ def main() -> None:
         for job in jobs(kind, given.aside):
             told.append(answer(job, judged=not given.no_oracle))
             a = told[-1]
-            print("right" if a.right else "WRONG" if a.wrong else "  not", kind, job.serial, *job.hidden, "→", a.verdict,
-                  ", ".join(a.rivals), "" if a.counts else "(does not count)", flush=True)
+            said = "right" if a.right else "WRONG" if a.wrong else "  not"
+            print(said, kind, job.serial, *job.hidden, "→", a.verdict, ", ".join(a.rivals),
+                  "" if a.counts else "(does not count)", flush=True)
         table.append(row(kind, told))
     print("structure | right class | first name | wrong name | false alarms | unexplained | outside, named")
     print(*table, sep="\n")
