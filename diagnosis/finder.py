@@ -47,9 +47,9 @@ class Diagnosis:
     seconds: float | None = None
     lowpass_hz: float | None = None
     reference: str = "none"
-    simulation: dict[str, Any] | None = None
     found: Found | None = field(default=None, repr=False)
     split: bool = False
+    simulation: dict[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return what `bowden diagnose --json` prints: undefined is None."""
