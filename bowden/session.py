@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bowden import output_files
 from bowden.buses import BusSettings, opened
@@ -24,12 +24,24 @@ from trial.signals import INDEX, SIGNALS, Signal
 if TYPE_CHECKING:
     from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
+    from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.calibration import Calibration
     from physics.reference import Reference
     from trial.record import Recorder
+
+
+class Watch(Protocol):
+    """Who sees a trial while it is recorded."""
+
+    def beside(self, recording: Sink) -> Sink:
+        """Return a recorder that records in `recording` and shows what it records."""
+
+    def ended(self, sentence: str) -> None:
+        """Take how the trial ended."""
+
 
 CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
 
@@ -137,9 +149,12 @@ def known_effects(controller_model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, watch: Watch | None = None,
 ) -> dict[str, Any]:
-    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
+
+    `watch` sees what is recorded while it is (the live page).
+    """
     from bowden import figures as report
     from bowden import provenance
     from master.network.link import Link
@@ -158,12 +173,15 @@ def perform(
                             signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
         with progress.running("trial") as update, bus.host() as refused:
-            sink = Watched(recorder, update, prepared.laps)
+            sink: Sink = Watched(recorder, update, prepared.laps)
+            sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
             result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
+        if watch is not None:
+            watch.ended(result.stop_reason or result.outcome)
     kept = recorder.failure is None
     figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
     if picture is not None and kept:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
+
+Web = Annotated[str | None, typer.Option(
+    metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
 
 
 @app.command()
@@ -27,10 +33,13 @@ def trial(
     reached: Bus,
     config: options.Config = None,
     picture: options.Picture = None,
+    web: Web = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Run one experiment and record it.
+
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
@@ -45,9 +54,20 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    result = session.perform(prepared, output, picture, overwrite=overwrite, progress=terminal.Terminal(shown=not json))
+    with _page(web, output.name, sections["network"]) as watch:
+        result = session.perform(prepared, output, picture, overwrite=overwrite,
+                                 progress=terminal.Terminal(shown=not json), watch=watch)
     terminal.emit(result) if json else _show(result, output, picture)
     return 0 if result["outcome"] == "completed" else 1
+
+
+def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Any]:
+    """The live page of the trial, None where none was asked for."""
+    if web is None:
+        return nullcontext()
+    from bowden.live import feeds
+
+    return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
 
 
 FORCE_FIGURES = (

@@ -23,6 +23,7 @@ from master.cycle.guard import Guard
 from master.cycle.log import Log, Sink
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
+from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
@@ -128,10 +129,13 @@ def _establish(exchange: Exchange) -> None:
 
 @contextmanager
 def interruption() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C as a question asked every few cycles, so that it never tears one; a second one interrupts at once."""
+    """Ctrl-C as a question asked every few cycles, so that it never tears one; a second one interrupts at once.
+
+    A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is.
+    """
     pressed = False
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield lambda: bool(requested())
         return
 
     def press(number: int, frame: object) -> None:
@@ -142,7 +146,7 @@ def interruption() -> Iterator[Callable[[], bool]]:
 
     before = signal.signal(signal.SIGINT, press)
     try:
-        yield lambda: pressed
+        yield lambda: pressed or bool(requested())
     finally:
         signal.signal(signal.SIGINT, before)
 
