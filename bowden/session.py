@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bowden import output_files
 from bowden.buses import BusSettings, opened
@@ -23,12 +23,24 @@ from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
     from master.control.effect_correction import Effects
+    from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.record import Recorder
+
+
+class Watch(Protocol):
+    """Who sees a trial while it is recorded."""
+
+    def beside(self, recording: Sink) -> Sink:
+        """Return a recorder that records in `recording` and shows what it records."""
+
+    def ended(self, sentence: str) -> None:
+        """Take how the trial ended."""
+
 
 CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
 
@@ -153,11 +165,12 @@ def known_effects(model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT, announce: str = "",
+    progress: Progress = SILENT, announce: str = "", watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
 
-    `announce` is remarked when the bus is open, before anything is sent.
+    `announce` is remarked when the bus is open, before anything is sent; `watch` sees what is recorded while it is
+    (the live page).
     """
     from bowden import figures as report
     from bowden import provenance
@@ -180,12 +193,15 @@ def perform(
         if announce:
             progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
-            sink = Watched(recorder, update, prepared.laps)
+            sink: Sink = Watched(recorder, update, prepared.laps)
+            sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
             result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
+        if watch is not None:
+            watch.ended(result.stop_reason or result.outcome)
     if result.stop_reason is not None and never_ran(output):
         for path in (output, truth):
             if path is not None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
@@ -11,6 +14,9 @@ from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
 
 if TYPE_CHECKING:
     from bowden.buses import BusSettings
+
+Web = Annotated[str | None, typer.Option(
+    metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
 
 
 @app.command()
@@ -30,10 +36,13 @@ def trial(
     reached: Bus,
     config: options.Config = None,
     picture: options.Picture = None,
+    web: Web = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Run one experiment and record it.
+
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
@@ -53,8 +62,10 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    result = session.perform(prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
-                             progress=terminal.Terminal(shown=not json))
+    with _page(web, output.name, sections["network"]) as watch:
+        result = session.perform(
+            prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
+            progress=terminal.Terminal(shown=not json), watch=watch)
     if json:
         terminal.emit(result)
     elif result["trial"] is None:
@@ -70,6 +81,15 @@ def _where(chosen: BusSettings) -> str:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
         return f"SIMULATED bench, {told}; --interface names a real bus."
     return f"bench on {chosen.told}."
+
+
+def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Any]:
+    """The live page of the trial, None where none was asked for."""
+    if web is None:
+        return nullcontext()
+    from bowden.live import feeds
+
+    return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
 
 
 FORCE_FIGURES = (

@@ -25,6 +25,7 @@ from master.cycle.guard import Guard
 from master.cycle.log import Log, Sink
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
+from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
 from master.network.link import Link, LinkError
@@ -169,11 +170,12 @@ def interruption() -> Iterator[Callable[[], int]]:
     """Ctrl-C and its like as a question asked every few cycles, so that none tears one.
 
     What is yielded gives the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts at once.
+    A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is.
     A signal that this process was told to ignore (nohup) stays ignored.
     """
     asked = 0
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: 0
+        yield requested
         return
 
     def press(number: int, frame: object) -> None:
@@ -187,7 +189,7 @@ def interruption() -> Iterator[Callable[[], int]]:
     for number in taken:
         signal.signal(number, press)
     try:
-        yield lambda: asked
+        yield lambda: asked or requested()
     finally:
         for number in taken:
             signal.signal(number, before[number])
