@@ -113,9 +113,19 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
 
 
 def _scalars(text: str) -> dict[str, Any]:
-    import tomllib
+    """Value, interval and R² of every scalar of a calibration's text."""
+    from physics import calibration
 
-    return dict(tomllib.loads(text)["scalars"])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "calibration.toml")
+        path.write_text(text, encoding="utf-8")
+        read_back = calibration.read(path)
+    told: dict[str, Any] = {}
+    for name in calibration.scalars():
+        value, proof = getattr(read_back, name), read_back.evidence.get(name)
+        low, high = (proof.low, proof.high) if proof is not None and math.isfinite(proof.low) else (value, value)
+        told[name] = {"value": value, "interval": [low, high], "r_squared": proof.r_squared if proof else math.nan}
+    return told
 
 
 def _needs(kind: str, serial: int, peak: float) -> float:
@@ -312,7 +322,7 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
             apart.append(abs(value - true) / max(abs(true), 1e-9))
         met = "met" if inside >= 0.9 * len(identified) else "**not met**"
         rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %", met])
-    squares = {name: [b["calibration"][name].get("r_squared", math.nan) for b in identified]
+    squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
                for name in ("stiffness_b", "swing_k")}
     return table(("constant", "within", "median error", "90 % of the benches"), rows) + (
         f"\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "
