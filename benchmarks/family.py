@@ -3,8 +3,9 @@
     python -m benchmarks.family [--set-aside] [--serials 0,1,3] [--own 1,3] [--workers N] [--page]
 
 The rule of this file: a bench is identified on day 0 and walked on day 1, through the wire, by the controller as it
-ships; each bench is a row of out/family-*.csv, so that what was interrupted goes on.  Serials with serial % 3 == 2 are
-set aside: nothing is tuned on them, they are run once, by --set-aside.  `--page` prints the tables of what there is.
+ships; each bench is a row of docs/unseen.csv, so that what was interrupted goes on, and docs/unseen.md is made from it
+alone (`--page` does only that).  Serials with serial % 3 == 2 are set aside: nothing is tuned on them, they are run
+once, by --set-aside.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-OUT = ROOT / "out"
+DOCS = ROOT / "docs"
 PEAKS_N = (40.0, 50.0, 60.0)
 PERIODS_S = (2.0, 1.1)
 CYCLES, SETTLE = 9, 7
@@ -37,13 +38,17 @@ DRIVE_N = 88.0
 DEVELOPMENT = (0, 1, 3, 4, 6, 7, 10, 13, 15, 19, 22, 24)
 SET_ASIDE = tuple(range(2, 122, 3))
 OWN = (1, 3, 5)
+LOADED = 0.2
+"""Share of the gait cycle in which a force is desired."""
+AS_FAR = 2e-3
+"""Relative difference of two estimates of END that noise alone makes."""
 TRUE = "true_relative_rmse_percent"
 WINDOW = "true_relative_rmse_window_percent"
 COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
     "cable_exponent": lambda b: b.mu1 * b.theta1 * _at_40(b),
     "fabric exponent, upright": lambda b: b.mu2 * b.wrap * _at_40(b),
     "fabric exponent, slope": lambda b: b.mu2 * b.wrap_slope * _at_40(b),
-    "load_slope": lambda b: b.load_slope * 40.0 / b.load_reference / _at_40(b),
+    "load_slope": lambda b: b.load_slope / _at_40(b),
     "presliding": lambda b: b.presliding, "fabric_presliding": lambda b: b.fabric_presliding,
     "breakaway": lambda b: b.sheath_ratio - 1.0, "fabric_breakaway": lambda b: b.fabric_ratio - 1.0,
     "breakaway_speed": lambda b: b.stribeck_speed, "viscous": lambda b: b.viscous,
@@ -54,7 +59,7 @@ COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
 
 
 def _at_40(bench: Any) -> float:
-    return float(1.0 + bench.load_slope * (40.0 / bench.load_reference - 1.0))
+    return float(1.0 + bench.load_slope * (40.0 - bench.load_reference) / 40.0)
 
 
 def bench_row(kind: str, serial: int, day: int, **more: Any) -> dict[str, Any]:
@@ -65,10 +70,10 @@ def bench_row(kind: str, serial: int, day: int, **more: Any) -> dict[str, Any]:
 
     given: dict[str, Any] = {"bench.serial": serial, "bench.day": day, "files.calibration": IDENTIFIED, **more}
     if kind == "family":
-        from tests.plants.draws import draw
+        from tests.plants import stack
 
-        given |= {"bench.serial": 0, "bench.day": 0, "bench.plant": f"tests.plants:bench_{serial}_day_{day}",
-                  "servo_drive.position_gain": 5.0 * draw(serial).loop_hz}
+        given |= {"bench.serial": 0, "bench.day": 0, "bench.plant": stack.plant_name(serial, day),
+                  "servo_drive.position_gain": stack.plant_model(serial)["servo_drive"]["position_gain"]}
     return dict(rows.rows(configuration.read(None), given, [])[0])
 
 
@@ -88,7 +93,7 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
     from bowden.sweep import row_trial
 
     sys.path.insert(0, str(ROOT))
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     said: dict[str, Any] = {"kind": kind, "serial": serial, "structure": structure(kind, serial)}
     row = bench_row(kind, serial, 0)
     reason, text = row_trial.identify(row_trial.bench_of(row))
@@ -108,9 +113,19 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
 
 
 def _scalars(text: str) -> dict[str, Any]:
-    import tomllib
+    """Value, interval and R² of every scalar of a calibration's text."""
+    from physics import calibration
 
-    return dict(tomllib.loads(text)["scalars"])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "calibration.toml")
+        path.write_text(text, encoding="utf-8")
+        read_back = calibration.read(path)
+    told: dict[str, Any] = {}
+    for name in calibration.scalars():
+        value, proof = getattr(read_back, name), read_back.evidence.get(name)
+        low, high = (proof.low, proof.high) if proof is not None and math.isfinite(proof.low) else (value, value)
+        told[name] = {"value": value, "interval": [low, high], "r_squared": proof.r_squared if proof else math.nan}
+    return told
 
 
 def _needs(kind: str, serial: int, peak: float) -> float:
@@ -122,7 +137,7 @@ def _needs(kind: str, serial: int, peak: float) -> float:
     b = draw(serial, 1)
     force, parts = peak, 8
     for share in [b.mu2 * (b.wrap + 0.53 * b.wrap_slope) / parts] * parts + [b.mu1 * b.theta1 / parts] * parts:
-        force *= math.exp(share * (1.0 + b.load_slope * (force / b.load_reference - 1.0)))
+        force *= math.exp(share * (1.0 + b.load_slope * (force - b.load_reference) / 40.0))
     return force
 
 
@@ -143,19 +158,19 @@ def _walked(kind: str, serial: int, text: str, controller: str, cycles: int, set
 
 
 def _by_cycle(path: Path, cycles: int, peak_n: float) -> dict[str, Any]:
-    """RMSE by gait cycle, %, and how far ln(START/END) is from the truth in the first and in the last cycle."""
+    """RMSE by gait cycle, %, and how far the estimate of END is off, relative, in the first and in the last cycle."""
     from trial import read
 
     trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
-    true = {name: np.interp(trial.time_ns, truth.time_ns, truth.columns[name])
-            for name in ("true_end_n", "true_start_n")}
-    cycle, desired, ratio = (trial.columns[name] for name in ("cycle", "desired_force_n", "friction_ratio"))
-    error = true["true_end_n"] - desired
+    end = np.interp(trial.time_ns, truth.time_ns, truth.columns["true_end_n"])
+    cycle, desired = trial.columns["cycle"], trial.columns["desired_force_n"]
+    error = end - desired
     rmse = [100.0 * math.sqrt(float(np.mean(error[cycle == k] ** 2))) / peak_n for k in range(cycles)]
     slides = np.abs(trial.columns["rope_direction"]) > 0.9
     told = slides & (np.abs(trial.columns["strain_direction"]) > 0.9) & (desired > 0.3 * peak_n)
-    apart = np.log(ratio) - np.log(np.maximum(true["true_start_n"], 0.1) / np.maximum(true["true_end_n"], 0.1))
-    away = [float(np.median(np.abs(apart[told & (cycle == k)]))) if np.any(told & (cycle == k)) else math.nan
+    estimated = trial.columns["estimated_end_force_n"]
+    apart = np.abs(np.log(np.maximum(estimated, 0.1) / np.maximum(end, 0.1)))
+    away = [float(np.median(apart[told & (cycle == k)])) if np.any(told & (cycle == k)) else math.nan
             for k in (0, cycles - 1)]
     return {"by_cycle": rmse, "homed_away": away[0], "followed_away": away[1]}
 
@@ -180,6 +195,24 @@ def walks(benches: Sequence[Mapping[str, Any]], period: float) -> list[dict[str,
             if f"{period:g}" in bench and bench[f"{period:g}"].get("outcome") == "completed"]
 
 
+def loaded(walk: Mapping[str, Any], of: str = TRUE) -> float:
+    """What of the RMSE is made while a force is desired, %, by the whole cycle: without the loose rope's drag.
+
+    Another controller's is its own RMSE less what END is at idle, which the rope makes and no controller.
+    """
+    own = walk[WINDOW] * math.sqrt(LOADED)
+    if of == TRUE:
+        return float(own)
+    idle = max(walk[TRUE] ** 2 - own**2, 0.0)
+    return math.sqrt(max(walk[of] ** 2 - idle, 0.0))
+
+
+def _no_farther(walk: Mapping[str, Any]) -> bool:
+    """Whether END by friction as followed is no farther from the truth than as homed, or nothing slid to tell it."""
+    homed, followed = walk["homed_away"], walk["followed_away"]
+    return homed is None or followed is None or followed <= homed + AS_FAR
+
+
 def reached(bench: Mapping[str, Any]) -> bool:
     """Whether the servo can pull as much as the peak takes on this bench."""
     return float(bench["needs_n"]) <= DRIVE_N
@@ -192,7 +225,10 @@ def page(benches: Sequence[Mapping[str, Any]]) -> str:
               "family, set aside": [b for b in benches if b["kind"] == "family" and b["serial"] % 3 == 2]}
     parts = ["# Benches that the controller was not made on\n",
              "Each bench is identified on day 0 and walked on day 1; 40, 50 or 60 N by serial; true END; two gait "
-             "cycles after seven of learning. Median / worst; `python -m benchmarks.family` runs and prints this.\n"]
+             "cycles after seven of learning. Median / worst; `python -m benchmarks.family` runs what is lacking and "
+             "prints this. The loaded part is what of the RMSE is made at 10…30 %, by the whole cycle: a rope that is "
+             "not pushed drags at END when the knee pulls it through its sheath, which no controller can take away; "
+             "what it drags with 20 mm of slack stands beside END at idle.\n"]
     for name, chosen in groups.items():
         if chosen:
             parts += [f"## {name}: {len(chosen)} benches\n", _group(chosen)]
@@ -211,21 +247,51 @@ def _group(chosen: Sequence[Mapping[str, Any]]) -> str:
     for period in PERIODS_S:
         all_ = walks(within, period)
         rows.append([
-            f"{period:g} s", str(len(all_)), spread(w[TRUE] for w in all_), spread(w[WINDOW] for w in all_),
-            spread(w["paper"] for w in all_), spread(w["blind"] for w in all_),
+            f"{period:g} s", str(len(all_)), spread(w[TRUE] for w in all_), spread(map(loaded, all_)),
+            spread(loaded(w, "paper") for w in all_), spread(loaded(w, "blind") for w in all_),
             spread(w["true_max_idle_tension_n"] for w in all_), spread(w["loose"] for w in all_),
             spread(100.0 * w["true_peak_jump_n"] / w["bench"]["peak_n"] for w in all_),
             spread(max(w["by_cycle"]) - w["by_cycle"][0] for w in all_),
-            f"{sum(w['followed_away'] <= w['homed_away'] + 1e-3 for w in all_)} of {len(all_)}"])
-    text = table(("period", "walks", "RMSE (%)", "RMSE within 10…30 % (%)", "paper (%)", "START ignored (%)",
-                  "END at idle (N)", "of a loose rope (N)", "jump (% of peak)", "RMSE above cycle 0's (points)",
-                  "friction no farther from truth than homing's"), rows)
+            f"{sum(_no_farther(w) for w in all_)} of {len(all_)}"])
+    text = table(("period", "walks", "RMSE (%)", "loaded part (%)", "paper, loaded part (%)",
+                  "START ignored, loaded part (%)", "END at idle (N)", "of a loose rope (N)", "jump (% of peak)",
+                  "RMSE above cycle 0's (points)", "friction no farther from truth than homing's"), rows)
+    text += "\n\n" + table(("target", "found", "bound", ""), [
+        [what, f"{found:.2f}", f"{bound:g}", "met" if found <= bound else "**not met**"]
+        for what, found, bound in _targets(within)])
     for bench in beyond:
         text += (f"\n\nSerial {bench['serial']}: {bench['peak_n']:g} N takes {bench['needs_n']:.0f} N at START, beyond "
                  f"the servo's {DRIVE_N:g} N; left out of the table.")
     for bench in failed:
         text += f"\n\nSerial {bench['serial']} was not identified: {bench['failed']}"
     return text + "\n"
+
+
+def _targets(within: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float]]:
+    """What is aimed at on benches within reach, what was found, and the bound that it is to stay at or below."""
+    slow, fast = walks(within, 2.0), walks(within, 1.1)
+    all_ = slow + fast
+    if not all_:
+        return []
+    playing = [w for w in all_ if str(w["bench"]["structure"]).endswith("knee play")]
+    steady = [w for w in all_ if w not in playing]
+    jumps = sorted(100.0 * w["true_peak_jump_n"] / w["bench"]["peak_n"] for w in all_)
+    ignored = median(loaded(w, "blind") / loaded(w) for w in all_)
+    found = [
+        ("median RMSE at 2.0 s (%)", median(w[TRUE] for w in slow), 0.35),
+        ("median RMSE at 1.1 s (%)", median(w[TRUE] for w in fast), 0.5),
+        ("median of the loaded part at 2.0 s (%)", median(map(loaded, slow)), 0.35),
+        ("median of the loaded part at 1.1 s (%)", median(map(loaded, fast)), 0.5),
+        ("worst loaded part, knees without play (%)", max(map(loaded, steady), default=math.nan), 1.0),
+        ("worst loaded part, knees with play (%)", max(map(loaded, playing), default=math.nan), 1.3),
+        ("END at idle by that of a loose rope, at least 0.5 N, worst", max(
+            w["true_max_idle_tension_n"] / max(w["loose"], 0.5 / 1.5) for w in all_), 1.5),
+        ("jump at the peak, 95 % of the walks (% of peak)", jumps[math.ceil(0.95 * len(jumps)) - 1], 1.5),
+        ("jump at the peak, worst (% of peak)", jumps[-1], 2.5),
+        ("RMSE above that of cycle 0, worst (points)", max(max(w["by_cycle"]) - w["by_cycle"][0] for w in all_), 0.05),
+        ("walks whose followed friction is farther from the truth", float(sum(not _no_farther(w) for w in all_)), 0.0),
+        ("loaded part by that with START ignored, median", 1.0 / ignored, 1.0 / 1.5)]
+    return [each for each in found if math.isfinite(each[1])]
 
 
 def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
@@ -236,8 +302,8 @@ def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
         method, stretch, breakaway, knee = str(bench["structure"]).split(", ")
         for word in (method, f"stretch {stretch}", breakaway, knee):
             kinds.setdefault(word, []).extend(walks([bench], 2.0) + walks([bench], 1.1))
-    return table(("structure", "walks", "RMSE (%)", "RMSE within 10…30 % (%)", "idle (N)", "jump (% of peak)"), [
-        [word, str(len(w)), spread(x[TRUE] for x in w), spread(x[WINDOW] for x in w),
+    return table(("structure", "walks", "RMSE (%)", "loaded part (%)", "idle (N)", "jump (% of peak)"), [
+        [word, str(len(w)), spread(x[TRUE] for x in w), spread(map(loaded, w)),
          spread(x["true_max_idle_tension_n"] for x in w),
          spread(100.0 * x["true_peak_jump_n"] / x["bench"]["peak_n"] for x in w)] for word, w in sorted(kinds.items())])
 
@@ -256,13 +322,11 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
             apart.append(abs(value - true) / max(abs(true), 1e-9))
         met = "met" if inside >= 0.9 * len(identified) else "**not met**"
         rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %", met])
-    squares = {name: spread(b["calibration"][f"{name}"].get("r_squared") for b in identified)
+    squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
                for name in ("stiffness_b", "swing_k")}
-    least = {name: min((b["calibration"][name].get("r_squared", math.nan) for b in identified), default=math.nan)
-             for name in squares}
     return table(("constant", "within", "median error", "90 % of the benches"), rows) + (
-        f"\n\nR² as measured, median and least: (10) {squares['stiffness_b'].split(' / ')[0]} and "
-        f"{least['stiffness_b']:.2f}, (11) {squares['swing_k'].split(' / ')[0]} and {least['swing_k']:.2f}.")
+        f"\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "
+        f"{min(squares['stiffness_b']):.3f}, (11) {median(squares['swing_k']):.4f} and {min(squares['swing_k']):.4f}.")
 
 
 def _interval(scalars: Mapping[str, Any], name: str) -> tuple[float, float, float]:
@@ -303,15 +367,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--page", action="store_true", help="only print the tables of what has been run")
     options = parser.parse_args(arguments)
-    OUT.mkdir(exist_ok=True)
-    path = OUT / "family.csv"
+    path = DOCS / "unseen.csv"
     done = read(path)
     if not options.page:
         chosen = _serials(options.serials, SET_ASIDE if options.set_aside else DEVELOPMENT)[:options.count]
         wanted = [("family", s) for s in chosen] + [("own", s) for s in _serials(options.own, OWN)]
         _run([each for each in wanted if each not in done], path, options.workers)
         done = read(path)
-    sys.stdout.write(page(list(done.values())))
+    text = page(list(done.values()))
+    (DOCS / "unseen.md").write_text(text, encoding="utf-8")
+    sys.stdout.write(text)
+
+
+def _short(value: Any) -> Any:
+    """The same with five digits, and None for what is no number."""
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _short(each) for key, each in value.items() if key not in ("date", "trial", "unit", "stop_reason")}
+    return [_short(each) for each in value] if isinstance(value, list) else value
 
 
 def _serials(given: str | None, otherwise: Sequence[int]) -> list[int]:
@@ -323,7 +397,8 @@ def _run(wanted: Sequence[tuple[str, int]], path: Path, workers: int) -> None:
         for future in as_completed([crew.submit(measure, *each) for each in wanted]):
             found = future.result()
             with path.open("a", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerow([found["kind"], found["serial"], json.dumps(found)])
+                csv.writer(file, lineterminator="\n").writerow(
+                    [found["kind"], found["serial"], json.dumps(_short(found))])
             sys.stderr.write(f"{found['kind']} {found['serial']}: {found.get('failed', 'done')}\n")
 
 

@@ -112,7 +112,13 @@ def healthy(count: int, plants: list[str], workers: int) -> int:
     """Run the trials and print what they raised; returns how many were stopped."""
     drawn = list(jobs(count, plants))
     with multiprocessing.get_context("fork").Pool(workers) as pool:
-        told = list(pool.imap_unordered(ran, drawn, chunksize=4))
+        told = []
+        for ended in pool.imap_unordered(ran, drawn):
+            told.append(ended)
+            if ended.reason is not None:
+                print(f"{drawn[ended.number]}: {ended.reason}", file=sys.stderr, flush=True)
+            if len(told) % 25 == 0:
+                print(f"{len(told)} of {count}", file=sys.stderr, flush=True)
     stopped = [ended for ended in told if ended.reason is not None]
     print(f"{len(told)} healthy trials, {len(stopped)} stopped")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):

@@ -221,7 +221,8 @@ def _said(settled: problem.Setting, healthy: bool) -> list[str]:
         said.append("no calibration fits this rig: offsets, ratios and load-free friction are taken as found, "
                     "and effects that need the bench's geometry are not offered.")
     elif settled.reference.kind == "nominal":
-        said.append("no calibration: compared with the nominal bench and the tolerances of like benches.")
+        said.append("no calibration of this bench: compared with the nominal bench and the tolerances of like "
+                    "benches; run bowden identify first, which measures what is this bench's own.")
     if settled.floors is None:
         said.append("no healthy trial of this bench: the answer `unexplained` is not available.")
     untold = [] if settled.any_rig else candidates.untold(settled.checked)

@@ -6,6 +6,7 @@ target that stood in an object before the drive was enabled moves nothing.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from eds.cia301 import Emcy
@@ -14,6 +15,7 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import homing
 from nodes.homing import Phase
+from nodes.set_point_law import FOLLOWS, KEEPS, Taker
 from nodes.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
@@ -85,13 +87,15 @@ class ModesOfOperation(StateMachine):
         if value == self.mode:
             return
         self.mode = Mode(value)
-        self.values[MODE_DISPLAY] = value
         if self.state is _ENABLED and self._leaving is None and not self._halted:
-            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)
+            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)  # 0x6061 shows the new mode when it opens, at rest
+        else:
+            self.values[MODE_DISPLAY] = value
 
     def begin(self, now_ns: int) -> None:
-        """Open the mode: hold where the axis is until its first set-point comes."""
+        """Open the mode and show it in 0x6061: hold where the axis is until its first set-point comes."""
         self._halted = False
+        self.values[MODE_DISPLAY] = int(self.mode)
         if self._stepped:
             self._stepped = False
             self.device.recover(Emcy.POSITION_LIMIT)
@@ -132,6 +136,14 @@ class ModesOfOperation(StateMachine):
             self._stepped = False
             self.device.recover(Emcy.POSITION_LIMIT)
         self.axis.target_position(target)
+
+    def position_taker(self) -> Taker | None:
+        """Say what `to_position` does to the axis at every target, as things are; None where it may do more."""
+        if self._open is not Mode.CSP or not self._commanded:
+            return Taker(KEEPS)
+        if self._stepped or self.number(0x60B0):
+            return None
+        return Taker(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Take 0x60FF."""

@@ -16,7 +16,7 @@ from eds.datatype import Value
 from eds.dictionary import key
 from nodes.axis import Axis
 from nodes.core.application import Application
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
 POWERED: Final = (
@@ -30,7 +30,7 @@ _SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
 class StateMachine(Application):
     """The power drive system's state, its faults and its stops; `begin` and `cease` are the drive function's."""
 
-    device: Device
+    device: ProfileHost
     values: dict[int, Value]
     axis: Axis
 

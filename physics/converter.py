@@ -111,6 +111,16 @@ class Converter:
         self._state: Array = np.array([0.0, 0.0, 0.0, 0.0, time_ns * 1e-9])
         self._ring: Array = np.zeros((RING, 2))
 
+    @property
+    def seed(self) -> int:
+        """The noise's seed."""
+        return int(self._seed)
+
+    def adopt(self, state: Array, ring: Array, p: Array) -> None:
+        """Keep history and parameters in this memory from now on; shapes as `convert` takes them."""
+        state[:], ring[:], p[:] = self._state, self._ring, self._p
+        self._state, self._ring, self._p = state, ring, p
+
     def sample(self, time_ns: int, force_n: float) -> int:
         """Return the counts, −2²³ … 2²³ − 1, of the force felt at `time_ns`, N; times must not fall."""
         return int(convert(self._state, self._ring, self._p, self._seed, time_ns, force_n))

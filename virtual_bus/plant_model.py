@@ -43,10 +43,10 @@ def read(given: str | Path | Mapping[str, Any] | None) -> Model:
     where, tables = "plant_model", dict(given) if isinstance(given, Mapping) else {}
     if isinstance(given, str | Path):
         where, tables = str(given), read_toml(Path(given))
-    stated = effects.apply(effects_table.stated(tables, where))
+    known = bench_model.from_tables(tables, where)
+    stated = effects.apply(known.effects)
     wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
-    known = bench_model.from_tables(tables, where).simulated()
-    for table, values in known.items():
+    for table, values in known.simulated().items():
         stated[table] = {**values, **stated.get(table, {})}
     own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
            for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}

@@ -7,7 +7,9 @@ targets, records, and checks what safety checks.  An input that this SYNC did no
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol
 
 import can
 
@@ -61,6 +63,21 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
+WholeCycle = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` their time stamps, and their data; heartbeats as
+`Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them, and their number."""
+
+
+class WholeCycles(Protocol):
+    """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
+
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> WholeCycle | None:
+        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; None: by hand.
+
+        That SYNC has to end after `after_ns`: one before is no new cycle.
+        """
+
+
 class Exchange:
     """The running cycle over a link; SYNC must have been started.
 
@@ -99,6 +116,10 @@ class Exchange:
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
+        offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
+        self._whole_cycles = None if offer is None else offer(
+            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns,
+            link.heartbeat)
 
     def begin(self) -> Inputs:
         """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
@@ -143,10 +164,37 @@ class Exchange:
         data, watch = self._pack_targets(servo_m, knee_rad), self.link.watch
         if watch is not None:
             watch.sent(self.wire.targets.cob_id, data)
+        if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
+            whole = self._whole_cycles.run(data, self.link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
+            if whole is not None:
+                return self._at_once(whole, annotations)
         sent = self.link.try_send(can.Message(
             arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()
+        self._record(sync_ns, sent, annotations)
+        if sync_ns < 0:
+            self.guard.heed_strangers()
+            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
+        return self._latch(sync_ns)
+
+    def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
+        """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
+        sync_ns, target_ns, ends, data, beats, rows, count = whole
+        if beats:
+            self.link.heed(beats)
+        try:
+            if self.log.taps:
+                self.log.take(rows, count, sync_ns, target_ns)
+            self._record(sync_ns, True, annotations)
+        except StopError:  # the recorder failed; the cycle was run all the same
+            with suppress(StopError):
+                self._latch(sync_ns, ends, data)
+            raise
+        return self._latch(sync_ns, ends, data)
+
+    def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
+        """Record the cycle that a SYNC has ended."""
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
         if not sent or self.inputs.missing:
@@ -156,10 +204,6 @@ class Exchange:
         if not self._told:
             self._told = True
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
-        if sync_ns < 0:
-            self.guard.heed_strangers()
-            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
-        return self._latch(sync_ns)
 
     def _await_sync(self) -> int:
         """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
@@ -203,22 +247,48 @@ class Exchange:
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
         if not self._reception.takes(i, values, self.rehoming):
-            self.log.event(stamp_ns(message), "miss", "master",
-                           f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+            self._tell_refused(i, stamp_ns(message))
             return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
         self._arrival_ns[i] = stamp_ns(message) - sync_ns
         return 1 << i
 
-    def _latch(self, sync_ns: int) -> Inputs:
-        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
+    def _keep_all(self, sync_ns: int, ends: Sequence[int], data: Sequence[Any]) -> int:
+        """Keep the TPDOs of `ORDER` that ended at `ends`; the bits of those that are not taken."""
+        values = [unpack(each) for unpack, each in zip(self._unpack, data, strict=True)]
+        missing, takes, rehoming, lowest = 0, self._reception.takes, self.rehoming, self._no_value
+        for i, each in enumerate(values):
+            if each[0] <= lowest[i] or not takes(i, each, rehoming):
+                missing |= 1 << i
+        if not missing:
+            self._values, self._latched_ns = values, [sync_ns] * 4
+            self._arrival_ns = [end - sync_ns for end in ends]
+            return 0
+        for i, each in enumerate(values):
+            if not missing >> i & 1:
+                self._values[i], self._latched_ns[i], self._arrival_ns[i] = each, sync_ns, ends[i] - sync_ns
+            elif each[0] > lowest[i]:
+                self._tell_refused(i, ends[i])
+        return missing
+
+    def _tell_refused(self, i: int, stamp: int) -> None:
+        self.log.event(stamp, "miss", "master",
+                       f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+
+    def _latch(self, sync_ns: int, ends: Sequence[int] = (), data: Sequence[Any] = ()) -> Inputs:
+        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
+
+        `ends` and `data` are time stamps and data, in `ORDER`, where all of them are there already.
+        """
         self._arrival_ns = [NAN, NAN, NAN, NAN]
         self._told = False
         deadline = sync_ns + self._budget_ns
         receive, slots, missing = self.link.receive, self._slots, 0b1111
         self._doubled_sync = False
         self._reception.begin()
+        if ends:
+            missing = self._keep_all(sync_ns, ends, data)
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:

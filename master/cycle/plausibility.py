@@ -35,10 +35,10 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
  OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
- SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE) = range(31)
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED) = range(32)
 """Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
 since the window began anew, repeated values, the window's place and sums, and what homing has told so far."""
-RATIOS = 31
+RATIOS = 32
 """The normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 SEEN = COUNTS + RELATIONS
@@ -120,6 +120,7 @@ def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
     goal = 1.0 if step > 0.0 else -1.0
     if abs(step) > 2e-6:
         s[SLIP] = goal - (goal - s[SLIP]) * math.exp(-abs(step) / g[PRESLIDING])
+    s[SPEED] += 0.2 * (abs(step) / g[PERIOD_S] - s[SPEED])
     share = 0.5 * (1.0 + s[SLIP])
     middle = g[LOW] + share * (g[HIGH] - g[LOW])
     width = g[HIGH] - g[LOW]
@@ -129,7 +130,7 @@ def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
         low, high = -WIDE, WIDE
     pulled = max(end, 0.0)
     least, most = pulled * math.exp(low), pulled * math.exp(high)
-    room = RATIO_N + 0.05 * max(start, pulled) + RATIO_N_S_M * abs(step) / g[PERIOD_S]
+    room = RATIO_N + 0.05 * max(start, pulled) + RATIO_N_S_M * s[SPEED]
     if start > most:
         _compare(s, RATIO, start, most, room)
     elif start < least:
@@ -207,7 +208,8 @@ def _one_stretch(
     """
     expected = _curve(g, max(force, 0.0))
     beyond = max(0.0, most - g[TOP_N])
-    room = (STRETCH_M + _slope(g, force) * (STRETCH_N + spread * max(force, 0.0)) + BEYOND * 1e-3 * beyond
+    room_n = STRETCH_N + RATIO_N_S_M * s[SPEED] + spread * max(force, 0.0)
+    room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond
             + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
     if force < TAUT_N and stretch < expected:
         stretch = expected

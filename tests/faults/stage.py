@@ -91,7 +91,7 @@ class Scene(NamedTuple):
         elif kind in OF_A_NODE | {"babble"}:
             outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
                             bench.wire.bit_ns)
-            outages.wired(bench.kernel, [fault], bench._machine.trouble)  # type: ignore[union-attr]
+            outages.wired(bench.kernel, [fault], bench.machine.trouble)  # type: ignore[attr-defined, union-attr]
 
 
 @dataclass
