@@ -20,7 +20,7 @@ from trial import read
 
 SEED = 4
 PERIOD_S, CYCLES = 1.1, 5
-LOST = "lost_share = 0.05"
+LOST = "lost_share = 0.02"
 
 
 class Hidden(NamedTuple):
