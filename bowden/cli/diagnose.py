@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+import textwrap
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +29,8 @@ Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase lo
 Extended = Annotated[Path | None, typer.Option(
     "-o", "--output", metavar="FILE", help="extended.toml: what was found, for --plant-model and --controller-model.")]
 Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
+Figures = Annotated[Path | None, typer.Option(
+    metavar="DIR", help="Pictures (PNG) and tables (CSV) of what was found, into this folder.")]
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
 Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
@@ -38,8 +43,10 @@ Planned = Annotated[str | None, typer.Option(
     "bowden trial --experiment, would show.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
-RELATION_COLUMNS = ("relation", "unit", "floor", "before", "after", "held out before", "held out after", "gain (%)")
-RELATION_FIGURES = ("floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after")
+READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
+"""Shares of a diagnosis that are done when its steps begin."""
+WIDTH = 80
+"""Columns of a terminal that every line but a table's fits in."""
 
 
 @app.command()
@@ -51,6 +58,7 @@ def diagnose(
     lowpass: Lowpass = None,
     output: Extended = None,
     report: Report = None,
+    figures: Figures = None,
     tracked: Tracked = None,
     each: Each = False,
     workers: Workers = None,
@@ -72,8 +80,8 @@ def diagnose(
     from bowden import output_files
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
-    given = {"TRIAL": trials, "-o": output, "--report": report, "--lowpass": lowpass, "--holdout": holdout,
-             "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
+    given = {"TRIAL": trials, "-o": output, "--report": report, "--figures": figures, "--lowpass": lowpass,
+             "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
@@ -84,9 +92,14 @@ def diagnose(
         *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
     output_files.refuse_ending(output, ".toml", what="what was found")
+    if figures is not None:
+        from diagnosis.report import export
+
+        export.refuse(figures, overwrite=overwrite)
     began = time.perf_counter()
-    with terminal.waiting("diagnosing", shown=not json):
-        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
+    with _steps(shown=not json) as step:
+        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
+                           figures, overwrite=overwrite)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
     if json:
         terminal.emit(result)
@@ -109,7 +122,8 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
     if not trials:
         raise InputError("diagnose: no trial given; name at least one, or an experiment with --plan.")
     if given["--each"]:
-        _leave_out(given, ("-o", "--report", "--tracked"), "--each gives a verdict for every trial and writes none")
+        _leave_out(given, ("-o", "--report", "--figures", "--tracked"),
+                   "--each gives a verdict for every trial and writes none")
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:
             raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
@@ -134,24 +148,55 @@ def _each(
 
 
 def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
-    terminal.table("diagnoses" + (f" (low-pass {lowpass:g} Hz)" if lowpass else ""), (
-        "trial", "verdict", "causes", "class", "to do next, or why not"), [
-        (trial, one["verdict"], "; ".join(f"{c['effect']} {_parameters(c['parameters'])}" for c in one["causes"]),
-         ", ".join(one["class"]), one["warnings"][0] if one["verdict"] == "refused" else one["experiment"] or "")
-        for trial, one in told.items()])
+    if lowpass:
+        print(f"Every signal low-passed at {lowpass:g} Hz, without phase.")
+    for trial, one in told.items():
+        print(f"{trial}: {one['verdict']}")
+        for cause in one["causes"]:
+            _say(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
+        if len(one["class"]) > len(one["causes"]):
+            _say(f"cannot be told apart: {', '.join(one['class'])}", "    ")
+        todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
+        if todo:
+            _say(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
+
+
+@contextmanager
+def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
+    """A bar on stderr that is told what is done now and the share that is done, 0…1."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda what, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+               TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("diagnosing", total=1.0)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
 
 
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
+    output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
+    figures: Path | None, *, overwrite: bool,
 ) -> Diagnosis:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from diagnosis import extension
     from diagnosis.data import table
-    from diagnosis.finder import diagnose as diagnosed
+    from diagnosis.finder import Finder
 
-    groups = [[table.read(path) for path in group] for group in (trials, healthy, holdout)]
-    found = diagnosed(groups[0], calibration, groups[1], groups[2], lowpass)
+    groups: list[list[table.Table]] = [[], [], []]
+    paths = [(group, path) for group, paths in enumerate((trials, healthy, holdout)) for path in paths]
+    for done, (group, path) in enumerate(paths):
+        step(f"reading {path.name}", READING * done / len(paths))
+        groups[group].append(table.read(path))
+    step("fitting the healthy trials" if healthy else "preparing", READING)
+    finder = Finder(calibration, lowpass).examine(groups[1])
+    step("fitting the effects, cycle by cycle", SEARCHING)
+    found = finder.diagnose(groups[0], groups[2])
+    step("writing", WRITING)
     if found.verdict == "refused":
         return found
     if output is not None:
@@ -160,6 +205,10 @@ def _diagnosed(
         from diagnosis.report import page
 
         page.write(found, groups[0], groups[2], report, tracked)
+    if figures is not None:
+        from diagnosis.report import export
+
+        export.write(found, groups[0], figures, overwrite=overwrite)
     return found
 
 
@@ -173,35 +222,53 @@ def _all_nominal(trials: list[Path]) -> bool:
 
 
 def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
+    from diagnosis.report.headline import headline
+
     figure = terminal.number
-    told = found.simulation
-    if told is not None:
+    if found.simulation is not None:
+        told = found.simulation
         after = f", {figure(told['after_rms_n'])} N with what was found" if found.causes else ""
-        print(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
-              f"(on {told['on']}).")
+        _say(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
+             f"(on {told['on']}).")
     if unmeasured and found.verdict in ("found", "ambiguous"):
-        print("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
-              "itself cannot be told from what is wrong with it.\nNo cause is named on this footing; --json lists the "
-              "candidates, --calibration or --healthy gives a better one.")
-        result = result | {"causes": []}
-        rivals: tuple[str, ...] = ()
+        _say("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
+             "itself cannot be told from what is wrong with it. No cause is named on this footing; --json lists the "
+             "candidates, --calibration or --healthy gives a better one.")
     else:
-        print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
-        rivals = tuple(found.rivals)
-    if result["causes"]:
-        terminal.table("causes", ("effect", "site", "parameters", "gain (%)"), [
-            (cause["effect"], cause["site"], _parameters(cause["parameters"]), figure(cause["gain_percent"], 1))
-            for cause in result["causes"]])
-    if rivals[1:]:
-        print(f"These data cannot tell {rivals[0]} from {', '.join(rivals[1:])}.")
-    if found.experiment and not unmeasured:
-        print(f"What would: {found.experiment}")
-    terminal.table("relations", RELATION_COLUMNS, [
-        (name, row["unit"], *(figure(row[key], 4) for key in RELATION_FIGURES), figure(row["gain_percent"], 1))
-        if row["checked"] else (name, row["unit"], "not checked", *["–"] * len(RELATION_FIGURES))
-        for name, row in result["relations"].items()])
+        for sentence in headline(found):
+            if sentence:
+                _say(sentence)
+        print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+    _tell_relations(result["relations"])
     for warning in found.warnings:
-        print(f"Warning: {warning}")
+        _say(f"Warning: {warning}")
+
+
+def _tell_relations(relations: dict[str, Any]) -> None:
+    """Print what each relation leaves, RMS; names are never cut at 80 columns."""
+    figure = terminal.number
+    checked = {name: row for name, row in relations.items() if row["checked"]}
+    if not checked:
+        return
+    terminal.table("what each relation leaves (RMS, on cycles that the fit has not seen)", (
+        "relation", "unit", "floor", "before", "after", "gain (%)"), [
+        (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
+         figure(row["gain_percent"], 1)) for name, row in checked.items()])
+    _say("floor: what a healthy bench leaves; before: the simulation as it was; after: with what was found.")
+    held = {name: row for name, row in checked.items() if row["holdout_before"] is not None}
+    if held:
+        terminal.table("on the trials held out, to which nothing was fitted", ("relation", "unit", "before", "after"), [
+            (name, row["unit"], figure(row["holdout_before"], 4), figure(row["holdout_after"], 4))
+            for name, row in held.items()])
+    missing = [name for name, row in relations.items() if not row["checked"]]
+    if missing:
+        _say(f"Not checked: {', '.join(missing)}.")
+
+
+def _say(sentence: str, indent: str = "") -> None:
+    """Print a sentence in lines of at most `WIDTH` columns."""
+    print(textwrap.fill(sentence, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
+                        break_on_hyphens=False))
 
 
 def _parameters(parameters: dict[str, Any]) -> str:
@@ -225,9 +292,9 @@ def _tell_plan(name: str, found: Plan) -> None:
          f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.relation or "–") for limit in found.limits])
     for limit in found.limits:
         if limit.like:
-            print(f"{limit.effect} looks like {', '.join(limit.like)}.")
+            _say(f"{limit.effect} looks like {', '.join(limit.like)}.")
     if found.blind:
-        print(f"Not seen by any relation: {', '.join(found.blind)}.")
+        _say(f"Not seen by any relation: {', '.join(found.blind)}.")
     terminal.table("relations", ("relation", "unit", "floor", "independent samples"), [
         (relation, found.unit(relation), f"{floor:.3g}", f"{found.samples[relation]:.0f}")
         for relation, floor in found.floors.items()])

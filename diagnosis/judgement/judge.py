@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.judgement import verdict
+from diagnosis.judgement import experiment_choice, verdict
 from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import Setting
 from diagnosis.search.search import Found, Model, Search
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.separating_experiments import EXPERIMENTS
 from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
@@ -146,15 +145,8 @@ class Judge:
         return list(verdict.rivals(self.found))
 
     def experiment(self) -> str | None:
-        """Return the experiment that splits the class, None where nothing is to be split.
-
-        It is the first that the bench runs by itself of those that the class's effects name, in the class's order.
-        """
-        names = self.rivals()
-        if len(names) <= len(self.found.best.effects):
-            return None
-        named = [CATALOGUE[name].experiment for name in names]
-        return next((e for e in named if e in EXPERIMENTS and not EXPERIMENTS[e].by_hand), named[0])
+        """Return the experiment that splits the class by calculation, None where nothing is to be split."""
+        return experiment_choice.choose(self.rivals(), self.found, self.setting)
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the chosen effects with their parameters and what each one gains."""

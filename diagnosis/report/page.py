@@ -11,7 +11,8 @@ from typing import Final
 
 from diagnosis.data.table import Table
 from diagnosis.finder import Diagnosis
-from diagnosis.report import plots, tables, tracking
+from diagnosis.report import picture, plots, tables, tracking
+from diagnosis.report.headline import headline
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.remaining import where
 from diagnosis.report.residuals import Compared, compared
@@ -44,6 +45,8 @@ def build(
     page = Page(f"Diagnosis of {names}", f"against {_against(found)}{stated}",
                 badge=(found.verdict, KINDS.get(found.verdict, "plain")))
     sides = compared(found, trials)
+    _first(page, found)
+    picture.section(page, found, sides)
     _summary(page, found, sides)
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
@@ -64,8 +67,17 @@ def _against(found: Diagnosis) -> str:
             "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
 
 
+def _first(page: Page, found: Diagnosis) -> None:
+    """Say what is wrong, what it costs and what to do, before anything else."""
+    page.section("What is wrong")
+    told = headline(found)
+    for sentence in told:
+        if sentence:
+            page.text(sentence)
+
+
 def _summary(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> None:
-    page.section("Summary")
+    page.section("Figures")
     page.text(paragraph(found))
     if found.verdict == "unexplained" and (left := where(found, sides)):
         page.text(left)

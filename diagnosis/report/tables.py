@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from diagnosis.finder import Diagnosis
 from diagnosis.judgement.verdict import RIVAL_GAIN, RIVAL_RMSE, SPLIT_GAIN, SPLIT_RMSE
+from diagnosis.report.headline import healthy_value
 from diagnosis.search.search import Found, Model
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
@@ -24,8 +25,9 @@ def relations(page: Page, found: Diagnosis) -> None:
     page.heading("Relations, root mean square on cycles that no fit has seen")
     page.table(("relation", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high",
                 "held-out before", "after"), [_figures(name, f) for name, f in found.relations.items()])
-    page.text("The healthy floor is what healthy trials leave (a dash: none was given). Held-out trials are fitted by "
-              "nothing.", "note")
+    page.text("Before: the simulation as it was. After: with what was found. Floor: what trials of a healthy bench "
+              "leave (a dash: none was given); above it something is left. Held out: trials given with --holdout, "
+              "to which nothing was fitted.", "note")
 
 
 def _figures(name: str, f: Any) -> tuple[Cell, ...]:
@@ -40,7 +42,7 @@ def rivals(page: Page, found: Diagnosis) -> None:
     chosen = {c["effect"] for c in found.causes}
     if len(found.rivals) <= len(chosen):
         return
-    page.heading("The class: what these data cannot tell apart")
+    page.heading("The class: effects that these data cannot tell apart")
     page.table(("effect", "what it means", "experiment that would tell", "what to look at"), [
         (name + (" (chosen)" if name in chosen else ""), CATALOGUE[name].words,
          EXPERIMENTS[CATALOGUE[name].experiment].motion, EXPERIMENTS[CATALOGUE[name].experiment].reads)
@@ -83,21 +85,38 @@ def _why(model: Model, found: Found, rivals: list[str]) -> str:
 
 
 def limits(page: Page, found: Diagnosis) -> None:
-    """Tell the smallest size of each effect that these data could have shown."""
+    """Tell the smallest size of each effect that these data could have shown, never above what was found in them."""
     page.section("Detection limit")
     if not found.detection_limit:
         page.text("Not available: this rig's healthy state is not known, or nothing was searched.", "note")
         return
-    page.text("The smallest departure from the healthy value that these trials would have shown; below it an effect "
-              "may be there and not be named.", "note")
-    rows = [_limit(name, one) for name, one in found.detection_limit.items() if isinstance(one, Mapping)]
-    page.table(("effect", "parameter", "smallest", "unit", "likely range", "would be seen"), rows, tall=len(rows) > 15)
+    page.text("The smallest departure from the healthy value that these trials would have shown, calculated from a "
+              "straight line; below it an effect may be there and not be named. Where an effect was found, its size is "
+              "the limit if that is smaller.", "note")
+    rows = limit_rows(found)
+    page.table(LIMIT_COLUMNS, rows, tall=len(rows) > 15)
 
 
-def _limit(name: str, one: Mapping[str, Any]) -> tuple[Cell, ...]:
+LIMIT_COLUMNS: Final = ("effect", "parameter", "smallest", "unit", "likely range", "would be seen")
+
+
+def limit_rows(found: Diagnosis) -> list[tuple[Cell, ...]]:
+    """Return a row of `LIMIT_COLUMNS` for each effect."""
+    sizes = {(c["effect"], name): abs(float(one["value"]) - old) for c in found.causes
+             for name, one in c["parameters"].items() if (old := healthy_value(found, c, name)) is not None}
+    named = {c["effect"] for c in found.causes}
+    return [_limit(name, one, sizes.get((name, one["parameter"])), name in named)
+            for name, one in (found.detection_limit or {}).items() if isinstance(one, Mapping)]
+
+
+def _limit(name: str, one: Mapping[str, Any], size: float | None, named: bool) -> tuple[Cell, ...]:
     parameter = next((p for p in CATALOGUE[name].parameters if p.name == one["parameter"]), None)
     likely = "" if parameter is None else f"{parameter.likely[0]:.3g} … {parameter.likely[1]:.3g}"
-    return (name, one["parameter"], one["value"], one["unit"], likely, _seen(one["value"], parameter))
+    smallest = one["value"]
+    if named and size is not None:
+        smallest = size if smallest is None else min(smallest, size)
+    seen = "yes: found" if named else _seen(smallest, parameter)
+    return (name, one["parameter"], smallest, one["unit"], likely, seen)
 
 
 def _seen(smallest: float | None, parameter: Any) -> str:
@@ -105,8 +124,10 @@ def _seen(smallest: float | None, parameter: Any) -> str:
     if smallest is None or parameter is None:
         return "no"
     low, high = parameter.likely
-    if parameter.neutral is None or low < parameter.neutral < high:
+    if parameter.neutral is None:
         least, most = 0.0, high - low
+    elif low < parameter.neutral < high:
+        least, most = 0.0, max(parameter.neutral - low, high - parameter.neutral)
     else:
         least, most = sorted(abs(end - parameter.neutral) for end in parameter.likely)
-    return "yes" if smallest <= least else "the larger ones" if smallest < most else "no"
+    return "yes" if smallest <= least else "the larger ones" if smallest < most else "only beyond the likely range"

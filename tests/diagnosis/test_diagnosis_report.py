@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,12 @@ from diagnosis.finder import Diagnosis
 from diagnosis.judgement.verdict import Figures
 from diagnosis.problem.fit import solve
 from diagnosis.problem.problem import build_problem
-from diagnosis.report import residuals, words
+from diagnosis.report import export, picture, residuals, tables, words
+from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.page import build, write
 from diagnosis.report.remaining import concentrated
 from diagnosis.search.search import Found, Model
+from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.relations.relation import RELATIONS
 from tests.hidden.bench import Bench
@@ -89,7 +93,77 @@ def test_the_page_says_what_could_have_been_seen(found: Diagnosis, measured: Tab
     html = build(found, [measured], []).html()
     rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
-        ("cable_friction", "0.02", "the larger ones"), ("slack", "–", "no")]
+        ("cable_friction", "0.02", "yes: found"), ("slack", "–", "no")]
+
+
+def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: Diagnosis, measured: Table) -> None:
+    told = headline(found)
+    old = healthy_value(found, found.causes[0], "mu1")
+    new = found.causes[0]["parameters"]["mu1"]["value"]
+    assert old == pytest.approx(0.08, rel=0.5)
+    assert f"mu1 {old:.3g} → {new:.3g} (95 %: 0.1 … 0.2; old: the nominal bench)" in told.wrong
+    assert "cannot tell it from: fabric_friction" in told.wrong
+    # the fixture's figures: 2 before, 0.5 after; √(2² − 0.5²) = 1.94
+    assert re.match(r"It costs 1\.94 N RMS of predicted force: 2 N before, 0\.5 N with it", told.cost)
+    assert "healthy trials leave 0.25 N" in told.cost
+    assert told.todo.startswith("To tell them apart, run known_bend")
+    html = build(found, [measured], []).html()
+    first = [html.index(text) for text in (
+        "mu1 0.", "It costs 1.94 N", "To tell them apart, run", "residual over gait phase", "START over END, tension",
+        "Relations, root mean square", "What was tried")]
+    assert first == sorted(first)
+
+
+@pytest.mark.parametrize(("changed", "sentence"), [
+    ({"verdict": "none", "causes": [], "rivals": [], "experiment": None}, "Nothing is wrong that these trials show"),
+    ({"verdict": "unexplained", "causes": [], "rivals": [], "experiment": None}, "no effect of the catalogue explains"),
+    ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
+    ({"verdict": "found", "rivals": ["cable_friction"], "experiment": None}, "--controller-model extended.toml"),
+])
+def test_every_verdict_has_its_first_lines(found: Diagnosis, changed: dict[str, Any], sentence: str) -> None:
+    assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
+
+
+def test_the_detection_limit_never_contradicts_what_was_found(found: Diagnosis) -> None:
+    change = found.causes[0]["parameters"]["mu1"]["value"] - healthy_value(found, found.causes[0], "mu1")
+    for limit in (None, 5.0, 0.001):
+        told = dataclasses.replace(found, detection_limit={
+            "cable_friction": {"parameter": "mu1", "value": limit, "unit": ""},
+            "start_gain": {"parameter": "start_gain", "value": 0.5, "unit": ""},
+            "end_gain": {"parameter": "end_gain", "value": 0.01, "unit": ""}})
+        named, beyond, within = tables.limit_rows(told)
+        assert named[5] == "yes: found"
+        assert named[2] == pytest.approx(min(abs(change), math.inf if limit is None else limit))
+        assert (beyond[5], within[5]) == ("only beyond the likely range", "the larger ones")
+
+
+def test_the_picture_has_both_branches_and_less_residual_after(found: Diagnosis, measured: Table) -> None:
+    sides = residuals.compared(found, [measured])
+    one = picture.residual(found, sides)
+    assert one is not None
+    assert one.word == "gait phase"
+    rising, falling = picture.loops(sides)
+    both = np.isfinite(rising.measured) & np.isfinite(falling.measured)
+    assert both.sum() > 50
+    assert np.mean(rising.measured[both] - falling.measured[both]) > 1.0  # N: pulling takes more START for one END
+    left = [np.nanmean(np.abs(getattr(rising, which) - rising.measured)) for which in ("before", "after")]
+    assert left[1] < left[0]
+
+
+def test_figures_are_exported_as_pictures_and_tables(found: Diagnosis, measured: Table, tmp_path: Path) -> None:
+    folder = tmp_path / "figures"
+    made = export.write(found, [measured], folder)
+    assert sorted(path.name for path in made) == sorted(export.NAMES) == sorted(path.name for path in folder.iterdir())
+    assert (folder / "loop.png").read_bytes().startswith(b"\x89PNG")
+    (row,) = list(csv.DictReader((folder / "causes.csv").read_text().splitlines()))
+    assert (row["effect"], row["parameter"]) == ("cable_friction", "mu1")
+    assert float(row["old"]) < float(row["new"])
+    assert len(list(csv.DictReader((folder / "residual.csv").read_text().splitlines()))) > 10
+    with pytest.raises(InputError, match="give another folder or --overwrite"):
+        export.write(found, [measured], folder)
+    export.write(found, [measured], folder, overwrite=True)
+    with pytest.raises(InputError, match="is a file; give a folder"):
+        export.write(found, [measured], folder / "loop.png")
 
 
 def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measured: Table) -> None:

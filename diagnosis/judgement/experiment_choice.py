@@ -1,0 +1,225 @@
+"""Which experiment splits a class of effects that one gait trial confuses: calculated, not listed.
+
+The rule of this file: an experiment is proposed where the relations, on its motion, tell the chosen model from each
+rival though the rival and all that a healthy bench may vary are fitted again.  d: difference of the two models'
+predictions in floors; J: slopes of what is fitted, P its prior precision; what is left is
+|d|² − dᵀJ·(JᵀJ + P)⁻¹·Jᵀd.  It must reach the verdict's own least fall of χ², and as a share of what the chosen
+effect does it must exceed that of the gait: the same share on a gait has left the class.
+Motions are those of `physics.effects.separating_experiments`, quasi-static, on a healthy bench.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from physics.relations.relation_parameters import LEG
+
+from diagnosis.data.table import table
+from diagnosis.judgement.verdict import LEAST_FALL
+from diagnosis.problem import blocks
+from diagnosis.problem.fit import Free
+from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
+from diagnosis.problem.problem import Setting
+from diagnosis.search.search import Found, Model
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
+from physics.plant.leg import GRAVITY
+from physics.relations.measured import Signals
+from physics.relations.relation import RELATIONS, predict, uses
+from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+Waypoint = tuple[float, float, float]
+"""Time, s, END tension, N, knee angle, degrees."""
+
+RATE_HZ: Final = 25.0
+SLACK_N: Final = 0.5
+GAIT: Final = "gait"
+WEIGHT: Final = "weight"
+"""The relation that a known weight at END adds: END's reading from the weight."""
+SPLITS: Final = 0.10
+"""Share of what the chosen effect does that an experiment must show beyond what the gait shows of it."""
+RIDGE: Final = 1e-9
+STEP: Final = 0.02
+"""Step of a slope, of a slot's scale."""
+BEND: Final = 1.5
+"""Change of the sheath's bend in known_bend."""
+SENSOR_SLOTS: Final = ("gain", "offset", "drift")
+
+
+def _laps(seconds: float, tensions: Sequence[float], knee: float, count: int = 2) -> list[Waypoint]:
+    return [(seconds, tension, knee) for _ in range(count) for tension in tensions]
+
+
+def _gaits(count: int) -> list[Waypoint]:
+    return [point for _ in range(count) for point in (
+        (0.5, 5.0, -5.0), (0.3, 40.0, -15.0), (0.4, 6.0, -40.0), (0.4, 5.0, -60.0), (0.4, 5.0, -10.0))]
+
+
+MOTIONS: Final[Mapping[str, Sequence[Waypoint]]] = {
+    GAIT: _gaits(10),
+    "known_bend": _laps(2.0, (40.0, 10.0), -30.0, 4),
+    "locked_angles": [p for knee in (-10.0, -30.0, -60.0) for p in _laps(2.0, (10.0, 50.0, 10.0), knee, 1)],
+    "two_peaks": _laps(2.0, (20.0, 5.0), -30.0) + _laps(2.0, (60.0, 5.0), -30.0),
+    "two_speeds": _laps(4.0, (40.0, 5.0), -30.0) + _laps(0.4, (40.0, 5.0), -30.0, 6),
+    "amplitude_sweep": [p for size in (0.5, 1.0, 2.0, 5.0, 10.0)
+                        for p in _laps(1.0, (30.0 + size, 30.0 - size), -30.0)],
+    "rest_repeat": [*_gaits(5), (20.0, 5.0, -10.0), *_gaits(5)],
+    "dead_weight": [(1.0, 20.0, -30.0), (3.0, 20.0, -30.0), (1.0, 40.0, -30.0), (3.0, 40.0, -30.0)],
+    "swapped_sensors": _laps(2.0, (40.0, 5.0), -30.0, 4),
+    "hold_return": [(2.0, 40.0, -30.0), (20.0, 40.0, -30.0), (2.0, 5.0, -30.0), (20.0, 5.0, -30.0)],
+    "unload": _laps(2.0, (20.0, SLACK_N, SLACK_N), -30.0, 3),
+    "locked_motor": [(0.5, 20.0 + 4.0 * swing, -30.0 + swing) for swing in (1, -1, 1, -1, 2, -2, 2, -2, 5, -5, 5, -5)],
+    "slack_swing": [(0.4, SLACK_N, knee) for _ in range(6) for knee in (-60.0, -5.0)],
+    "step": [p for _ in range(4) for p in ((0.05, 35.0, -30.0), (1.0, 35.0, -30.0), (0.05, 30.0, -30.0),
+                                          (1.0, 30.0, -30.0))],
+}
+"""Motions that are calculated; of an experiment that is not here nothing is claimed."""
+
+
+def choose(rivals: Sequence[str], found: Found, setting: Setting) -> str | None:
+    """Return the experiment that splits the class `rivals`, the chosen effects first; None where there is no class.
+
+    Of those that the class's effects name, else of all: what splits every pair best and the bench runs by itself,
+    then what splits every pair by hand.  Where none does, the one that is best at the worst pair;
+    without a calculation (a rig of which nothing is known) the first that is named.  Either model of a pair may be
+    the true one: what counts is the mean of both ways.
+    """
+    chosen = found.best.names
+    others = [name for name in rivals if name not in chosen]
+    if not others:
+        return None
+    named = list(dict.fromkeys(CATALOGUE[name].experiment for name in rivals))
+    pairs = [] if setting.any_rig else [
+        (Pair(found.best, model, setting), Pair(model, found.best, setting))
+        for name in others if (model := _rival(found, name)) is not None]
+    gained: dict[str, float] = {}
+    for offered in (named, [name for name in MOTIONS if name not in (*named, GAIT)]):
+        gained |= {name: min(0.5 * (either.gained(name) + reverse.gained(name)) for either, reverse in pairs)
+                   for name in offered if name in MOTIONS and pairs}
+        splits = [name for name in offered if gained.get(name, 0.0) >= SPLITS]
+        if splits:
+            return min(splits, key=lambda name: (bool(EXPERIMENTS[name].by_hand), -gained[name]))
+    if max(gained.values(), default=0.0) > 0.0:
+        return max(gained, key=lambda name: gained[name])
+    return next((name for name in named if not EXPERIMENTS[name].by_hand), named[0])
+
+
+def _rival(found: Found, name: str) -> Model | None:
+    """Return the best model of as many effects in which `name` stands."""
+    held = [m for m in found.models if name in m.names and len(m.names) == len(found.best.names)]
+    return min(held, key=lambda m: m.rank, default=None)
+
+
+class Pair:
+    """One model, taken for the truth, against another that is fitted to what it says, on any experiment."""
+
+    def __init__(self, one: Model, other: Model, setting: Setting) -> None:
+        nuisance = {f.name: f for f in setting.reference.nuisance}
+        self._one, self._other, self._healthy = one.fit.values, other.fit.values, setting.reference.values
+        self._weights = setting.weights
+        own = {f.name for effect in one.effects for f in effect.frees}
+        self._band = [f for f in nuisance.values() if f.name not in own]
+        self._free = list((nuisance | {f.name: f for effect in other.effects for f in effect.frees}).values())
+
+    def gained(self, name: str) -> float:
+        """Return by how much the share that only the true model explains exceeds the gait's, which left the class.
+
+        Negative infinity where what is left is too little to be seen.
+        """
+        left = apart(name, self._one, self._other, self._free, self._weights)
+        return -math.inf if left < LEAST_FALL else self._share(name, left) - self._gait
+
+    @functools.cached_property
+    def _gait(self) -> float:
+        return self._share(GAIT, apart(GAIT, self._one, self._other, self._free, self._weights))
+
+    def _share(self, name: str, left: float) -> float:
+        return left / max(apart(name, self._one, self._healthy, self._band, self._weights), left, 1e-9)
+
+
+def apart(name: str, one: Values, other: Values, free: Sequence[Free], weights: Mapping[str, float]) -> float:
+    """Return the χ² between two sets of values on experiment `name`, after `free` of `other` were fitted again.
+
+    `weights`: of each checked relation, in its unit, its floor by the root of the samples that count as one.
+    """
+    relations = _readable(name, weights)
+    told = {r: _told(name, r, other, weights) for r in relations}
+    difference = np.concatenate([_told(name, r, one, weights) - told[r] for r in relations] or [np.zeros(1)])
+    rows, precision = [], []
+    for f in free:
+        step = STEP * f.scale * (-1.0 if other[f.name] + STEP * f.scale > f.high else 1.0)
+        moved = {**other, f.name: other[f.name] + step}
+        slope = np.concatenate([
+            (_told(name, r, moved, weights) - told[r]) / step if _reads(r, f.name) else np.zeros(told[r].size)
+            for r in relations] or [np.zeros(1)])
+        size = float(slope @ slope)
+        if size > 0.0:
+            rows.append(slope / math.sqrt(size))
+            precision.append(f.stiffness / size)
+    whole = float(difference @ difference)
+    if not rows:
+        return whole
+    slopes = np.array(rows)
+    along = slopes @ difference
+    fitted = np.linalg.solve(slopes @ slopes.T + np.diag(np.array(precision) + RIDGE), along)
+    return max(whole - float(fitted @ along), 0.0)
+
+
+def _readable(name: str, weights: Mapping[str, float]) -> list[str]:
+    """Return the checked relations that an experiment can be asked for, and WEIGHT where one hangs at END."""
+    if name == "dead_weight":
+        return [r for r in weights if r in RELATIONS and r not in ("servo", "knee", "drive_force")] + [WEIGHT]
+    return [r for r in weights if r in RELATIONS]
+
+
+def _reads(relation: str, slot: str) -> bool:
+    return slot.startswith("end_") if relation == WEIGHT else slot in uses(RELATIONS[relation])
+
+
+def _told(name: str, relation: str, values: Values, weights: Mapping[str, float]) -> Array:
+    """Return what a relation predicts on an experiment under `values`, in weights."""
+    signals = _signals(name)
+    if relation == WEIGHT:
+        end = (values["end_gain"] * signals["tension_end_n"] + values["end_offset"]
+               + values["end_drift"] * signals.progress
+               + values["end_mass"] * GRAVITY * np.cos(signals["knee_angle_rad"]))
+        return np.asarray(end / weights.get("friction", FLOORS["friction"] * math.sqrt(CORRELATION_LENGTH["friction"])))
+    predicted, changed = predict(RELATIONS[relation], signals, values), _changed(name, values)
+    if changed is not None:
+        first = signals.progress < 0.5
+        predicted = np.where(first, predicted, predict(RELATIONS[relation], signals, changed))
+    return np.nan_to_num(predicted / weights[relation])
+
+
+def _changed(name: str, values: Values) -> dict[str, float] | None:
+    """Return the values of an experiment's second half, where hands have changed the bench in between."""
+    if name == "known_bend":
+        return {**values, "theta1": BEND * values["theta1"]}
+    if name == "swapped_sensors":
+        swapped = {f"{here}_{slot}": values[f"{there}_{slot}"] for slot in SENSOR_SLOTS
+                   for here, there in (("start", "end"), ("end", "start"))}
+        return {**values, **swapped}
+    return None
+
+
+@functools.cache
+def _signals(name: str) -> Signals:
+    """Return what a healthy bench's sensors would say on an experiment's motion, nearly."""
+    points = MOTIONS[name]
+    ends = np.cumsum([1.0, *(seconds for seconds, _, _ in points)])
+    time = np.arange(0.0, ends[-1], 1.0 / RATE_HZ)
+    at = np.concatenate(([0.0], ends))
+    end, knee = (np.interp(time, at, [points[0][place]] * 2 + [p[place] for p in points]) for place in (1, 2))
+    knee = np.deg2rad(knee)
+    start = end * np.where(np.gradient(end) >= 0.0, 1.25, 0.8)
+    rope = STRETCH_BEND * start**2 + STRETCH_LINEAR * start + LEG.moment_arm_m * knee
+    columns = {"time_s": time, "tension_end_n": end, "tension_start_n": start, "knee_angle_rad": knee,
+               "knee_target_rad": knee, "servo_position_m": rope, "servo_target_m": rope, "servo_force_n": start}
+    return blocks.signals_of(table(name, columns), RATE_HZ)

@@ -1,0 +1,127 @@
+"""A diagnosis' pictures as PNG and its tables as CSV, in a folder, for a paper or a spreadsheet.
+
+The rule of this file: the same numbers as the page; a file appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from diagnosis.data.table import Table
+from diagnosis.finder import Diagnosis
+from diagnosis.report import picture, tables
+from diagnosis.report.headline import headline, healthy_value
+from diagnosis.report.plots import AFTER, BEFORE, MEASURED
+from diagnosis.report.residuals import compared
+from parameters import InputError
+
+RELATION_COLUMNS: Final = ("relation", "unit", "floor", "rmse_before", "rmse_after", "gain_percent", "gain_low_percent",
+                           "gain_high_percent", "holdout_before", "holdout_after")
+CAUSE_COLUMNS: Final = ("effect", "site", "parameter", "old", "new", "low", "high", "unit", "gain_percent")
+NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.csv", "residual.png", "loop.csv",
+                "loop.png", "headline.txt")
+"""What a folder may hold afterwards; a picture and its CSV are left out where there is nothing to draw."""
+
+
+def write(found: Diagnosis, trials: Sequence[Table], folder: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write pictures and tables of a diagnosis of `trials` into `folder`; returns the files.  Raises `InputError`."""
+    folder = Path(folder)
+    refuse(folder, overwrite=overwrite)
+    made: dict[str, bytes] = {
+        "headline.txt": "".join(f"{line}\n" for line in headline(found) if line).encode(),
+        "relations.csv": _csv(RELATION_COLUMNS, [
+            (name, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high, f.holdout_before,
+             f.holdout_after) for name, f in found.relations.items() if f.checked]),
+        "causes.csv": _csv(CAUSE_COLUMNS, [
+            (c["effect"], c["site"], name, healthy_value(found, c, name), one["value"], one["low"], one["high"],
+             one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),
+        "detection_limit.csv": _csv([name.replace(" ", "_") for name in tables.LIMIT_COLUMNS],
+                                    tables.limit_rows(found))}
+    sides = compared(found, trials)
+    made |= _residual(picture.residual(found, sides)) | _loop(picture.loops(sides))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in made.items():
+            part = folder / f".part-{name}"
+            part.write_bytes(content)
+            part.replace(folder / name)
+    except OSError as error:
+        raise InputError(f"--figures {folder}: cannot be written ({error.strerror}); give a writable folder.") from None
+    return [folder / name for name in made]
+
+
+def refuse(folder: Path, *, overwrite: bool) -> None:
+    """Raise `InputError` where `folder` is a file, or holds one that would be replaced though nobody said so."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--figures {folder}: is a file; give a folder.")
+    there = [name for name in NAMES if (folder / name).exists()]
+    if there and not overwrite:
+        raise InputError(f"--figures {folder}: {', '.join(there)} exist; give another folder or --overwrite.")
+
+
+def _csv(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([["" if _unknown(value) else value for value in row] for row in rows])
+    return text.getvalue().encode()
+
+
+def _unknown(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and not math.isfinite(value))
+
+
+def _columns(columns: Mapping[str, Any]) -> bytes:
+    return _csv(list(columns), [[float(value) for value in row] for row in zip(*columns.values(), strict=True)])
+
+
+def _residual(one: picture.Residual | None) -> dict[str, bytes]:
+    if one is None:
+        return {}
+    along = one.axis.split(" (")[0]
+    unit = one.unit
+    told = {along: one.centres, f"mean_before_{unit}": one.before[0], f"rms_before_{unit}": one.before[1],
+            f"mean_after_{unit}": one.after[0], f"rms_after_{unit}": one.after[1]}
+    figure, axes = _axes(f"{one.relation}: measured less simulated", one.axis, f"residual ({unit})")
+    for label, (mean, square), colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
+        axes.fill_between(one.centres, -square, square, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(one.centres, mean, color=colour, label=f"{label}: mean, band ± RMS")
+    return {"residual.csv": _columns(told), "residual.png": _png(figure, axes)}
+
+
+def _loop(branches: Sequence[picture.Loop]) -> dict[str, bytes]:
+    if not branches:
+        return {}
+    figure, axes = _axes("START over END", "END (N)", "START (N)")
+    told: dict[str, Any] = {"end_n": branches[0].end_n}
+    for one in branches:
+        style = "-" if one.direction == "tension rising" else "--"
+        for which, values, colour, width in (("measured", one.measured, MEASURED, 4.0),
+                                             ("before", one.before, BEFORE, 1.2), ("after", one.after, AFTER, 1.2)):
+            told[f"start_{which}_{one.direction.replace(' ', '_')}_n"] = values
+            axes.plot(one.end_n, values, style, color=colour, linewidth=width, label=f"{which}, {one.direction}")
+    return {"loop.csv": _columns(told), "loop.png": _png(figure, axes)}
+
+
+def _axes(title: str, x: str, y: str) -> tuple[Any, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set(title=title, xlabel=x, ylabel=y)
+    axes.grid(visible=True, alpha=0.3)
+    return figure, axes
+
+
+def _png(figure: Any, axes: Any) -> bytes:
+    axes.legend(fontsize="small")
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=160, metadata={"Software": None})
+    return content.getvalue()

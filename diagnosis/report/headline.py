@@ -1,0 +1,135 @@
+"""The first lines of a diagnosis: what is wrong and by how much, what it costs, what to do next.
+
+The rule of this file: sentences for an engineer who reads nothing else; every figure is the diagnosis' own, with its
+unit and with what it is held against.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+from diagnosis.finder import Diagnosis
+from diagnosis.judgement.verdict import Figures
+from diagnosis.report.plots import MEANING
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.separating_experiments import EXPERIMENTS
+from trial.report.page import number
+
+AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nominal bench",
+                  "none": "an ideal transmission"}
+UNSEEN: Final = "on cycles that the fit has not seen"
+
+
+class Headline(NamedTuple):
+    """Three sentences; "" where there is nothing to say."""
+
+    wrong: str
+    cost: str
+    todo: str
+
+
+def headline(found: Diagnosis) -> Headline:
+    """Return what is wrong, what it costs in N and what to do next."""
+    return Headline(_wrong(found), _cost(found), _todo(found))
+
+
+def _wrong(found: Diagnosis) -> str:
+    if found.verdict == "refused":
+        return "These data contradict themselves, so nothing is said about the bench: " + (
+            found.warnings[0] if found.warnings else "no reason was given.")
+    if found.verdict == "unexplained":
+        return "Something is wrong that no effect of the catalogue explains; no cause is named."
+    if not found.causes:
+        return f"Nothing is wrong that these trials show: the bench agrees with {_against(found)}."
+    told = " ".join(_cause(found, cause) for cause in found.causes)
+    others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
+    return told + (f" These trials cannot tell it from: {', '.join(others)}." if others else "")
+
+
+def _cause(found: Diagnosis, cause: Mapping[str, Any]) -> str:
+    effect = CATALOGUE[cause["effect"]]
+    changes = [change(found, cause, name) for name in cause["parameters"]]
+    return f"{effect.words.rstrip('.')} ({effect.name}): {'; '.join(changes)}."
+
+
+def change(found: Diagnosis, cause: Mapping[str, Any], name: str) -> str:
+    """Return a parameter as: name old → new unit (95 %: low … high); the old value left out where it is not known."""
+    one, old = cause["parameters"][name], healthy_value(found, cause, name)
+    unit = f" {one['unit']}" if one["unit"] else ""
+    before = "" if old is None else f"{number(old, 3)} → "
+    return (f"{name} {before}{number(one['value'], 3)}{unit} (95 %: {number(one['low'], 3)} … "
+            f"{number(one['high'], 3)}{'' if old is None else f'; old: {_against(found)}'})")
+
+
+def healthy_value(found: Diagnosis, cause: Mapping[str, Any], name: str) -> float | None:
+    """Return the value that a parameter had in the simulation; None where it is not known.
+
+    The fit works from the healthy trials' value; a cause is told on the scale of the calibration, shifted by the
+    difference of the two, and so is this.
+    """
+    if found.found is None:
+        return next((p.neutral for p in CATALOGUE[cause["effect"]].parameters if p.name == name), None)
+    best = found.found.best
+    mean = next((f.mean for e in best.effects if e.name == cause["effect"] for f in e.frees if f.name == name), None)
+    return None if mean is None else mean + float(cause["parameters"][name]["value"]) - best.fit.values[name]
+
+
+def _against(found: Diagnosis) -> str:
+    if found.found is None and found.causes:
+        return "a sound wire and converter"
+    return AGAINST.get(found.reference, found.reference)
+
+
+def strongest(found: Diagnosis, unit: str | None = None) -> tuple[str, Figures] | None:
+    """Return the relation that gains most, of those in `unit` where one is given; None where none was checked."""
+    told = [(name, f) for name, f in found.relations.items()
+            if f.checked and f.rmse_before is not None and f.rmse_after is not None and unit in (None, f.unit)]
+    if not told:
+        return None
+    return max(told, key=lambda one: one[1].gain_percent if one[1].gain_percent is not None else 0.0)
+
+
+def _cost(found: Diagnosis) -> str:
+    simulated: Mapping[str, Any] | None = getattr(found, "simulation", None)
+    lines = []
+    if simulated is not None:
+        after = f", {number(simulated['after_rms_n'], 3)} N with what was found" if found.causes else ""
+        lines.append(f"The simulation of this bench misses START and END by {number(simulated['before_rms_n'], 3)} N "
+                     f"RMS{after}.")
+    one = strongest(found, "N")
+    if one is None:
+        return " ".join(lines)
+    name, f = one
+    floor = f"; healthy trials leave {number(f.floor, 3)} N" if f.floor is not None else ""
+    if not found.causes:
+        lines.append(f"The force is predicted to {number(f.rmse_before, 3)} N RMS ({name}, {UNSEEN}{floor}).")
+        return " ".join(lines)
+    first, left = f.rmse_before or 0.0, f.rmse_after or 0.0
+    if f.gain_percent is None or f.gain_percent < 1.0:
+        lines.append(f"It costs no force that these trials show ({name} stays at {number(left, 3)} N RMS).")
+    else:
+        lines.append(f"It costs {number(max(first**2 - left**2, 0.0) ** 0.5, 3)} N RMS of predicted force: "
+                     f"{number(first, 3)} N before, {number(left, 3)} N with it in the model ({name}: "
+                     f"{MEANING.get(name, name)}; {UNSEEN}{floor}).")
+    return " ".join(lines)
+
+
+def _todo(found: Diagnosis) -> str:
+    if found.verdict == "refused":
+        return "Mend the data and record again."
+    if found.experiment is not None and found.experiment in EXPERIMENTS:
+        chosen = EXPERIMENTS[found.experiment]
+        runs = "" if found.reference == "none" or chosen.by_hand else f" (bowden trial --experiment {chosen.name})"
+        hands = f"; {chosen.by_hand}" if chosen.by_hand else ""
+        return f"To tell them apart, run {chosen.name}: {chosen.motion}{hands}{runs}. Look at {chosen.reads}."
+    if found.found is None and found.causes:
+        return "Mend the wire or the converter, record again, and diagnose that."
+    if found.verdict == "unexplained":
+        return "Look at where the residual lies, then record that part of the gait again with more sensors."
+    if found.causes:
+        return ("Mend it, or tell the controller: bowden diagnose … -o extended.toml, then bowden trial "
+                "--controller-model extended.toml.")
+    if found.reference == "nominal":
+        return "Compared with the nominal bench only; run bowden identify on this bench, then diagnose again."
+    return "Nothing to do."
