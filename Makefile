@@ -1,4 +1,4 @@
-# make trial | test | check | docs | figures | reproduce | hidden
+# make trial | test | check | bench | docs | figures | reproduce | hidden | faults | healthy | fuzz | soak
 # Each sets up .venv first; nothing else is needed than Python 3.11+ and make.
 PYTHON ?= python3
 VENV := .venv
@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
-.PHONY: trial test check docs figures reproduce hidden clean
+.PHONY: trial test check bench docs figures reproduce hidden faults healthy fuzz soak clean
 
 trial: $(VENV)/.installed
 	@mkdir -p out
@@ -24,14 +24,32 @@ check: $(VENV)/.installed-test
 docs: $(VENV)/.installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
+bench: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.performance
+
 figures: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.figures
 
 reproduce: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.reproduce
+	$(BIN)/python -m benchmarks.family
+	$(BIN)/python -m benchmarks.family --set-aside
 
 hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.run --page
+	$(BIN)/python -m tests.hidden.family_run
+
+faults: $(VENV)/.installed-test
+	$(BIN)/python -m tests.faults.run --page docs/faults.md
+
+healthy: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.supervision --cost --healthy 500
+
+fuzz: $(VENV)/.installed-test
+	$(BIN)/python -m tests.fuzz.run
+
+soak: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.soak
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed; say make PYTHON=python3.x"; exit 2; }

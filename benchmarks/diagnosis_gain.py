@@ -24,7 +24,7 @@ EFFECTS = {
     "cable_friction": {"mu1": 0.16},
     "start_gain": {"start_gain": 1.06},
     "stiffness": {"stiffness_scale": 1.25},
-    "moment_arm": {"moment_arm": 1.8e-3},
+    "moment_arm": {"rope_per_knee_quadratic": 1.8e-3},
     "stribeck": {"stribeck_ratio": 1.8, "stribeck_speed": 0.015},
 }
 PAGE = Path("docs/diagnosis.md")

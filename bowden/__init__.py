@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bowden.bench_model import BenchModel, nominal
     from bowden.bench_model import read as read_model
+    from bowden.bench_model import write as write_model
     from bowden.buses import BusSettings, bus, simulated
     from bowden.diagnosing import Diagnosis, DiagnosisResult
     from bowden.experiment import Experiment, run
@@ -37,13 +38,14 @@ _HOMES = {
     "Trial": "bowden.recorded_trial", "Walk": "bowden.planning", "bus": "bowden.buses",
     "identify": "bowden.identification", "nominal": "bowden.bench_model", "plan": "bowden.planning",
     "read_model": "bowden.bench_model:read", "run": "bowden.experiment", "simulate": "bowden.simulation",
-    "simulated": "bowden.buses",
+    "simulated": "bowden.buses", "write_model": "bowden.bench_model:write",
 }
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Progress", "Simulation",
     "StoppedError", "Trial", "Walk", "bus", "identify", "nominal", "plan", "read_model", "run", "simulate", "simulated",
+    "write_model",
 ]
 
 
@@ -57,4 +59,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return list(__all__)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel
+    from physics.bench_model import BenchModel
 
 VIRTUAL = "bowden"
 KERNEL = "socketcan"
@@ -37,6 +37,13 @@ class BusSettings:
     simulated: bool
     serial: int | None
     own_bench: bool = False
+
+    @property
+    def told(self) -> str:
+        """Which bus it is, in words that nobody takes a simulation for a bench by."""
+        if self.simulated:
+            return "SIMULATED"
+        return " ".join(str(self.arguments[name]) for name in ("interface", "channel") if self.arguments.get(name))
 
     @property
     def bench(self) -> str:
@@ -75,7 +82,9 @@ def simulated(
     if isinstance(plant_model, Path):
         model = str(plant_model)
     elif plant_model is not None and not isinstance(plant_model, str | Mapping):
-        model = plant_model.plant_tables()
+        from bowden.bench_model import tables
+
+        model = tables(plant_model)
     arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,
                  "plant": plant, "plant_model": model, **more}
     return BusSettings(arguments, True, serial, own_bench=channel is None)
@@ -108,6 +117,9 @@ def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     except InputError:
         raise
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        needed = missing_library(str(arguments["interface"]))
+        if needed:
+            raise InputError(f"interface {arguments['interface']}: needs {needed[0]}; say {needed[1]}.") from None
         raise InputError(
             f"interface {arguments['interface']}, channel {arguments['channel']}: cannot be opened ({error}); "
             "check the name, that it is up, and its options.") from None
@@ -116,6 +128,24 @@ def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     finally:
         with suppress(can.CanError, OSError):  # an adapter that is gone cannot be closed; the run has said so
             bus.shutdown()
+
+
+LIBRARIES = {  # of python-can's interfaces: (module, what it is called, what installs it)
+    "slcan": ("serial", "pyserial"), "serial": ("serial", "pyserial"), "robotell": ("serial", "pyserial"),
+    "seeedstudio": ("serial", "pyserial"), "gs_usb": ("gs_usb", "gs_usb"), "udp_multicast": ("msgpack", "msgpack"),
+    "canalystii": ("canalystii", "canalystii"), "cantact": ("cantact", "cantact"), "neovi": ("ics", "python-ics"),
+    "nican": ("nixnet", "nixnet"), "socketcand": ("socket", ""),
+}
+
+
+def missing_library(interface: str) -> tuple[str, str] | None:
+    """Return the library that an interface of python-can needs and lacks here, and what installs it; None if none."""
+    from importlib.util import find_spec
+
+    module, name = LIBRARIES.get(interface, ("", ""))
+    if not name or find_spec(module) is not None:
+        return None
+    return name, f"pip install {name}"
 
 
 def clock_of(bus: Any) -> Callable[[], int]:

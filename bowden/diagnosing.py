@@ -5,6 +5,7 @@ The rule of this file: it hands trials and models to `diagnosis` and gives back 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,8 +34,8 @@ class Diagnosis:
         from diagnosis.finder import Finder
 
         self.model = None if model is None else bench_model.given(model)
-        known = None if self.model is None else self.model.calibration_tables()
-        self._finder = Finder(known, lowpass_hz)
+        known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
+        self._finder = Finder(None if known is None else bench_model.tables(known), lowpass_hz)
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
         """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
@@ -83,7 +84,7 @@ class DiagnosisResult:
         from diagnosis import extension
 
         text = extension.text(self.found, self._trials)
-        return bench_model.extended(bench_model.given(self._model).calibration, text)
+        return bench_model.extended(bench_model.given(self._model), text)
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""

@@ -62,8 +62,7 @@ class Experiment:
             progress.remark(note)
         model = None if self.model is None else self._model(bus)
         return session.prepare(
-            sections, reference, None if model is None else model.calibration, bus, dry_run=self.dry_run,
-            controller_model=model if model is not None and model.effects else None,
+            sections, reference, model, bus, dry_run=self.dry_run,
             files=provenance.curves(knee=knee, desired=desired), script=None if self.name == GAIT else self.name)
 
     def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:

@@ -21,18 +21,19 @@ from trial.signals import COLUMNS
 from trial.truth_file import open_truth
 
 if TYPE_CHECKING:
-    from bowden.session import Prepared
-    from master.motion.experiment import Result
+    from master.motion.experiment import Experiment, Result
 
 TRUE_END = "true_end_n"
 
 
 def figures(
-    prepared: Prepared, result: Result, output: Path, truth: Path | None, wall_s: float, *, kept: bool = True,
-    progress: Progress = SILENT,
+    experiment: Experiment, result: Result, output: Path, truth: Path | None, wall_s: float, *,
+    serial: int | None, simulated: bool, kept: bool = True, progress: Progress = SILENT,
 ) -> dict[str, Any]:
-    """Every key that the design names for `trial --json`, in its order; not `kept`: no disk took the trial whole."""
-    experiment, simulated = prepared.experiment, prepared.chosen.simulated
+    """Every key that the design names for `trial --json`, in its order.
+
+    `serial`: of the simulated bench, None on hardware; not `kept`: the disk did not take the whole trial.
+    """
     gait, network = experiment.gait, experiment.network
     recorded = read.open(output) if kept else None
     columns = {name: np.empty(0) for name in COLUMNS} if recorded is None else recorded.columns
@@ -45,7 +46,7 @@ def figures(
         "period_s": gait.period_s,
         "cycles": gait.cycles,
         "rate_hz": network.rate_hz,
-        "serial": prepared.chosen.serial,
+        "serial": serial,
         "controller": gait.controller,
         "calibration": experiment.calibration.label,
         **found,
@@ -57,6 +58,24 @@ def figures(
         "wall_s": wall_s,
         "outcome": result.outcome,
         "stop_reason": result.stop_reason,
+    }
+
+
+def refused(
+    experiment: Experiment, result: Result, wall_s: float, *, serial: int | None, simulated: bool
+) -> dict[str, Any]:
+    """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
+    nothing = dict.fromkeys(metrics.figures(
+        {name: np.empty(0) for name in COLUMNS}, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
+        cycles=experiment.gait.cycles, settle=experiment.gait.settle, true_end_n=None))
+    return {
+        "trial": None, "peak_n": experiment.gait.peak_n, "period_s": experiment.gait.period_s,
+        "cycles": experiment.gait.cycles, "rate_hz": experiment.network.rate_hz, "serial": serial,
+        "controller": experiment.gait.controller, "calibration": experiment.calibration.label, **nothing,
+        "missed_cycles": result.missed_cycles, "stale_inputs": result.stale_inputs, "bus_load_percent": math.nan,
+        "bus_load_bound_percent": bus_load.load_percent(wire(experiment.network)),
+        "simulated_s": result.duration_s if simulated else None, "wall_s": wall_s,
+        "outcome": result.outcome, "stop_reason": result.stop_reason,
     }
 
 
@@ -79,9 +98,9 @@ def true_end(truth: Path, recorded: read.Trial) -> np.ndarray[Any, np.dtype[np.f
     return np.where(hit, side.columns[TRUE_END][places], np.nan)
 
 
-def picture(output: Path, path: Path, prepared: Prepared) -> None:
+def picture(output: Path, path: Path, experiment: Experiment) -> None:
     """Draw the trial."""
     from bowden.picture import draw
 
-    gait = prepared.experiment.gait
+    gait = experiment.gait
     draw(read.open(output).columns, f"{gait.peak_n:g} N, {gait.period_s:g} s, controller {gait.controller}", path)

@@ -62,6 +62,8 @@ def perform(
         except RecordingError as error:
             return Identified(outcome.reason or f"recording failed: {error}", None, segments)
     if outcome.reason is not None:
+        if session.never_ran(recording):
+            recording.unlink(missing_ok=True)
         return Identified(outcome.reason, None, segments)
     with progress.waiting("fitting"):
         return Identified(None, identify.calibrate(
@@ -127,6 +129,8 @@ def identify(
 
 
 def _model(found: Identified) -> BenchModel:
+    from physics.bench_model import of_calibration
+
     if found.calibration is None:
         raise StoppedError(found.reason or "the identification found nothing")
-    return BenchModel(found.calibration)
+    return of_calibration(found.calibration)

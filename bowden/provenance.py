@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from bowden.configuration import as_text
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel
     from master.motion.experiment import Experiment
+    from physics.bench_model import BenchModel
     from physics.calibration import Calibration
 
 CONTROLLER_MODEL = "controller_model.toml"
@@ -81,7 +81,7 @@ def controller_model(given: Path | BenchModel | None) -> dict[str, bytes]:
     """The effects that the controller was told of, under their part's name."""
     if given is None:
         return {}
-    return {CONTROLLER_MODEL: given.read_bytes() if isinstance(given, Path) else given.effects_text().encode()}
+    return {CONTROLLER_MODEL: given.read_bytes() if isinstance(given, Path) else given.text().encode()}
 
 
 def _version(name: str) -> str:

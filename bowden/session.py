@@ -22,13 +22,12 @@ from parameters import InputError, read_toml
 from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel
     from master.control.effect_correction import Effects
     from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
-    from physics.calibration import Calibration
+    from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.record import Recorder
 
@@ -103,13 +102,14 @@ def reference(
 
 
 def prepare(
-    sections: Mapping[str, Any], reference: Reference, calibration: Path | Calibration | None, chosen: BusSettings,
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
     script: str | None = None,
 ) -> Prepared:
     """Join sections to an experiment that can be run; raises `InputError` where it cannot.
 
-    `calibration`, `controller_model` (the effects that the controller knows of): files, or what is in them.
+    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it knows of
+    too: files, or what is in them.
     """
     from bowden import provenance
     from eds import bus_load
@@ -117,7 +117,8 @@ def prepare(
     from master.control import controller
     from master.motion.experiment import Experiment
     from master.motion.scripted_experiments import checked
-    from physics.calibration import nominal, read, refuse_beyond_validity
+    from physics.bench_model import nominal
+    from physics.calibration import refuse_beyond_validity
 
     bus_load.refuse(wire(sections["network"]))
     gait = sections["gait"]
@@ -128,32 +129,48 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
-    if isinstance(calibration, Path):
-        calibration = read(calibration, bench=chosen.bench)
-    measured = calibration or nominal()
+    bench = _bench(chosen)
+    model, told = _read(calibration, bench), _read(controller_model, bench)
+    measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
     experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
-                            known=known_effects(controller_model), **sections)
-    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(controller_model)},
+                            known={**known_effects(model), **known_effects(told)}, **sections)
+    attached = controller_model or (model if known_effects(model) else None)
+    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
                     script or "", controller.signals(kind))
 
 
-def known_effects(controller_model: Path | BenchModel | None) -> Effects:
-    """The effects that a controller model states; none without one."""
-    if controller_model is not None and not isinstance(controller_model, Path):
-        return controller_model.effects
-    from physics.effects.effects_table import stated
+def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
+    from physics import bench_model
 
-    return {} if controller_model is None else stated(read_toml(controller_model), str(controller_model))
+    return bench_model.read(given, bench=bench) if isinstance(given, Path) else given
+
+
+def _bench(chosen: BusSettings) -> str:
+    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    from physics import bench_model
+
+    simulated = chosen.arguments.get("plant_model")
+    if simulated is None:
+        return chosen.bench
+    tables = read_toml(Path(simulated)) if isinstance(simulated, str) else simulated
+    return bench_model.from_tables(tables, str(simulated)).bench or chosen.bench
+
+
+def known_effects(model: Path | BenchModel | None) -> Effects:
+    """The effects that a bench model states; none without one."""
+    found = _read(model)
+    return {} if found is None else found.effects
 
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT, watch: Watch | None = None,
+    progress: Progress = SILENT, announce: str = "", watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
 
-    `watch` sees what is recorded while it is (the live page).
+    `announce` is remarked when the bus is open, before anything is sent; `watch` sees what is recorded while it is
+    (the live page).
     """
     from bowden import figures as report
     from bowden import provenance
@@ -166,12 +183,15 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
-        recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+                                              **provenance.metadata(prepared.experiment, prepared.script)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
                             signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
+        if announce:
+            progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
             sink: Sink = Watched(recorder, update, prepared.laps)
             sink = sink if watch is None else watch.beside(sink)
@@ -182,11 +202,27 @@ def perform(
         result = closed(recorder, result)
         if watch is not None:
             watch.ended(result.stop_reason or result.outcome)
+    if result.stop_reason is not None and never_ran(output):
+        for path in (output, truth):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
-    figures = report.figures(prepared, result, output, truth, wall_s, kept=kept, progress=progress)
+    figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
+                             simulated=simulated, kept=kept, progress=progress)
     if picture is not None and kept:
-        report.picture(output, picture, prepared)
+        report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def never_ran(output: Path) -> bool:
+    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    from trial import read
+
+    try:
+        return not len(read.open(output).time_ns)
+    except InputError:
+        return False  # a disk that is full: what is there is kept
 
 
 def closed(recorder: Recorder, result: Result) -> Result:
@@ -221,8 +257,10 @@ def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
+            from virtual_bus import steady_law
+
             nodes.prepare()
-            compiled = bench_plant.prepare()
+            compiled = bench_plant.prepare() | steady_law.prepare()
     if compiled:
         progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")
@@ -234,7 +272,7 @@ class Watched:
     EVERY = 200
 
     def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
-        self.frame, self.event = recorder.frame, recorder.event
+        self.frame, self.frames, self.event = recorder.frame, recorder.frames, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
         self._width = recorder.width
 

@@ -48,7 +48,11 @@ _SAFE_STOP: Final = MappingProxyType({
            (0x605E, cia402.Stop.QUICK_STOP_RAMP)),
 })
 """The servo never ends a stop by holding the rope, for the knee would load it; the knee drive holds."""
-_IF_PRESENT: Final = frozenset({key(0x1006), key(0x1015)})
+STEP_LIMIT: Final = 0x2017
+"""Greatest step of a drive's position target, in its position unit; 0: none."""
+STEP_US: Final = 10_000
+STEP_CYCLES: Final = 3
+_IF_PRESENT: Final = frozenset({key(0x1006), key(0x1015), key(STEP_LIMIT)})
 """Written where the device has them; every other object of a set-up is needed."""
 
 
@@ -157,9 +161,16 @@ class Wire:
         value, index = interpolation_period(network.period_us)
         yield 0x60C2, 1, value
         yield 0x60C2, 2, index
+        if key(0x607F) in self.nodes[node_id].dictionary.entries:
+            yield STEP_LIMIT, 0, self._step_limit(node_id)
         yield 0x6060, 0, int(cia402.Mode.CSP)
         for option, code in _SAFE_STOP[node_id]:
             yield option, 0, int(code)
+
+    def _step_limit(self, node_id: int) -> int:
+        """What the drive's greatest speed (0x607F) makes of `STEP_US`, or of `STEP_CYCLES` where that is longer."""
+        for_us = max(STEP_US, STEP_CYCLES * self.network.period_us)
+        return max(1, self.nodes[node_id].dictionary.initial(0x607F) * for_us // 1_000_000)
 
 
 def tpdo_cob_id(node_id: int) -> int:

@@ -51,8 +51,18 @@ class Limits:
                                  source="the bench's safe stop")
     unwind_m_s: float = parameter(0.2, "m/s", "speed at which a safe stop pays the rope out", low=0.01, high=1.0,
                                   source="assumed: 15 mm of stretch in 75 ms")
-    unwind_s: float = parameter(1.0, "s", "time after which an unwinding that does not end turns the torque off",
-                                low=0.05, high=10.0, source="assumed")
+    unwind_s: float = parameter(0.3, "s", "time after which an unwinding that does not end turns the torque off",
+                                low=0.05, high=10.0, source="assumed: a stop ends within half a second")
+    progress_ms: float = parameter(50.0, "ms", "time in which an unwinding must take tension off, else the torque goes",
+                                   low=10.0, high=1000.0, source="assumed: thrice the slowest healthy one")
+    knee_low_rad: float = parameter(-1.68, "rad", "flexion beyond which the trial stops", low=-2.3, high=0.0,
+                                    source="assumed: the drive's own limit is -95 degrees, and one more")
+    knee_high_rad: float = parameter(0.17, "rad", "extension beyond which the trial stops", low=0.0, high=0.5,
+                                     source="assumed: 10 degrees, a human knee's and a half")
+    knee_rad_s: float = parameter(14.0, "rad/s", "knee speed above which the trial stops", low=0.1, high=30.0,
+                                  source="assumed: the drive's own limit is 900 degrees per second, less a tenth")
+    rope_m_s: float = parameter(1.0, "m/s", "rope speed above which a position counts as impossible", low=0.01,
+                                high=5.0, source="the servo's 0x6080: 480 per minute of a 40 mm drum")
 
 
 @dataclass(frozen=True)

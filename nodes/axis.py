@@ -16,6 +16,7 @@ from eds import scales
 from eds.datatype import Value
 from eds.dictionary import Dictionary, key
 from nodes import axis_law as law
+from nodes import set_point_law
 
 NO_WINDOW: Final = 0xFFFFFFFF
 """0x6065: the following error is not monitored."""
@@ -88,6 +89,17 @@ class Axis:
         """Give the axis position, SI, of a position object's count."""
         return self._sign * raw * self.units.position + self.origin
 
+    @property
+    def unit(self) -> float:
+        """m or rad per count of the position object, with the sign of 0x607E."""
+        return self._sign * self.units.position
+
+    def adopt(self, s: Any, g: Any, out: Any) -> None:
+        """Keep state, settings and counts in this memory from now on."""
+        s[:], g[:], out[:] = self.s, self.g, self.out
+        self.s, self.g, self.out = s, g, out
+        self.state, self.settings = memoryview(s), memoryview(g)
+
     def home(self, raw: int) -> None:
         """Let the present position read `raw`; call `configure` afterwards, for the limits move with it."""
         self.origin = 0.0
@@ -97,8 +109,11 @@ class Axis:
 
     def target_position(self, raw: int) -> None:
         """Begin the straight line to a new target."""
-        self.state[law.TARGET] = self._sign * raw * self.units.position + self.origin
-        self.state[law.FRESH] = 1.0
+        set_point_law.target(self.s, self.unit, self.origin, raw)
+
+    def step_to(self, raw: int) -> float:
+        """Give the way, in counts, from the last target to a new one."""
+        return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
 
     def target_velocity(self, raw: int) -> None:
         """Take over a velocity."""

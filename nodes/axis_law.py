@@ -51,6 +51,8 @@ TRUST_S: Final = 0.05
 YIELD_RATE: Final = 160.0
 """1/s: how fast the tension limiter closes on its limit, on a rope of the stiffness it assumes; well damped with the
 3 ms between bridge and drum."""
+HELD_FROM: Final = 0.9
+"""Share of the tension limit from which on the rope, and not the axis, holds a position back."""
 TIGHTEN_PER_N: Final = 0.002
 """m/s of rope for each newton short of the preload: a time constant of 0.2 s on the soft rope, which averages noise."""
 TIGHT_N: Final = 0.6
@@ -130,14 +132,17 @@ def interpolate(s: Any, g: Any, dt_s: float) -> None:
 def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
     """Return the torque that follows the interpolated positions; tells of an error that outlasts its window's time.
 
-    While the rope's tension holds the axis back, the error is nobody's fault and is not timed.
+    While the tension's bound holds the axis back the error is nobody's fault and is not timed, as long as the axis
+    moves as fast as the bound allows, or the rope is near its limit: what stands still below it has lost its track.
     """
     interpolate(s, g, dt_s)
     forward = g[FEED_FORWARD] * s[RAMP] + g[VELOCITY_OFFSET]
     error = s[DEMAND] - position
     wanted = forward + g[KP] * error + s[POSITION_INTEGRAL]
     s[YIELDING] = 1.0 if wanted > s[SPEED_HIGH] and s[SPEED_HIGH] < g[SPEED_MAX] else 0.0
-    if abs(error) <= g[WINDOW] or s[YIELDING] != 0.0:
+    slow = velocity < 0.5 * s[SPEED_HIGH] and s[TENSION] < HELD_FROM * g[TENSION_LIMIT]
+    held = s[YIELDING] != 0.0 and not slow
+    if abs(error) <= g[WINDOW] or held:
         s[FOLLOWING_S] = 0.0
     else:
         s[FOLLOWING_S] += dt_s

@@ -6,7 +6,8 @@ The rule of this file: it joins the device core to the state machine and the mod
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from eds.cia301 import Emcy, NmtState
 from eds.cia402 import Event, Mode, State
@@ -15,9 +16,10 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import rules
 from nodes.axis import Axis
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 from nodes.homing import Phase
 from nodes.modes import MODE_DISPLAY, ModesOfOperation
+from nodes.set_point_law import Taker
 from nodes.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
@@ -36,7 +38,7 @@ class Drive(ModesOfOperation):
     report back.
     """
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Read the units; listen to every writable object of the profile."""
         self.device, self.values = device, device.values
         self.axis = Axis(device.objects.dictionary)
@@ -67,14 +69,18 @@ class Drive(ModesOfOperation):
 
     def latch(self, now_ns: int) -> None:
         """Bring position, velocity, torque, errors and statusword into the objects."""
-        values = self.values
         law.counts(self._s, self._g, self._out)
+        self.show_latched()
+
+    refresh = latch
+
+    def show_latched(self) -> None:
+        """Put what `law.counts` made into the objects."""
+        values = self.values
         (values[POSITION], values[VELOCITY], torque, values[POSITION_DEMAND], values[VELOCITY_DEMAND],
          values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self._out.tolist()
         values[TORQUE] = values[TORQUE_DEMAND] = values[CURRENT] = torque
         values[STATUSWORD] = self.base | self.mode_bits(flags)
-
-    refresh = latch
 
     def reset(self, now_ns: int) -> None:
         """Row 0: everything but home and a wired emergency stop is forgotten."""
@@ -120,6 +126,31 @@ class Drive(ModesOfOperation):
         """Return the torque demand, N·m at the output, for position and velocity in SI at the axis; 0 when off."""
         torque: float = law.step(self._s, self._g, now_ns, position, velocity)
         return self._notice(now_ns) if self._state[law.EVENTS] else torque
+
+    # ---- what a steady cycle needs ----
+
+    steady_sources = MappingProxyType({
+        POSITION: 0, VELOCITY: 1, TORQUE: 2, TORQUE_DEMAND: 2, CURRENT: 2, POSITION_DEMAND: 3, VELOCITY_DEMAND: 4,
+        FOLLOWING: 5, EFFORT: 6, INCREMENTS: 7, STATUSWORD: 8})
+    """Objects that a TPDO may carry, each with its place among `law.counts`; in that of the flags, the statusword."""
+
+    @property
+    def steady(self) -> bool:
+        """Nothing but values changes from tick to tick."""
+        return not self.changed and not self._state[law.EVENTS]
+
+    def steady_words(self) -> list[int]:
+        """Give the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
+        return [self.base | self.mode_bits(flags) for flags in range(16)]
+
+    def steady_taker(self, at: int) -> Taker | None:
+        """Say what taking the object `at` from an RPDO does to the axis; None where more may follow from it."""
+        return self.position_taker() if at == TARGET_POSITION else None
+
+    def adopt(self, s: Any, g: Any, out: Any) -> None:
+        """Keep the axis' numbers in this memory from now on."""
+        self.axis.adopt(s, g, out)
+        self._s, self._g, self._out, self._state = s, g, out, self.axis.state
 
     def _notice(self, now_ns: int) -> float:
         """Act on what a tick told; return the torque that is left."""

@@ -1,12 +1,13 @@
 """Filters of a measuring channel (CiA 404, 0x61A0 and 0x61A1), on whole numbers.
 
-The rule of this file: sums of counts are exact, so a filter forgets what leaves its window without a trace.
+The rule of this file: it names the filters; what they do is `nodes.channel_law`'s.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from enum import IntEnum
+
+from nodes import channel_law as law
 
 
 class FilterType(IntEnum):
@@ -17,43 +18,24 @@ class FilterType(IntEnum):
     REPEATING_AVERAGE = 2
 
 
+def settings(kind: int, constant: int) -> tuple[int, bool]:
+    """Return a filter's length, samples, and whether it gives one value for each block of them."""
+    return 1 if kind == FilterType.NONE else constant, kind == FilterType.REPEATING_AVERAGE
+
+
 class Filter:
-    """The mean of the last `constant` samples: at every sample, or (repeating) once for each block of them.
+    """The mean of the last `constant` samples by itself, without a channel around it."""
 
-    A window that is not yet full gives the mean of what it holds; a repeating average starts with its first sample.
-    """
-
-    __slots__ = ("_block", "_counts", "_length", "_sum", "_window", "value")
+    __slots__ = ("_channel",)
 
     def __init__(self, kind: int, constant: int) -> None:
-        self._block = kind == FilterType.REPEATING_AVERAGE
-        self._length = 1 if kind == FilterType.NONE else constant
-        self._window: deque[int] = deque()
-        self._sum = 0
-        self._counts = 0
-        self.value: float | None = None
+        self._channel = law.channel(*settings(kind, constant))
+
+    @property
+    def value(self) -> float | None:
         """The filtered value, None before the first sample."""
+        return float(self._channel[law.MEAN]) if self._channel[law.FILLED] else None
 
     def add(self, sample: int) -> None:
         """Take a sample."""
-        if self._length == 1:
-            self.value = float(sample)
-            return
-        if self._block:
-            self._add_to_block(sample)
-            return
-        window = self._window
-        window.append(sample)
-        self._sum += sample
-        if len(window) > self._length:
-            self._sum -= window.popleft()
-        self.value = self._sum / len(window)
-
-    def _add_to_block(self, sample: int) -> None:
-        self._sum += sample
-        self._counts += 1
-        if self.value is None:
-            self.value = float(sample)
-        if self._counts == self._length:
-            self.value = self._sum / self._length
-            self._sum = self._counts = 0
+        law.add(self._channel, float(sample))

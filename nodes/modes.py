@@ -6,6 +6,7 @@ target that stood in an object before the drive was enabled moves nothing.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from eds.cia301 import Emcy
@@ -14,6 +15,7 @@ from eds.dictionary import key
 from nodes import axis_law as law
 from nodes import homing
 from nodes.homing import Phase
+from nodes.set_point_law import FOLLOWS, KEEPS, Taker
 from nodes.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
@@ -33,6 +35,8 @@ class ModesOfOperation(StateMachine):
         self._open = Mode.NONE
         """The cyclic mode whose set-points are followed now."""
         self._halted = False
+        self._stepped = False
+        """The last target was refused for its step."""
 
     @property
     def seeking(self) -> bool:
@@ -83,13 +87,18 @@ class ModesOfOperation(StateMachine):
         if value == self.mode:
             return
         self.mode = Mode(value)
-        self.values[MODE_DISPLAY] = value
         if self.state is _ENABLED and self._leaving is None and not self._halted:
-            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)
+            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)  # 0x6061 shows the new mode when it opens, at rest
+        else:
+            self.values[MODE_DISPLAY] = value
 
     def begin(self, now_ns: int) -> None:
-        """Open the mode: hold where the axis is until its first set-point comes."""
+        """Open the mode and show it in 0x6061: hold where the axis is until its first set-point comes."""
         self._halted = False
+        self.values[MODE_DISPLAY] = int(self.mode)
+        if self._stepped:
+            self._stepped = False
+            self.device.recover(Emcy.POSITION_LIMIT)
         if self._word & Control.HALT:
             self._halt()
             return
@@ -108,19 +117,42 @@ class ModesOfOperation(StateMachine):
         if self.seeking:
             self.phase = Phase.IDLE
 
+    @property
+    def _commanded(self) -> bool:
+        """Every master that 0x1016 names is alive: without it nobody answers for a set-point."""
+        return self.device.consumer.all_live()
+
     def to_position(self, _value: int, _now_ns: int) -> None:
-        """Take 0x607A, with the offset 0x60B0."""
-        if self._open is Mode.CSP:
-            self.axis.target_position(self.number(0x607A) + self.number(0x60B0))
+        """Take 0x607A, with the offset 0x60B0; a step beyond 0x2017 is refused with EMCY 8612h, the last one holds."""
+        if self._open is not Mode.CSP or not self._commanded:
+            return
+        target, limit = self.number(0x607A) + self.number(0x60B0), self.number(0x2017)
+        if limit and abs(self.axis.step_to(target)) > limit:
+            if not self._stepped:
+                self._stepped = True
+                self.device.emergency(Emcy.POSITION_LIMIT, Emcy.POSITION_LIMIT.register)
+            return
+        if self._stepped:
+            self._stepped = False
+            self.device.recover(Emcy.POSITION_LIMIT)
+        self.axis.target_position(target)
+
+    def position_taker(self) -> Taker | None:
+        """Say what `to_position` does to the axis at every target, as things are; None where it may do more."""
+        if self._open is not Mode.CSP or not self._commanded:
+            return Taker(KEEPS)
+        if self._stepped or self.number(0x60B0):
+            return None
+        return Taker(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
         """Take 0x60FF."""
-        if self._open is Mode.CSV:
+        if self._open is Mode.CSV and self._commanded:
             self.axis.target_velocity(value)
 
     def to_torque(self, value: int, _now_ns: int) -> None:
         """Take 0x6071."""
-        if self._open is Mode.CST:
+        if self._open is Mode.CST and self._commanded:
             self.axis.target_torque(value)
 
     # ---- homing ----

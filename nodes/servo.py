@@ -13,14 +13,11 @@ from typing import Final
 from eds.cia301 import Emcy
 from eds.dictionary import key
 from nodes import axis_law as law
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 from nodes.drive import Drive
+from nodes.set_point_law import FEELS, NEWTON, NO_TENSION, Taker, feel
 
 TENSION: Final = key(0x2011)
-NEWTON: Final = 0.01
-"""Newton per count of the tension objects."""
-NO_TENSION: Final = -(1 << 15)
-"""What a sensor without a valid value sends."""
 HYSTERESIS_N: Final = 1.0
 
 
@@ -34,7 +31,7 @@ class ServoDrive(Drive):
         self._tripped = False
         self._limit = self._trip = math.inf
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Listen to START's tension besides."""
         super().attach(device)
         self._writers[TENSION] = self._feel
@@ -70,12 +67,16 @@ class ServoDrive(Drive):
         if raw == NO_TENSION:
             self._feel_nothing(now_ns)
             return
-        state = self._state
-        tension = state[law.TENSION] = NEWTON * raw
-        state[law.TENSION_AGE_S] = 0.0
+        tension = feel(self._s, raw)
         self._no_tension = False
         if tension > self._limit or self._above:
             self._press(tension, now_ns)
+
+    def steady_taker(self, at: int) -> Taker | None:
+        """Take START's tension besides, up to the rope's limit and while nothing is wrong with it."""
+        if at != TENSION:
+            return super().steady_taker(at)
+        return None if self._no_tension or self._above else Taker(FEELS, most=self._limit)
 
     def _press(self, tension: float, now_ns: int) -> None:
         above = tension > self._limit - (HYSTERESIS_N if self._above else 0.0)

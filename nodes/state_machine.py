@@ -16,7 +16,7 @@ from eds.datatype import Value
 from eds.dictionary import key
 from nodes.axis import Axis
 from nodes.core.application import Application
-from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
 POWERED: Final = (
@@ -30,7 +30,7 @@ _SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
 class StateMachine(Application):
     """The power drive system's state, its faults and its stops; `begin` and `cease` are the drive function's."""
 
-    device: Device
+    device: ProfileHost
     values: dict[int, Value]
     axis: Axis
 
@@ -60,8 +60,8 @@ class StateMachine(Application):
         """The drive function goes off, or a stop takes over."""
 
     def ready(self) -> bool:
-        """Say whether row 4 may turn the drive function on."""
-        return not self.awaits_release
+        """Say whether row 4 may turn the drive function on: nobody's release is outstanding, and its master lives."""
+        return not self.awaits_release and self.device.consumer.all_live()
 
     def cured(self) -> bool:
         """Say whether no cause of a fault is present."""
@@ -229,7 +229,8 @@ class Guard(NamedTuple):
 
 GUARDS: Final[Mapping[int, Guard]] = MappingProxyType({
     2: Guard("no emergency stop awaits its release", lambda machine: not machine.awaits_release),
-    4: Guard("no emergency stop awaits its release; START has a value (servo)", lambda machine: machine.ready()),
+    4: Guard("no emergency stop awaits its release; who 0x1016 names lives; START has a value (servo)",
+             lambda machine: machine.ready()),
     15: Guard("no cause is left: emergency stop released, rope below its trip level", lambda machine: machine.cured()),
     16: Guard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
 })

@@ -7,14 +7,17 @@ REAL32), with its status bit and an EMCY.
 from __future__ import annotations
 
 import math
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from eds.cia301 import SIGNATURE_ZERO, Abort, Emcy
 from eds.datatype import Value
 from eds.dictionary import key
+from nodes import channel_law as law
+from nodes import filter as filters
+from nodes.channel_law import NEGATIVE_OVERLOAD, NOT_VALID, POSITIVE_OVERLOAD
 from nodes.core.application import Application
-from nodes.core.device import Device
-from nodes.filter import Filter
+from nodes.core.interfaces import ProfileHost
 from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
 
 FIELD_REAL, FIELD = key(0x6100, 1), key(0x9100, 1)
@@ -25,14 +28,9 @@ PROCESS_REAL, PROCESS_16, PROCESS_32 = key(0x6130, 1), key(0x7130, 1), key(0x913
 DECIMALS, STATUS, FILTER_TYPE, FILTER_CONSTANT = key(0x6132, 1), key(0x6150, 1), key(0x61A0, 1), key(0x61A1, 1)
 SPAN_START, SPAN_END, SPAN_START_32, SPAN_END_32 = key(0x6148, 1), key(0x6149, 1), key(0x9148, 1), key(0x9149, 1)
 
-NOT_VALID, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD = 1, 2, 4
-"""Bits of 0x6150, and of the converter's status that `sample` takes: bit 0 is a broken wire."""
 OVERLOAD: Final = POSITIVE_OVERLOAD | NEGATIVE_OVERLOAD
 ON: Final = 1
 """0x6112: the channel measures."""
-FULL_COUNTS: Final = 1 << 23
-"""A 24-bit converter reads −2²³ … 2²³ − 1; at either end it is overloaded."""
-
 _OTHER_END: Final = {FV_1: FV_2, FV_2: FV_1, PV_1: PV_2, PV_2: PV_1}
 """A line through two points needs both coordinates of them to differ."""
 _LINKED: Final = {SPAN_START: SPAN_START_32, SPAN_END: SPAN_END_32}
@@ -42,12 +40,13 @@ _REALS: Final = frozenset((*_OTHER_END, OFFSET, *_LINKED))
 class TensionSensor(Application):
     """One channel; `sample` is called every `interval_ns` with the converter's counts, frames do the rest."""
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Listen to the channel's settings."""
         self.device, self.values = device, device.values
         self.watched = frozenset(k for k, e in device.objects.entries.items() if k >= key(0x6000) and e.writable)
         self.unstored = frozenset({AUTOZERO})
         self._changed = False
+        self.channel: Any = law.channel(1, False)
         self._verdict: int | None = None
         self._told: set[Emcy] = set()
         self._take_spans()
@@ -97,19 +96,23 @@ class TensionSensor(Application):
 
     def latch(self, now_ns: int) -> None:
         """Bring field value, process value and status into the objects."""
-        values, mean = self.values, self._mean
+        law.process(self.channel)
+        self.show_latched()
+
+    refresh = latch
+
+    def show_latched(self) -> None:
+        """Put what `law.process` made into the objects."""
+        values, channel = self.values, self.channel
         values[STATUS] = status = self._status()
         if status & NOT_VALID:
             values[PROCESS_16], values[PROCESS_32] = invalid(INTEGER16), invalid(INTEGER32)
             values[PROCESS_REAL] = math.nan
             return
-        tension = mean * self._factor + self._shift
-        counts = tension * self._counts_per_n
-        values[PROCESS_16], values[PROCESS_32] = integer(counts, INTEGER16), integer(counts, INTEGER32)
-        values[PROCESS_REAL] = real32(tension)
-        values[FIELD_REAL], values[FIELD] = mean, round(mean)
-
-    refresh = latch
+        values[PROCESS_16], values[PROCESS_32] = int(channel[law.PROCESS_16]), int(channel[law.PROCESS_32])
+        values[PROCESS_REAL] = real32(float(channel[law.TENSION]))
+        values[FIELD_REAL] = mean = float(channel[law.FIELD])
+        values[FIELD] = round(mean)
 
     def poll(self, now_ns: int) -> None:
         """Show a change of status."""
@@ -128,17 +131,14 @@ class TensionSensor(Application):
         if not self._measuring:
             return
         if status & NOT_VALID:
-            self._filter = Filter(*self._kind)
+            mean = self._mean
+            law.restart(self.channel, *filters.settings(*self._kind))
+            self.channel[law.MEAN] = mean
             self._judge(NOT_VALID, now_ns)
             return
-        self._filter.add(counts)
-        self._mean = mean = self._filter.value or 0.0
-        if not status and self._low <= mean <= self._high and -FULL_COUNTS < counts < FULL_COUNTS - 1:
-            if self._verdict != 0:
-                self._judge(0, now_ns)
-        else:
-            over = self._process(mean) > 0.5 * (self._real(SPAN_START) + self._real(SPAN_END))
-            self._judge(POSITIVE_OVERLOAD if over else NEGATIVE_OVERLOAD, now_ns)
+        verdict = law.sample(self.channel, counts, status)
+        if verdict != self._verdict:
+            self._judge(verdict, now_ns)
 
     def _status(self) -> int:
         """0x6150: not valid before the first sample, and while the channel is off."""
@@ -149,6 +149,7 @@ class TensionSensor(Application):
         if verdict == self._verdict:
             return
         self._verdict = verdict
+        self.channel[law.VERDICT] = verdict
         self._changed = True
         self.device.now_ns = now_ns
         self._tell(Emcy.SENSOR_BROKEN, bool(verdict & NOT_VALID))
@@ -169,17 +170,18 @@ class TensionSensor(Application):
         values = self.values
         line = two_point(*(self._real(at) for at in (FV_1, PV_1, FV_2, PV_2)))
         values[FACTOR], values[SHIFT] = map(real32, line)
-        self._factor, self._shift = line.factor, line.offset + self._real(OFFSET)
+        shift = line.offset + self._real(OFFSET)
         self._decimals = int(self._real(DECIMALS))
-        self._counts_per_n = 10.0 ** self._decimals
-        self._low, self._high = sorted((self._real(at) - self._shift) / line.factor for at in _LINKED)
+        channel = self.channel
+        channel[law.FACTOR], channel[law.SHIFT], channel[law.COUNTS_PER_N] = line.factor, shift, 10.0 ** self._decimals
+        channel[law.LOW], channel[law.HIGH] = sorted((self._real(at) - shift) / line.factor for at in _LINKED)
+        channel[law.MIDDLE] = 0.5 * (self._real(SPAN_START) + self._real(SPAN_END))
         self._measuring = self._real(OPERATING_MODE) == ON
         self.interval_ns = int(self._real(SAMPLE_RATE)) * 1000
         if restart:
             self._kind = int(self._real(FILTER_TYPE)), int(self._real(FILTER_CONSTANT))
-            self._filter = Filter(*self._kind)
+            law.restart(self.channel, *filters.settings(*self._kind))
             self._verdict = None
-            self._mean = 0.0
             if not self._measuring:
                 self._tell(Emcy.SENSOR_BROKEN, False)
                 self._tell(Emcy.OVER_RANGE, False)
@@ -198,5 +200,24 @@ class TensionSensor(Application):
         value = self.values.get(at, 0.0)
         return 0.0 if isinstance(value, bytes) else float(value)
 
+    @property
+    def _mean(self) -> float:
+        return float(self.channel[law.MEAN])
+
     def _process(self, mean: float) -> float:
-        return mean * self._factor + self._shift
+        return float(mean * self.channel[law.FACTOR] + self.channel[law.SHIFT])
+
+    # ---- what a steady cycle needs ----
+
+    steady_sources = MappingProxyType({PROCESS_16: law.PROCESS_16, PROCESS_32: law.PROCESS_32})
+    """Objects that a TPDO may carry, each with its place in the channel's array."""
+
+    @property
+    def steady(self) -> bool:
+        """Nothing but values changes from sample to sample: it measures, its value is valid, and its status is told."""
+        return self._measuring and not self._changed and self._verdict in (0, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD)
+
+    def adopt(self, channel: Any) -> None:
+        """Keep the channel's numbers in this memory from now on."""
+        channel[:] = self.channel
+        self.channel = channel

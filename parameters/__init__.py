@@ -6,12 +6,13 @@ writing a commented template are all derived from that declaration.  Every room 
 package; it imports none of them.
 """
 
-from parameters.declared import Declared, InputError, apart, checked, declarations, parameter
+from parameters.declared import Declared, InputError, Remark, apart, checked, declarations, parameter
 from parameters.tables import from_table, read_toml, template
 
 __all__ = [
     "Declared",
     "InputError",
+    "Remark",
     "apart",
     "checked",
     "declarations",

@@ -16,6 +16,10 @@ class InputError(ValueError):
     """What the user gave cannot be used; its text is one sentence that says where, what and what to do."""
 
 
+class Remark(UserWarning):
+    """What a reader of a file should know, one sentence: the file is read all the same."""
+
+
 @dataclass(frozen=True)
 class Declared:
     """What a parameter promises: `unit` ("" for a pure number), closed bounds, where its value comes from."""

@@ -1,23 +1,33 @@
 """What a bench was measured to be: at most thirty scalars, each with its evidence.
 
-The rule of this file: a calibration holds scalars only, never a sequence, and the controller knows
-nothing else of the plant.  `bowden identify` writes it; the packaged nominal one is the paper's
-numbers where the paper gives them and assumptions, marked so, where it does not.
+The rule of this file: a calibration is the controller's view of a bench model (`physics.bench_model`): scalars only,
+never a sequence, and the controller knows nothing else of the plant.  `bowden identify` measures it; the packaged
+nominal one is the paper's numbers where the paper gives them and assumptions, marked so, where it does not.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from parameters import InputError, checked, declarations, parameter, read_toml
+from parameters import InputError, Remark, checked, declarations, read_toml
+from physics import stretch
+from physics.conversions import to_scalars
+from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS, PARAMETERS, Parameter, assumed, current_names
 
-VERSION = 1
+VERSION = 2
+READ = (1, VERSION)
+"""Versions of the file that are read: 1 has [scalars.NAME] with a calibration's names."""
 NOMINAL = "nominal"
+FLAT = 0.05
+"""Share of (10)'s linear term below which a slope is taken for flat."""
+LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "start_gain",
+         "homed_friction")
+"""Scalars that a file of version 1 may lack; what a file lacks is taken as assumed, and that is said."""
 
 
 @dataclass(frozen=True)
@@ -35,63 +45,65 @@ class Evidence:
 class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to."""
 
-    stiffness_a: float = parameter(-1.7e-6, "m/N²", "quadratic term of the stretch", low=-1e-4, high=0.0,
-                                   source="equation (10), ak")
-    stiffness_b: float = parameter(3e-4, "m/N", "linear term of the stretch", low=1e-6, high=1e-2,
-                                   source="equation (10), bk")
-    stiffness_c: float = parameter(9.7e-3, "m", "encoder position that (10) gives at no force", low=-1.0, high=1.0,
-                                   source="equation (10), ck")
-    swing_k: float = parameter(0.706e-3 * 180 / math.pi, "m/rad", "rope that one radian of the knee takes",
-                               low=0.0, high=0.2, source="equation (11), k2")
-    swing_p: float = parameter(22.17e-3, "m", "encoder position at the upright knee under 20 N", low=-1.0, high=1.0,
-                               source="equation (11), p2")
-    home_preload: float = parameter(20.0, "N", "START tension at which (10) fixes the encoder zero", low=1.0,
-                                    high=60.0, source="equation (10), lower end of its identification")
-    cable_exponent: float = parameter(0.13, "", "capstan exponent of the cable, μ1·θ", low=0.0, high=1.0,
-                                      source="assumed: equation (3) gives the law, the paper no number")
-    fabric_friction: float = parameter(0.12, "", "friction coefficient of the fabric on the knee, μ2", low=0.0,
-                                       high=1.0, source="assumed: equation (7) gives the law, the paper no number")
-    wrap_offset: float = parameter(0.4, "rad", "wrap of the fabric at the upright knee, φ0", low=0.0, high=6.3,
-                                   source="assumed: φ = φ0 + κ·|θk|")
-    wrap_slope: float = parameter(1.0, "rad/rad", "wrap gained per radian of flexion, κ", low=0.0, high=3.0,
-                                  source="assumed: φ = φ0 + κ·|θk|")
-    cable_compliance: float = parameter(3.7e-5, "m/N", "stretch of the rope on the START side of the friction",
-                                        low=0.0, high=1e-3, source="assumed: 27 N/mm against a stuck rope")
-    presliding: float = parameter(2e-4, "m", "rope travel over which the sheath's friction turns over", low=1e-6,
-                                  high=5e-3, source="assumed: 0.05–1 mm")
-    fabric_presliding: float = parameter(2e-4, "m", "fabric travel over which the knee's friction turns over",
-                                         low=1e-6, high=5e-3, source="assumed: as presliding")
-    breakaway: float = parameter(0.0, "", "friction that rest adds to sliding friction, relative, β", low=0.0, high=4.0,
-                                 source="assumed: none on the day of identification")
-    breakaway_speed: float = parameter(0.01, "m/s", "sliding speed at which breakaway has gone, vs", low=5e-4, high=0.2,
-                                       source="assumed: greased steel")
-    breakaway_memory: float = parameter(0.02, "s", "time by which friction lags the sliding speed", low=1e-3, high=0.5,
-                                        source="assumed: frictional memory (Hess and Soom)")
-    fabric_share: float = parameter(0.4, "", "share of the fabric's stretch on the rope's side of the knee", low=0.0,
-                                    high=1.0, source="assumed: geometry")
-    drive_bandwidth: float = parameter(25.0, "Hz", "bandwidth of the servo's position loop", low=1.0, high=500.0,
-                                       source="assumed")
-    loop_delay: float = parameter(2e-3, "s", "from a target sent to its first sight in the inputs", low=0.0, high=0.1,
-                                  source="control timing: two SYNC periods at 1 kHz")
-    start_noise: float = parameter(0.15, "N", "standard deviation of START at rest", low=0.0, high=5.0,
-                                   source="assumed")
-    start_lag: float = parameter(1e-3, "s", "time by which START's reading lags its force", low=0.0, high=0.1,
-                                 source="assumed: a low-pass of 200 Hz and half a sampling interval")
-    start_offset: float = parameter(0.0, "N", "START reading with a slack rope", low=-10.0, high=10.0,
-                                    source="assumed")
+    stiffness_a: float = assumed("stiffness_a")
+    stiffness_b: float = assumed("stiffness_b")
+    stiffness_c: float = assumed("rope_zero")
+    stretch_short: float = assumed("stretch_short")
+    stretch_wide: float = assumed("stretch_wide")
+    identified_to: float = assumed("identified_to")
+    swing_k: float = assumed("rope_per_knee")
+    swing_p: float = assumed("swing_p")
+    home_preload: float = assumed("home_preload")
+    cable_exponent: float = assumed("cable_exponent")
+    fabric_friction: float = assumed("mu2")
+    wrap_offset: float = assumed("phi0")
+    wrap_slope: float = assumed("fabric_wrap")
+    cable_compliance: float = assumed("cable_compliance")
+    presliding: float = assumed("presliding")
+    fabric_presliding: float = assumed("fabric_presliding")
+    breakaway: float = assumed("breakaway")
+    fabric_breakaway: float = assumed("fabric_breakaway")
+    breakaway_speed: float = assumed("stribeck_speed")
+    breakaway_memory: float = assumed("stribeck_memory")
+    load_slope: float = assumed("load_slope")
+    viscous: float = assumed("viscous")
+    fabric_share: float = assumed("fabric_share")
+    drive_bandwidth: float = assumed("servo_bandwidth")
+    loop_delay: float = assumed("servo_delay")
+    start_noise: float = assumed("start_noise")
+    start_lag: float = assumed("start_lag")
+    start_gain: float = assumed("start_gain")
+    homed_friction: float = assumed("homed_friction")
+    start_offset: float = assumed("start_offset")
     evidence: Mapping[str, Evidence] = field(default_factory=dict)
     label: str = NOMINAL
     bench: str = ""
+    lacking: tuple[str, ...] = ()
 
     @property
     def turning_point_n(self) -> float:
         """Force at which (10) turns over and its inverse ends (88.2 N for the paper's numbers)."""
         return -self.stiffness_b / (2 * self.stiffness_a) if self.stiffness_a < 0 else math.inf
 
+    @property
+    def limit_n(self) -> float:
+        """Force at which the whole stretch turns over: (10)'s own turning point where nothing departs from (10)."""
+        return self.turning_point_n if not self.stretch_short and not self.stretch_wide else stretch.limit_n(self, 0.0)
+
+    @property
+    def reach_n(self) -> float:
+        """Force beyond which the stretch is continued along its tangent: not identified, or almost flat."""
+        return min(self.identified_to, stretch.limit_n(self, FLAT * self.stiffness_b))
+
 
 def scalars() -> tuple[str, ...]:
     """Names of the scalars, in the order of the file."""
     return tuple(name for name, _, _ in declarations(Calibration))
+
+
+def neutral(name: str) -> float:
+    """Value of a scalar that says nothing."""
+    return float(getattr(Calibration(), name))
 
 
 def nominal() -> Calibration:
@@ -100,42 +112,64 @@ def nominal() -> Calibration:
 
 
 def read(path: str | Path, *, bench: str = "") -> Calibration:
-    """Read a calibration; `bench` names the bench on the bus, "" accepts any.
+    """Read the calibration of a bench model; `bench` names the bench on the bus, "" accepts any.
 
-    Raises `InputError` for another version, another bench, an unknown or missing scalar, a wrong unit or range.
+    Raises `InputError` for another version, another bench, an unknown or missing parameter, a wrong unit or range.
     """
     where = str(path)
-    table = read_toml(Path(path))
-    if table.get("version") != VERSION:
-        raise InputError(f"{where}: version = {table.get('version')!r}, expected {VERSION}; run bowden identify again.")
-    owner = str(table.get("bench", ""))
+    tables = read_toml(Path(path))
+    owner = str(tables.get("bench", ""))
     if bench and owner and owner != bench:
         raise InputError(f"{where}: bench = {owner!r}, but the bench on the bus is {bench!r}; identify that bench.")
-    given = table.get("scalars", {})
-    if not isinstance(given, dict):
-        raise InputError(f"{where}: scalars is not a table; expected one [scalars.NAME] table per scalar.")
-    return _build(where, given, owner)
+    values, evidence = stated(tables, where)
+    if not values:
+        raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
+    if tables.get("version") == 1:
+        _whole(values, where)
+    return of_values(values, evidence, label=where, bench=owner)
 
 
-def _build(where: str, given: Mapping[str, Any], owner: str) -> Calibration:
-    known = {name: declared for name, _, declared in declarations(Calibration)}
-    for name in given:
-        if name not in known:
-            raise InputError(f"{where}: unknown scalar {name}; expected one of {', '.join(known)}.")
-    values, evidence = {}, {}
-    for name, declared in known.items():
-        row = given.get(name)
-        if not isinstance(row, dict) or "value" not in row:
-            raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
-        if row.get("unit", declared.unit) != declared.unit:
-            raise InputError(f"{where}: {name} is in {row['unit']!r}, expected {declared.unit!r}; convert it.")
-        values[name] = row["value"]
-        low, high = _interval(where, name, row)
-        evidence[name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
-                                  str(row.get("trial", "")))
-    given_as = checked(Calibration(**values, evidence=evidence, label=where, bench=owner), where=where)
-    floats: dict[str, Any] = {name: float(getattr(given_as, name)) for name in known}
-    return dataclasses.replace(given_as, **floats)
+def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, Evidence]]:
+    """Return values and evidence by name of the table of parameters, as a bench model's tables state them.
+
+    `[parameters.NAME]`, or `[scalars.NAME]` with a calibration's names, as version 1 has it.  Raises `InputError`.
+    """
+    name = "scalars" if "scalars" in tables else "parameters"
+    rows = tables.get(name, {})
+    if not isinstance(rows, Mapping):
+        raise InputError(f"{where}: {name} is not a table; expected one [{name}.NAME] table per parameter.")
+    if rows and tables.get("version") not in READ:
+        raise InputError(
+            f"{where}: version = {tables.get('version')!r}, expected {VERSION}; run bowden identify again.")
+    if name == "parameters":
+        rows = current_names(rows, where)
+    values: dict[str, float] = {}
+    evidence: dict[str, Evidence] = {}
+    for key, row in rows.items():
+        known = BY_CALIBRATION if name == "scalars" else PARAMETERS
+        if key not in known:
+            raise InputError(f"{where}: unknown {name[:-1]} {key}; expected one of {', '.join(known)}.")
+        p = PARAMETERS[BY_CALIBRATION[key] if name == "scalars" else key]
+        values[p.name] = _value(where, key, p, row)
+        low, high = _interval(where, key, row)
+        evidence[p.name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
+                                    str(row.get("trial", "")))
+    return values, evidence
+
+
+def _value(where: str, key: str, p: Parameter, row: Any) -> float:
+    if not isinstance(row, Mapping) or "value" not in row:
+        raise InputError(f"{where}: {key} has no value; write [parameters.{p.name}] with value and unit.")
+    if row.get("unit", p.unit) not in (p.unit, CALIBRATION_UNITS.get(p.name)):
+        raise InputError(f"{where}: {key} is in {row['unit']!r}, expected {p.unit!r}; convert it.")
+    value = row["value"]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: {key} = {value!r} is not a number; {p.meaning}.")
+    low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
+    if not low <= value <= high:
+        within = f"{low:g} … {high:g} {p.unit}".rstrip()
+        raise InputError(f"{where}: {key} = {value!r} is outside {within}; {p.meaning}.")
+    return float(value)
 
 
 def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, float]:
@@ -148,25 +182,72 @@ def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, flo
     return low, high
 
 
+def _whole(values: Mapping[str, float], where: str) -> None:
+    for name in scalars():
+        if BY_CALIBRATION[name] not in values and name not in LATER:
+            raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
+
+
+def of_values(
+    values: Mapping[str, float], evidence: Mapping[str, Evidence], *, label: str, bench: str = "",
+) -> Calibration:
+    """Return the controller's view of a bench's `values`, by name of the table and in any form.
+
+    What they do not tell has its assumed value and is named in `lacking`.
+    """
+    told = to_scalars(values)
+    lacking = tuple(name for name in scalars() if name not in told)
+    if "fabric_breakaway" in lacking and "breakaway" in told:
+        told["fabric_breakaway"] = told["breakaway"]
+    if untold := [name for name in lacking if name not in LATER]:
+        warnings.warn(f"{label}: says nothing of {', '.join(untold)}; taken as assumed.", Remark, stacklevel=2)
+    known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
+    fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
+    return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking), where=label)
+
+
+def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, Evidence]]:
+    """Return a calibration's values and evidence by name of the table of parameters."""
+    return ({BY_CALIBRATION[name]: float(getattr(calibration, name)) for name in scalars()},
+            {BY_CALIBRATION[name]: known for name, known in calibration.evidence.items()})
+
+
+def rows(values: Mapping[str, float], evidence: Mapping[str, Evidence]) -> list[str]:
+    """Return the lines of `[parameters.NAME]`, in the order of `values`; `stated` reads them back."""
+    lines = []
+    for name, value in values.items():
+        p, known = PARAMETERS[name], evidence.get(name)
+        lines += ["", f"[parameters.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
+        if known is not None and math.isfinite(known.low + known.high):
+            lines.append(f"interval = [{known.low!r}, {known.high!r}]")
+        if known is not None and math.isfinite(known.r_squared):
+            lines.append(f"r_squared = {known.r_squared!r}")
+        if known is not None:
+            lines += [f'{key} = "{text}"' for key, text in (("date", known.date), ("trial", known.trial)) if text]
+    return lines
+
+
 def write(calibration: Calibration) -> str:
-    """The calibration as TOML text, scalars in the order of their declaration; `read` gives the same one back."""
-    lines = [f"version = {VERSION}", f'bench = "{calibration.bench}"']
-    for name, _, declared in declarations(Calibration):
-        lines += ["", f"[scalars.{name}]  # {declared.text}", f"value = {getattr(calibration, name)!r}",
-                  f'unit = "{declared.unit}"']
-        evidence = calibration.evidence.get(name)
-        if evidence is not None and math.isfinite(evidence.low + evidence.high):
-            lines.append(f"interval = [{evidence.low!r}, {evidence.high!r}]")
-        if evidence is not None and math.isfinite(evidence.r_squared):
-            lines.append(f"r_squared = {evidence.r_squared!r}")
-        if evidence is not None:
-            lines += [f'{key} = "{text}"' for key, text in (("date", evidence.date), ("trial", evidence.trial)) if text]
-    return "\n".join(lines) + "\n"
+    """Return the calibration as the TOML text of a bench model; `read` gives the same one back."""
+    return "\n".join([f"version = {VERSION}", f'bench = "{calibration.bench}"',
+                      *rows(*values_of(calibration))]) + "\n"
+
+
+def said_of(calibration: Calibration, start_n: float) -> list[str]:
+    """What is to be said before a bench pulls `start_n` at START by this calibration: a sentence each."""
+    said = []
+    if calibration.lacking:
+        said.append(f"calibration {calibration.label} is of an older version without {', '.join(calibration.lacking)}; "
+                    "neutral values are taken; run bowden identify again.")
+    if start_n > calibration.identified_to:
+        said.append(f"calibration {calibration.label}: the peak takes {start_n:.0f} N at START and the bench was "
+                    f"identified up to {calibration.identified_to:.0f} N; beyond it the stretch is extrapolated.")
+    return said
 
 
 def refuse_beyond_validity(calibration: Calibration, peak_n: float) -> None:
     """Raise `InputError` when the desired peak lies beyond the turning point of (10), where it has no inverse."""
-    limit = calibration.turning_point_n
+    limit = calibration.limit_n
     if peak_n >= limit:
         raise InputError(
             f"calibration {calibration.label}: a peak of {peak_n:g} N is beyond the turning point of its stiffness, "

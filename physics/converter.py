@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from parameters import parameter
 from physics.laws import Array
+from physics.parameters import declared
 
 FULL_COUNTS: Final = 2**23
 RING: Final = 1024
@@ -25,28 +25,17 @@ RING: Final = 1024
 class SensorParameters:
     """HYLY-019 bridge and AD7192 converter; the last eight are what can be wrong with them."""
 
-    full_scale_n: float = parameter(
-        200.0, "N", "force at full scale, either way", low=1.0, high=1e4, source="assumed: maker's range")
-    cutoff_hz: float = parameter(
-        200.0, "Hz", "converter's low-pass, first order", low=1.0, high=1e4, source="assumed: sinc filter at 1 kHz")
-    noise_n: float = parameter(
-        0.15, "N", "noise of a sample, rms", low=0.0, high=20.0, source="assumed: 0.075 % of full scale")
-    gain: float = parameter(1.0, "", "gain", low=0.1, high=3.0, source="assumed: calibrated")
-    offset_n: float = parameter(0.0, "N", "error of the zero", low=-100.0, high=100.0, source="assumed: tared")
-    drift_n: float = parameter(
-        0.0, "N", "change of the zero over drift_s", low=-100.0, high=100.0, source="assumed: warmed up")
-    drift_s: float = parameter(
-        20.0, "s", "time, from the start, that drift_n refers to", low=0.1, high=1e6,
-        source="assumed: ten gait cycles of 2 s")
-    delay_s: float = parameter(0.0, "s", "dead time of the signal", low=0.0, high=0.1, source="assumed: none")
-    lag_s: float = parameter(
-        0.0, "s", "time constant of a further low-pass", low=0.0, high=1.0, source="assumed: none")
-    quantum_n: float = parameter(
-        0.0, "N", "step to which the signal is rounded; 0: the converter's own", low=0.0, high=20.0,
-        source="assumed: 24 bits")
-    skew_s: float = parameter(
-        0.0, "s", "what its time stamps are early by, with those of the other sensor", low=0.0, high=0.1,
-        source="assumed: none")
+    full_scale_n: float = declared("full_scale")
+    cutoff_hz: float = declared("sensor_cutoff")
+    noise_n: float = declared("start_noise")
+    gain: float = declared("start_gain")
+    offset_n: float = declared("start_offset")
+    drift_n: float = declared("start_drift")
+    drift_s: float = declared("drift_time")
+    delay_s: float = declared("end_delay")
+    lag_s: float = declared("end_filter")
+    quantum_n: float = declared("quantum")
+    skew_s: float = declared("timestamp_skew")
 
 
 @njit
@@ -121,6 +110,16 @@ class Converter:
         """Forget the signal's history; drift counts from `time_ns`."""
         self._state: Array = np.array([0.0, 0.0, 0.0, 0.0, time_ns * 1e-9])
         self._ring: Array = np.zeros((RING, 2))
+
+    @property
+    def seed(self) -> int:
+        """The noise's seed."""
+        return int(self._seed)
+
+    def adopt(self, state: Array, ring: Array, p: Array) -> None:
+        """Keep history and parameters in this memory from now on; shapes as `convert` takes them."""
+        state[:], ring[:], p[:] = self._state, self._ring, self._p
+        self._state, self._ring, self._p = state, ring, p
 
     def sample(self, time_ns: int, force_n: float) -> int:
         """Return the counts, −2²³ … 2²³ − 1, of the force felt at `time_ns`, N; times must not fall."""

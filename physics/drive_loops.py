@@ -15,6 +15,7 @@ from numba import njit
 
 from parameters import parameter
 from physics.laws import Array
+from physics.parameters import declared
 
 DRIVE_TICK_NS: Final = 250_000
 """The period at which a drive runs its loops."""
@@ -37,8 +38,7 @@ LOOP: Final = Loop()
 class Gains:
     """The gains and limits of one axis; [u] is m or rad."""
 
-    position_gain: float = parameter(
-        125.0, "1/s", "position loop, proportional", low=0.0, high=2000.0, source="assumed: 25 Hz on the nominal bench")
+    position_gain: float = declared("servo_position_gain")
     position_integral: float = parameter(
         300.0, "1/s²", "position loop, integral", low=0.0, high=1e5, source="assumed: as position_gain")
     velocity_gain: float = parameter(

@@ -2,8 +2,10 @@
 
 The rule of this file: quasi-static and lumped; one state for the rope in its sheath, one for the fabric on the
 knee, each turning over with its own travel.  START → rope (κ) → sheath (c1·s1) → fabric (share w) → knee
-(c2·s2) → fabric (1 − w) → END.  The whole stretch without friction is (10), less its constant.  What slides slowly
-grips harder: both exponents grow by 1 + β·e^(−(v/vs)²), v lagging the sliding speed (Stribeck; Hess and Soom).
+(c2·s2) → fabric (1 − w) → END.  The whole stretch without friction is `physics.stretch`'s, less its constant.
+
+Both exponents depend on the tension behind them, 1 + λ·(T/40 N − 1), and on the recent sliding speed,
+1 + β·e^(−(v/vs)²), v lagging the speed (Stribeck; Hess and Soom); the rope in its sheath drags besides, c·v.
 """
 
 from __future__ import annotations
@@ -13,23 +15,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from physics import laws
 from physics.calibration import Calibration
+from physics.laws import Array
+from physics.path_laws import capstan, load_dependence, presliding, slowness
+from physics.stretch import SHORT_N, WIDE_N, coefficients
 
-Array = NDArray[np.float64]
+TAUT_N = 1.0
+"""Tension below which the drag of a slack rope fades."""
+CLOSE_N, CLOSE = 1e-9, 1e-9
+"""Where a search for a tension, N, and for a slip state ends."""
 
 
 class Law(NamedTuple):
-    """Scalars of the model: (10) split into rope and fabric, (11), and the friction's; SI.
+    """Scalars of the model: the stretch split into rope and fabric, (11), and the friction's; SI.
 
-    `breakaway_travel` is vs and `fade` the share of the lag, per sample of the period that the law was made for.
+    `breakaway_travel` is vs, `drag` the viscous friction and `fade` the share of the speed's lag, per sample of the
+    period that the law was made for.  Beyond `reach`, N, the stretch goes on along its tangent.
     """
 
     constant: float
     quadratic: float
     linear: float
+    short: float
+    wide: float
+    reach: float
     rope_compliance: float
     share: float
     cable_exponent: float
@@ -40,8 +51,11 @@ class Law(NamedTuple):
     swing_k: float
     knee_home: float
     breakaway: float
+    fabric_breakaway: float
     breakaway_travel: float
     fade: float
+    load_slope: float
+    drag: float
 
 
 class Slip(NamedTuple):
@@ -66,10 +80,14 @@ class Path(NamedTuple):
 
 def law(calibration: Calibration, period_s: float, friction: float = 1.0, softness: float = 1.0) -> Law:
     """The model of a calibration by samples of `period_s`, its friction and its stretch scaled to the day."""
+    constant, quadratic, linear = coefficients(calibration)
     return Law(
-        constant=calibration.stiffness_c,
-        quadratic=softness * calibration.stiffness_a,
-        linear=softness * (calibration.stiffness_b - calibration.cable_compliance),
+        constant=constant,
+        quadratic=softness * quadratic,
+        linear=softness * (linear - calibration.cable_compliance),
+        short=softness * calibration.stretch_short,
+        wide=softness * calibration.stretch_wide,
+        reach=calibration.reach_n,
         rope_compliance=softness * calibration.cable_compliance,
         share=calibration.fabric_share,
         cable_exponent=friction * calibration.cable_exponent,
@@ -80,78 +98,95 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
         swing_k=calibration.swing_k,
         knee_home=float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)),
         breakaway=calibration.breakaway,
+        fabric_breakaway=calibration.fabric_breakaway,
         breakaway_travel=calibration.breakaway_speed * period_s,
-        fade=min(1.0, period_s / calibration.breakaway_memory),
+        fade=-math.expm1(-period_s / calibration.breakaway_memory),
+        load_slope=calibration.load_slope,
+        drag=calibration.viscous / period_s,
     )
 
 
 def adapted(law: Law, friction: float, breakaway: float) -> Law:
-    """The law with its exponents scaled by `friction`, and another breakaway."""
+    """The law with its exponents scaled by `friction`, and `breakaway` more of breakaway in sheath and on knee."""
     return law._replace(
         cable_exponent=friction * law.cable_exponent, fabric_offset=friction * law.fabric_offset,
-        fabric_slope=friction * law.fabric_slope, breakaway=breakaway)
+        fabric_slope=friction * law.fabric_slope, breakaway=law.breakaway + breakaway,
+        fabric_breakaway=law.fabric_breakaway + breakaway)
 
 
 @njit(cache=True)
-def turned(state: float, travel: float, length: float) -> float:
-    """Pre-sliding state after `travel`, m: ds/dx = (1 − s·sgn v)/δ, integrated exactly."""
-    if travel == 0.0:
-        return state
-    goal = 1.0 if travel > 0.0 else -1.0
-    return goal - (goal - state) * math.exp(-abs(travel) / length)
+def elongation(law: Any, force: float) -> Any:
+    """(stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""
+    quadratic, linear, short, wide, reach = law[1:6]
+    at = min(force, reach)
+    by_short, by_wide = math.exp(-at / SHORT_N), math.exp(-at / WIDE_N)
+    slope = linear + 2.0 * quadratic * at + short * by_short + wide * by_wide
+    whole = (quadratic * at + linear) * at + short * SHORT_N * (1.0 - by_short) + wide * WIDE_N * (1.0 - by_wide)
+    return whole + slope * (force - at), slope
 
 
 @njit(cache=True)
-def slowness(speed: float, scale: float) -> float:
-    """e^(−(v/vs)²), both per sample."""
-    return math.exp(-((speed / scale) ** 2))
+def tensed(law: Any, stretched: float, guess: float) -> float:
+    """Tension, N, of the fabric stretched by so much, m, by Newton from a guess; 0 where it is slack."""
+    if stretched <= 0.0:
+        return 0.0
+    force = max(guess, 0.0)
+    for _ in range(30):
+        whole, slope = elongation(law, force)
+        change = (stretched - whole) / slope
+        force = max(0.0, force + change)
+        if abs(change) < CLOSE_N:
+            break
+    return force
 
 
 @njit(cache=True)
 def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     """One sample from END to START: (rope position m, START N, exponents of sheath and knee, slowness of both, slip).
 
-    `force` END, N; `knee` rad; `slip` a `Slip`, returned as a plain tuple.  ln(START/END) is the exponents' sum.
+    `force` END, N; `knee` rad; `slip` a `Slip`, returned as a plain tuple.  ln((START − drag)/END) is the exponents'
+    sum.
     """
-    (constant, quadratic, linear, rope_compliance, share, cable_exponent, rope_travel, fabric_travel,
-     fabric_offset, fabric_slope, swing_k, knee_home, breakaway, breakaway_travel, fade) = law
+    (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
+     fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
+     fade, load_slope, drag) = law
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
-    on_knee = (1.0 - share) * (quadratic * force + linear) * force
+    on_knee = (1.0 - share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
-        fabric = turned(fabric, on_knee - knee_x, fabric_travel)
+        fabric = presliding(fabric, on_knee - knee_x, fabric_travel)
         fabric_speed += fade * (on_knee - knee_x - fabric_speed)
     knee_slow = slowness(fabric_speed, breakaway_travel)
-    by_knee = (fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + breakaway * knee_slow)
-    tension = force * math.exp(by_knee)
-    in_sheath = swing_k * (knee - knee_home) + on_knee + share * (quadratic * tension + linear) * tension
+    by_knee = ((fabric_offset + fabric_slope * abs(knee)) * fabric * (1.0 + fabric_breakaway * knee_slow)
+               * load_dependence(load_slope, force))
+    tension = capstan(force, by_knee)
+    in_sheath = swing_k * (knee - knee_home) + on_knee + share * elongation(law, tension)[0]
+    moved = 0.0
     if not math.isnan(rope_x):
-        rope = turned(rope, in_sheath - rope_x, rope_travel)
-        rope_speed += fade * (in_sheath - rope_x - rope_speed)
+        moved = in_sheath - rope_x
+        rope = presliding(rope, moved, rope_travel)
+        rope_speed += fade * (moved - rope_speed)
     sheath_slow = slowness(rope_speed, breakaway_travel)
-    by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow)
-    start = tension * math.exp(by_sheath)
+    by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow) * load_dependence(load_slope, tension)
+    start = capstan(tension, by_sheath) + drag * moved * min(1.0, tension / TAUT_N)
     position = constant + in_sheath + rope_compliance * start
     return position, start, by_sheath, by_knee, sheath_slow, knee_slow, (
         rope, fabric, in_sheath, on_knee, rope_speed, fabric_speed)
 
 
 @njit(cache=True)
-def held_by_position(law: Any, position: float, knee: float, start: float, by_sheath: float) -> Any:
+def held_by_position(law: Any, position: float, knee: float, start: float, drag: float, by_sheath: float) -> Any:
     """END tension, N, that the stretch of the fabric tells, friction aside; NaN where it is not taut.
 
-    `position` is free of the zero's shift; `by_sheath` places only the share of the stretch before the knee.
+    `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the knee.
     """
-    constant, quadratic, linear, rope_compliance, share = law[:5]
-    swing_k, knee_home = law[10], law[11]
-    stretch = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
-    tension = start * math.exp(-by_sheath)
-    after = (stretch - share * (quadratic * tension + linear) * tension) / (1.0 - share)
-    inside = linear * linear + 4.0 * quadratic * after
-    if after <= 0.0 or inside <= 0.0:
+    constant, share, rope_compliance = law[0], law[7], law[6]
+    swing_k, knee_home = law[13], law[14]
+    stretched = position - constant - swing_k * (knee - knee_home) - rope_compliance * start
+    tension = capstan(max(start - drag, 0.0), -by_sheath)
+    after = (stretched - share * elongation(law, tension)[0]) / (1.0 - share)
+    if after <= 0.0:
         return math.nan
-    if quadratic == 0.0:
-        return after / linear
-    return (math.sqrt(inside) - linear) / (2.0 * quadratic)
+    return tensed(law, after, tension)
 
 
 @njit(cache=True)
@@ -164,34 +199,49 @@ def _path(law: Any, force: Any, knee: Any, laps: int, out: Any) -> None:
 
 
 @njit(cache=True)
-def _end_from_start(law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any) -> None:
-    (constant, quadratic, linear, rope_compliance, share, cable_exponent, rope_travel, fabric_travel,
-     fabric_offset, fabric_slope, swing_k, knee_home, breakaway, breakaway_travel, fade) = law
-    rope, fabric, knee_x, rope_speed, fabric_speed = 0.0, 0.0, 0.0, 0.0, 0.0
+def _end_from_start(
+    law: Any, position: Any, start: Any, knee: Any, end: Any, predicted: Any
+) -> None:
+    (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
+     fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
+     fade, load_slope, drag) = law
+    rope, fabric, knee_x, rope_speed, fabric_speed, force = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before = position[0] - rope_compliance * start[0]
     for i in range(start.size):
         in_sheath = position[i] - rope_compliance * start[i]
-        rope = turned(rope, in_sheath - before, rope_travel)
-        rope_speed += fade * (in_sheath - before - rope_speed)
+        moved = in_sheath - before
         before = in_sheath
-        grip = 1.0 + breakaway * slowness(rope_speed, breakaway_travel)
-        tension = max(start[i], 0.0) * math.exp(-cable_exponent * rope * grip)
-        exponent = (fabric_offset + fabric_slope * abs(knee[i])) * (
-            1.0 + breakaway * slowness(fabric_speed, breakaway_travel))
-        low, high = -1.0, 1.0
-        for _halving in range(24):
-            slip = 0.5 * (low + high)
-            force = tension * math.exp(-exponent * slip)
-            moved = (1.0 - share) * (quadratic * force + linear) * force
-            if turned(fabric, moved - knee_x, fabric_travel) > slip:
-                low = slip
+        rope = presliding(rope, moved, rope_travel)
+        rope_speed += fade * (moved - rope_speed)
+        grip = cable_exponent * rope * (1.0 + breakaway * slowness(rope_speed, breakaway_travel))
+        pulled = max(start[i] - drag * moved * min(1.0, max(start[i], 0.0) / TAUT_N), 0.0)
+        tension = capstan(pulled, -grip)
+        for _ in range(2):
+            tension = capstan(pulled, -grip * load_dependence(load_slope, tension))
+        whole = (fabric_offset + fabric_slope * abs(knee[i])) * (
+            1.0 + fabric_breakaway * slowness(fabric_speed, breakaway_travel))
+        low, high, at_low, at_high, side = -1.0, 1.0, 2.0, -2.0, 0
+        slip = fabric
+        for _step in range(40):
+            force = tension * math.exp(-whole * slip * load_dependence(load_slope, tension * math.exp(-whole * slip)))
+            on_knee = (1.0 - share) * elongation(law, force)[0]
+            left = presliding(fabric, on_knee - knee_x, fabric_travel) - slip
+            if abs(left) < CLOSE:
+                break
+            if left > 0.0:
+                low, at_low = slip, left
+                at_high = 0.5 * at_high if side > 0 else at_high
+                side = 1
             else:
-                high = slip
-        fabric_speed += fade * (moved - knee_x - fabric_speed)
-        fabric, knee_x = slip, moved
+                high, at_high = slip, left
+                at_low = 0.5 * at_low if side < 0 else at_low
+                side = -1
+            slip = (low * at_high - high * at_low) / (at_high - at_low)
+        fabric_speed += fade * (on_knee - knee_x - fabric_speed)
+        fabric, knee_x = slip, on_knee
         end[i] = force
-        predicted[i] = (constant + swing_k * (knee[i] - knee_home) + moved
-                        + share * (quadratic * tension + linear) * tension + rope_compliance * start[i])
+        predicted[i] = (constant + swing_k * (knee[i] - knee_home) + on_knee + share * elongation(law, tension)[0]
+                        + rope_compliance * start[i])
 
 
 def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
@@ -201,7 +251,9 @@ def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
     return Path(*out)
 
 
-def end_from_start(law: Law, position: Array, start: Array, knee: Array) -> tuple[Array, Array]:
+def end_from_start(
+    law: Law, position: Array, start: Array, knee: Array
+) -> tuple[Array, Array]:
     """END tension, N, and rope position, m, that the model puts behind a measured START; slips begin at zero.
 
     `start` must be smooth: its noise would turn the friction over.
@@ -216,5 +268,5 @@ def prepare() -> None:
     some = law(Calibration(), 1e-3)
     inverse(some, Slip(), 1.0, -0.5)
     inverse(some, tuple(Slip()), 1.0, -0.5)
-    held_by_position(some, 0.01, -0.5, 10.0, 0.2)
+    held_by_position(some, 0.01, -0.5, 10.0, 0.0, 0.2)
     end_from_start(some, np.zeros(2), np.zeros(2), np.zeros(2))

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 COUNTED: Final = 24
 """Ages, in cycles, that are told apart; what is older counts as this old."""

@@ -11,6 +11,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from parameters import InputError
 from trial.mcap_file import cdr
@@ -69,6 +73,8 @@ class Recorder:
 
     def _open(self, overwrite: bool) -> None:
         try:
+            if overwrite and self.path.is_symlink():
+                self.path.unlink()  # a link is replaced, never written through
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise InputError(f"{self.path}: the file exists; give another name or --overwrite.") from None
@@ -103,6 +109,36 @@ class Recorder:
             block, at = self._fresh_frames(), 0
         self._pack_frame(block.rows, at * FRAME_BYTES, time_ns, can_id, flags, size, channel, sent, data)
         block.count = at + 1
+
+    def frames(self, rows: Any, count: int, last_ns: int) -> None:
+        """Record `count` frames at once: bytes of `cdr.FRAME_ROW`s, in the order of their times to `last_ns`."""
+        block, size = self._frames, count * FRAME_BYTES
+        at = block.count
+        if last_ns < self._due_ns and at + count <= FRAMES_PER_CHUNK:
+            block.rows[at * FRAME_BYTES:at * FRAME_BYTES + size] = rows
+            block.count = at + count
+            return
+        for time_ns, can_id, flags, dlc, channel, sent, data in cdr.FRAME_STRUCT.iter_unpack(rows):
+            self.frame(time_ns, can_id, data[:dlc], flags, channel, sent)
+
+    def cycles(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Record control cycles at once: n times, none before its predecessor, and (n, width) values."""
+        rows = np.empty(len(times_ns), self._cycles.dtype)
+        rows["time_ns"], rows["values"] = times_ns, values
+        first = 0
+        while first < len(rows):
+            time_ns = int(times_ns[first])
+            if not 0 <= time_ns < self._due_ns:
+                self._hand_over_all(time_ns)
+            block = self._cycles
+            if block.count == self._cycles_per_chunk:
+                block = self._fresh_cycles()
+            room = first + self._cycles_per_chunk - block.count
+            end = min(room, int(np.searchsorted(times_ns, self._due_ns)))
+            at = block.count * self._cycle_bytes
+            block.rows[at:at + (end - first) * self._cycle_bytes] = rows[first:end].tobytes()
+            block.count += end - first
+            first = end
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         """Record one control cycle: a value for each of the recorder's signals, NaN where unknown."""

@@ -64,17 +64,17 @@ class Bench:
         for station in (self.host, *self.nodes.values()):
             self.wire.attach(station)
         outages.arrange(self.kernel, lambda: self.medium, (self.host, *self.nodes.values()), faults, self.wire.bit_ns)
-        self._machine = machine(self) if machine is not None else None
+        self.machine = machine(self) if machine is not None else None
         self.kernel.at(0, TIMER, self._power_on)
 
     def _power_on(self) -> None:
         for station in self.nodes.values():
             if station.wire is not None:
                 station.powered(True, self.kernel.now_ns)
-        if self._machine is not None:
-            self._machine.start()
+        if self.machine is not None:
+            self.machine.start()
 
     def close(self) -> None:
         """Finish what the machine writes."""
-        if self._machine is not None:
-            self._machine.close()
+        if self.machine is not None:
+            self.machine.close()

@@ -15,6 +15,7 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from eds.frame import Frame
+from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.build import build
 from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
@@ -22,6 +23,8 @@ from virtual_bus.kernel import NEVER
 from virtual_bus.options import options
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
+from virtual_bus.steady import Steady, Whole, possible
+from virtual_bus.steady_arrays import Asked, Heartbeat
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -37,9 +40,34 @@ class Shared:
         self.bench = bench
         self.users = 0
         self.lock = threading.RLock()
+        self.turnstile = threading.RLock()
+        self.steady = Steady(bench) if possible(bench) else None
 
+    def settle(self) -> None:
+        """Let the bench's objects know all that has happened: before anybody looks at them or tells them something."""
+        if self.steady is not None and self.steady.warm:
+            with self.lock:
+                self.steady.leave()
+
+
+LONG_S: Final = 0.1  # a wait so long, s, leaves the bus to other threads in between
 
 _OPEN: dict[str, Shared] = {}
+
+
+class Cycles:
+    """Whole control cycles at once: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
+
+    def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
+        self._steady, self._asked, self._lock = steady, asked, lock
+
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+        """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
+
+        None where this cycle may hold anything else: then nothing has happened.
+        """
+        with self._lock:
+            return self._steady.cycle(self._asked, data, beat_ns, after_ns)
 
 
 class BowdenBus(can.BusABC):
@@ -47,7 +75,10 @@ class BowdenBus(can.BusABC):
 
     `given` are the options of `options.Options`; `bench` gives a bench made elsewhere instead. `single_handle`,
     which python-can's own tools pass to every interface, changes nothing. Raises `parameters.InputError` for an
-    option that cannot be used.
+    option that cannot be used, `fd=True` among them: the bench is classical CAN.
+
+    Several threads may use one bus: while one waits in `recv`, others send; a `recv` without time-out lets bus time
+    pass in steps, between which a `send` of another thread goes out.
     """
 
     def __init__(
@@ -59,24 +90,58 @@ class BowdenBus(can.BusABC):
         receive_own_messages: bool = False,
         rx_queue: int = 65_536,
         single_handle: bool = False,
+        fd: bool = False,
         **given: Any,
     ) -> None:
+        if fd:
+            raise InputError(f"channel {channel}: fd = true, but the bench is classical CAN; leave fd out.")
         self._key = str(channel)
         shared = _OPEN.get(self._key)
         if shared is None:
             made = bench or build(options(given, f"channel {self._key}"), self._key)
             shared = _OPEN[self._key] = Shared(made)
         self._shared = shared
+        shared.settle()
         shared.users += 1
         self._lock = shared.lock
-        self.bench = shared.bench
-        self._kernel = self.bench.kernel
-        self._host = self.bench.host
+        self._settle, self._steady = shared.settle, shared.steady
+        self._kernel = shared.bench.kernel
+        self._host = shared.bench.host
+        self._turnaround_ns = shared.bench.master_turnaround_ns
         self._socket = Socket(own=bool(receive_own_messages), limit=int(rx_queue))
         self._queue = self._socket.queue
         self._host.sockets.append(self._socket)
         self.channel_info = f"bowden bench on {self._key}"
         super().__init__(channel=self._key, can_filters=can_filters)
+
+    @property
+    def bench(self) -> Bench:
+        """The bench, up to date."""
+        self._settle()
+        return self._shared.bench
+
+    def cycles(
+        self, tap: can.BusABC | None, targets_id: int, size: int, inputs: Sequence[int], budget_ns: int,
+        heartbeat: tuple[int, int, int],
+    ) -> Cycles | None:
+        """Offer whole control cycles at once to a master: see `Cycles`; None where this bench has none.
+
+        `tap` is the bus on which everything is recorded; `targets_id` and `size` are of the frame that the master sends
+        in each, `inputs` the frames that it then waits for, within `budget_ns` of their SYNC; `heartbeat` is its own:
+        identifier, data, period in ns.
+        """
+        steady = self._steady
+        if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
+            return None
+        asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns,
+                      Heartbeat(*heartbeat))
+        return Cycles(steady, asked, self._lock)
+
+    @property
+    def whole_cycles(self) -> int:
+        """How many control cycles of this bench were run at once so far; see `cycles`."""
+        self._settle()
+        return 0 if self._steady is None else self._steady.cycles
 
     def time_ns(self) -> int:
         """Return the bus's own time: ns since the bench was switched on."""
@@ -101,6 +166,9 @@ class BowdenBus(can.BusABC):
 
         Raises `can.CanOperationError` where nothing can ever come.
         """
+        steady = self._steady
+        if steady is not None and steady.warm:
+            self._settle()
         queue = self._queue
         if queue:
             return queue.popleft()
@@ -109,14 +177,31 @@ class BowdenBus(can.BusABC):
         if timeout is not None and timeout <= 0:
             return None
         kernel = self._kernel
-        with self._lock:
-            if not queue:
-                kernel.run(NEVER if timeout is None else kernel.now_ns + round(timeout * 1e9), queue)
+        if timeout is None or timeout > LONG_S:
+            self._wait_long(NEVER if timeout is None else kernel.now_ns + round(timeout * 1e9))
+        else:
+            with self._lock:
+                if not queue:
+                    kernel.run(kernel.now_ns + round(timeout * 1e9), queue)
         if queue:
             return queue.popleft()
         if timeout is None:
             raise can.CanOperationError(f"{self.channel_info}: nothing will ever happen; give a time-out")
         return None
+
+    def _wait_long(self, until_ns: int) -> None:
+        """Let time pass event by event up to `until_ns`, the bus free for other threads in between."""
+        queue, kernel, shared = self._queue, self._kernel, self._shared
+        while not queue and not self._is_shutdown:
+            with shared.turnstile:  # a thread that sends stands here while it waits for the lock
+                pass
+            with self._lock:
+                due_ns = kernel.next_ns()
+                if queue or (due_ns == NEVER and until_ns == NEVER):
+                    return
+                kernel.run(min(due_ns, until_ns), queue)
+                if due_ns > until_ns:
+                    return
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue a message, ready after the stated turnaround; `timeout` waits for room in the queue.
@@ -126,11 +211,12 @@ class BowdenBus(can.BusABC):
         if self._is_shutdown:
             self._refuse()
         frame = frame_of(msg)
-        with self._lock:
+        with self._shared.turnstile, self._lock:
+            self._settle()
             host, kernel = self._host, self._kernel
             if host.waiting >= host.limit and timeout:
                 kernel.run(kernel.now_ns + round(timeout * 1e9), Room(host))
-            self._submit(frame, kernel.now_ns + self.bench.master_turnaround_ns, self._socket)
+            self._submit(frame, kernel.now_ns + self._turnaround_ns, self._socket)
 
     def _submit(self, frame: Frame, ready_ns: int, origin: Socket | None) -> None:
         if self._host.submit(frame, ready_ns, origin):
@@ -146,7 +232,7 @@ class BowdenBus(can.BusABC):
         autostart: bool = True,
         modifier_callback: Modifier | None = None,
     ) -> PeriodicTask:
-        task = PeriodicTask(self._kernel, self._send_now, msgs, period, duration, modifier_callback)
+        task = PeriodicTask(self._kernel, self._send_now, msgs, period, duration, modifier_callback, self._settle)
         if autostart:
             task.start()
         return task
@@ -156,11 +242,13 @@ class BowdenBus(can.BusABC):
 
     def flush_tx_buffer(self) -> None:
         """Discard what waits in the computer."""
+        self._settle()
         with self._lock:
             if self._host.wire is not None:
                 self._host.wire.flush(self._host)
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
+        self._settle()
         self._socket.filters = list(filters) if filters else None
         self._host.rematch()
 
@@ -168,6 +256,7 @@ class BowdenBus(can.BusABC):
         """Close this socket; the bench dies with its last one."""
         if self._is_shutdown:
             return
+        self._settle()
         super().shutdown()
         with self._lock:
             self._host.sockets.remove(self._socket)
@@ -175,7 +264,7 @@ class BowdenBus(can.BusABC):
             self._shared.users -= 1
             if not self._shared.users:
                 _OPEN.pop(self._key, None)
-                self.bench.close()
+                self._shared.bench.close()
 
     def _refuse(self) -> NoReturn:
         raise can.CanOperationError(f"{self.channel_info} is shut down")

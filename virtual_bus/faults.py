@@ -126,6 +126,14 @@ class Judge:
                 late_ns += round(fault.delay_us * 1e3)
         return late_ns
 
+    def quiet_until(self, now_ns: int) -> int:
+        """Say when the next fault begins; `now_ns` while one is in effect."""
+        quiet_ns = NEVER
+        for fault, _ in (*self._of_time, *self._of_a_frame):
+            if fault.stop_ns > now_ns:
+                quiet_ns = min(quiet_ns, max(now_ns, fault.start_ns))
+        return quiet_ns
+
     def heard(self, entry: Waiting, now_ns: int) -> Frame | ErrorKind | None:
         """Return the frame as receivers get it, `None` where none does, or the error that ends it."""
         _, _, station, frame, origin = entry

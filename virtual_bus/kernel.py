@@ -7,8 +7,8 @@ heap, in the order (time, priority, serial number), in the thread of whoever wai
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sized
-from heapq import heappop, heappush
+from collections.abc import Callable, Container, Iterable, Sized
+from heapq import heapify, heappop, heappush
 from typing import Final
 
 NEVER: Final = sys.maxsize
@@ -59,6 +59,15 @@ class Kernel:
                 return
         if until_ns != NEVER:
             self.now_ns = max(self.now_ns, until_ns)
+
+    def withdraw(self, owners: Container[int]) -> None:
+        """Take every event off the heap whose callback is a method of one of `owners`, by their `id`."""
+        self._heap[:] = [event for event in self._heap if id(getattr(event[3], "__self__", None)) not in owners]
+        heapify(self._heap)
+
+    def events(self) -> Iterable[tuple[int, int, int, Callable[[], None]]]:
+        """Give what is on the heap, in no order: (time, priority, serial number, callback)."""
+        return self._heap
 
     def next_ns(self) -> int:
         """Time of the next event, `NEVER` where there is none."""

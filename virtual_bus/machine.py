@@ -61,6 +61,14 @@ class Gauge(NamedTuple):
     feels: int
 
 
+class State(NamedTuple):
+    """Where a machine stands between two instants: when drives tick and sensors sample next, torques held, N·m."""
+
+    tick_ns: int
+    sample_ns: tuple[int, ...]
+    torques_nm: tuple[float, float]
+
+
 BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
 """What is wrong with a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
 
@@ -103,6 +111,32 @@ class Machine:
         drive.emergency_stop(there, self._kernel.now_ns)
         if station.on:
             station.settle(self._kernel.now_ns)
+
+    @property
+    def steady(self) -> bool:
+        """It runs, and every bridge is whole."""
+        return bool(self._sample_ns) and not self._bridges
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+        return State(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
+
+    def go_on(self, state: State) -> None:
+        """Act again, from where somebody else has come who had taken its events off the heap."""
+        self._tick_ns, self._sample_ns = state.tick_ns, list(state.sample_ns)
+        self._servo_nm, self._knee_nm = state.torques_nm
+        self._kernel.at(min(self._tick_ns, *self._sample_ns), TICK, self._act)
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """Servo and knee."""
+        return self._servo, self._knee
+
+    @property
+    def gauges(self) -> tuple[Gauge, ...]:
+        """The tension sensors."""
+        return self._gauges
 
     def close(self) -> None:
         """Finish the truth file."""

@@ -55,7 +55,7 @@ class NodeStation(Station):
         super().__init__(f"node {device.node_id}", self.receive, node=device.node_id, filters=device.filters)
         self.device = device
         self._kernel = kernel
-        self._turnaround_ns = turnaround_ns
+        self.turnaround_ns = turnaround_ns
         self.due_ns = NEVER
         self.on = False
 
@@ -74,7 +74,7 @@ class NodeStation(Station):
         """After anything the device was told: send its outbox, follow its filter, be there when it has work."""
         device = self.device
         if device.outbox:
-            ready_ns = now_ns + self._turnaround_ns
+            ready_ns = now_ns + self.turnaround_ns
             outbox = device.outbox
             while outbox:
                 self.submit(outbox.popleft(), ready_ns)
@@ -85,6 +85,11 @@ class NodeStation(Station):
         due_ns = device.next_ns()
         if due_ns is not None and due_ns < self.due_ns:
             self._wake_at(due_ns, now_ns)
+
+    def look_again(self, now_ns: int) -> None:
+        """Wake the device when it has work now, not when it once said it would have."""
+        self.due_ns = NEVER
+        self.settle(now_ns)
 
     def _wake_at(self, due_ns: int, now_ns: int) -> None:
         self.due_ns = due_ns if due_ns > now_ns else now_ns

@@ -7,6 +7,7 @@ whatever anybody computes meanwhile.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Final
 
 import can
 from can.broadcastmanager import LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC
@@ -15,6 +16,7 @@ from virtual_bus.kernel import NEVER, TIMER, Kernel
 
 Modifier = Callable[[can.Message], None]
 Send = Callable[[can.Message], None]
+SYNC: Final = 0x080
 
 
 class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, RestartableCyclicTaskABC):
@@ -28,6 +30,7 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         period: float,
         duration: float | None,
         modifier: Modifier | None,
+        touched: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(messages, period, duration)
         if self.period_ns <= 0:
@@ -35,12 +38,14 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         self._kernel = kernel
         self._send = send
         self._modifier = modifier
+        self._touched = touched
         self._next_ns = NEVER
         self._stop_ns = NEVER
         self._turn = 0
 
     def start(self) -> None:
         """Begin at the next multiple of the period, now included; goes on where it runs already."""
+        self._touched()
         if self._next_ns != NEVER:
             return
         now_ns = self._kernel.now_ns
@@ -50,7 +55,29 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
 
     def stop(self) -> None:
         """Send no more; may be started again."""
+        self._touched()
         self._next_ns = NEVER
+
+    def modify_data(self, messages: Sequence[can.Message] | can.Message) -> None:
+        """Send other data under the same identifiers."""
+        self._touched()
+        super().modify_data(messages)
+
+    @property
+    def next_ns(self) -> int:
+        """When it sends next, `NEVER` while it is stopped."""
+        return self._next_ns
+
+    @property
+    def sync(self) -> bool:
+        """It sends SYNC without data and nothing else, for good."""
+        message, *more = self.messages
+        return not more and self._modifier is None and self._stop_ns == NEVER and message.arbitration_id == SYNC \
+            and not (message.is_extended_id or message.is_remote_frame or message.dlc or message.data)
+
+    def go_on(self, next_ns: int) -> None:
+        """Send again, from `next_ns` on, after somebody else had taken its events off the heap."""
+        self._sleep(next_ns)
 
     def _sleep(self, until_ns: int) -> None:
         self._next_ns = until_ns if until_ns < self._stop_ns else NEVER

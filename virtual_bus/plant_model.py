@@ -1,7 +1,8 @@
 """What a plant model says: nominal values by table, effects by their names, and what the wire does to PDOs.
 
-The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; an
-effect is at work with the very values that are stated, whatever serial and day drew.
+The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; what was
+measured on a bench (`physics.bench_model`) and effects are at work with the very values that are stated, whatever
+serial and day drew.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from typing import Any, Final, NamedTuple
 
 from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
+from physics import bench_model
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
+from physics.parameters import current_names
 from virtual_bus.faults import Fault
 from virtual_bus.scatter import Tables
 
@@ -40,10 +43,13 @@ def read(given: str | Path | Mapping[str, Any] | None) -> Model:
     where, tables = "plant_model", dict(given) if isinstance(given, Mapping) else {}
     if isinstance(given, str | Path):
         where, tables = str(given), read_toml(Path(given))
-    stated = effects.apply(effects_table.stated(tables, where))
+    known = bench_model.from_tables(tables, where)
+    stated = effects.apply(known.effects)
     wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
-    own = {name: table for name, table in tables.items()
-           if name not in (*NAMES, effects_table.EVIDENCE)}
+    for table, values in known.simulated().items():
+        stated[table] = {**values, **stated.get(table, {})}
+    own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
+           for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}
     return Model(where, own, stated, faults(wire))
 
 

@@ -1,16 +1,19 @@
 """How a bench departs from the nominal one: by its making (serial number), and from day to day.
 
-The rule of this file: each parameter draws from its own stream, named by the parameter, so that a row more
-in a table changes no other draw. Serial 0 is the nominal bench, day 0 the day of the identification.
+The rule of this file: sizes stand in the table of parameters (`made`, `daily`), draws are made here.  Each parameter
+draws from its own stream, named by the parameter, so that a row more in a table changes no other draw.  Serial 0 is the
+nominal bench, day 0 the day of the identification.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
+
+from physics.parameters import PARAMETERS, Parameter, Tolerance
 
 SENSOR: Final = {"start": "start_sensor", "end": "end_sensor"}
 
@@ -37,34 +40,14 @@ LAWS: Final = {
     "set": "size, whatever u is",
 }
 
-SERIAL: Final = (
-    Spread("plant", "mu1", "factor", 0.25, "assumed: lubrication, sheath"),
-    Spread("plant", "mu2", "factor", 0.25, "assumed: weave, finish of the knee"),
-    Spread("plant", "servo_coulomb_n", "factor", 0.25, "assumed: bearings, seals"),
-    Spread("plant", "knee_coulomb_nm", "factor", 0.25, "assumed: bearings, seals"),
-    Spread("plant", "stiffness_scale", "factor", 0.10, "assumed: length and weave of the strap"),
-    Spread("plant", "wrap_rad", "factor", 0.25, "assumed: fit of the strap"),
-    Spread("plant", "fabric_wrap", "factor", 0.10, "assumed: fit of the strap"),
-    Spread("plant", "presliding_m", "factor", 0.30, "assumed: as friction, and more"),
-    Spread("plant", "fabric_presliding_m", "factor", 0.30, "assumed: as friction, and more"),
-    Spread("start_sensor", "gain", "offset", 0.005, "maker's class 0.5"),
-    Spread("end_sensor", "gain", "offset", 0.005, "maker's class 0.5"),
-    Spread("start_sensor", "offset_n", "offset", 0.1, "assumed: 0.05 % of full scale"),
-    Spread("end_sensor", "offset_n", "offset", 0.1, "assumed: 0.05 % of full scale"),
-    Spread("servo_drive", "position_gain", "factor", 0.25, "bandwidth of the position loop, 25 Hz ± 25 %"),
-)
-"""Manufacturing tolerances."""
+def _spreads(tolerance: Callable[[Parameter], Tolerance | None]) -> tuple[Spread, ...]:
+    return tuple(Spread(group, name, *said) for p in PARAMETERS.values() if (said := tolerance(p)) is not None
+                 for key in p.plant.split() for group, name in (key.split("."),))
 
-DAY: Final = (
-    Spread("plant", "encoder_zero_m", "offset", 0.1e-3, "repeatability of homing to a preload"),
-    Spread("plant", "mu1", "factor", 0.10, "assumed: temperature, humidity"),
-    Spread("plant", "mu2", "factor", 0.10, "assumed: temperature, humidity"),
-    Spread("plant", "stiffness_scale", "factor", 0.03, "assumed: temperature, humidity, history"),
-    Spread("start_sensor", "offset_n", "offset", 0.2, "assumed: temperature of the bridge"),
-    Spread("plant", "creep_compliance", "excess", 0.01e-3, "assumed: woven strap under load"),
-    Spread("plant", "stribeck_ratio", "excess", 0.3, "assumed: breakaway after a night's rest; paper, Fig. 15"),
-    Spread("plant", "knee_backlash_rad", "set", float(np.radians(0.3)), "maker's class of the reducer, worn in"),
-)
+
+SERIAL: Final = _spreads(lambda p: p.made)
+"""Manufacturing tolerances."""
+DAY: Final = _spreads(lambda p: p.daily)
 """What changes from day to day."""
 
 Tables = dict[str, dict[str, float]]

@@ -10,6 +10,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from eds.frame import Frame
 from physics.plant.bench_plant import Plant
 from trial.record import Recorder, RecordingError
@@ -37,6 +40,11 @@ class Truth(Station):
     def _latch(self, frame: Frame, now_ns: int) -> None:
         with suppress(RecordingError):
             self._recorder.cycle(now_ns, tuple(self._plant.truth().values()))
+
+    def rows(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Write rows of SYNCs that were computed elsewhere: n times, (n, columns) values."""
+        with suppress(RecordingError):
+            self._recorder.cycles(times_ns, values)
 
     def close(self) -> None:
         """Close the file."""

@@ -37,6 +37,9 @@ class Judge(Protocol):
     def heard(self, entry: Waiting, now_ns: int) -> Frame | ErrorKind | None:
         """Return the frame that receivers get, `None` where none does, or the error that ends it."""
 
+    def quiet_until(self, now_ns: int) -> int:
+        """Say up to when it does nothing to any frame."""
+
 
 class Wire:
     """A bus at `bitrate` bit/s, one of `bits.BITRATES`."""
@@ -95,6 +98,27 @@ class Wire:
             if station is not sender and station.state is not Confinement.BUS_OFF and station.accepts(route)
         )
         return receivers
+
+    # -- what a steady cycle needs ----
+
+    @property
+    def steady(self) -> bool:
+        """Nothing is being sent or waits, and no station has counted an error."""
+        queue = self._queue
+        return not (self._busy or self._hurt or queue.contending or queue.next_ns(0) != NEVER)
+
+    def quiet_until(self, now_ns: int) -> int:
+        """Say up to when no fault strikes a frame: at most `NEVER`, not after `now_ns` while one does."""
+        return NEVER if self._judge is None else self._judge.quiet_until(now_ns)
+
+    @property
+    def idle_ns(self) -> int:
+        """From when on a frame may start."""
+        return self._idle_ns
+
+    def carried(self, frames: int, busy_bits: int, idle_ns: int) -> None:
+        """Hear how many frames and bits there have been by now, computed elsewhere, and from when on one may start."""
+        self.frames, self.busy_bits, self._idle_ns = frames, busy_bits, idle_ns
 
     # -- sending -----------------------------------------------------------------------------------
 

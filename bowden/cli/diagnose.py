@@ -15,6 +15,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from diagnosis.finder import Diagnosis
@@ -33,7 +34,8 @@ Figures = Annotated[Path | None, typer.Option(
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
 Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="With --each: processes (default: one a processor).")]
+Workers = Annotated[int | None, typer.Option(
+    metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Planned = Annotated[str | None, typer.Option(
@@ -86,7 +88,10 @@ def diagnose(
     chosen = _trials(trials, asked, given)
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
-    output_files.refuse([output, report], overwrite=overwrite)
+    output_files.refuse([output, report], overwrite=overwrite, inputs=[
+        *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    output_files.refuse_ending(output, ".toml", what="what was found")
     if figures is not None:
         from diagnosis.report import export
 
@@ -96,7 +101,10 @@ def diagnose(
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
                            figures, overwrite=overwrite)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
-    terminal.emit(result) if json else _tell(found, result)
+    if json:
+        terminal.emit(result)
+    else:
+        _tell(found, result, unmeasured=calibration is None and not healthy and _all_nominal(chosen))
     return 2 if found.verdict == "refused" else 0
 
 
@@ -192,7 +200,7 @@ def _diagnosed(
     if found.verdict == "refused":
         return found
     if output is not None:
-        output.write_text(extension.text(found, groups[0]), encoding="utf-8")
+        write_whole(output, extension.text(found, groups[0]), overwrite=True)
     if report is not None:
         from diagnosis.report import page
 
@@ -204,13 +212,28 @@ def _diagnosed(
     return found
 
 
-def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
+def _all_nominal(trials: list[Path]) -> bool:
+    """Say whether every trial ran on the packaged calibration, which was measured on no bench."""
+    from diagnosis.data.table import NOMINAL
+    from trial.read import open as opened
+
+    return all(path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL
+               for path in trials)
+
+
+def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
     from diagnosis.report.headline import headline
 
-    for sentence in headline(found):
-        if sentence:
-            _say(sentence)
-    print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+    if unmeasured and found.verdict in ("found", "ambiguous"):
+        _say("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
+             "itself cannot be told from what is wrong with it.")
+        _say("No cause is named on this footing; --json lists the candidates, --calibration or --healthy gives a "
+             "better one.")
+    else:
+        for sentence in headline(found):
+            if sentence:
+                _say(sentence)
+        print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
     _tell_relations(result["relations"])
     for warning in found.warnings:
         _say(f"Warning: {warning}")

@@ -28,9 +28,10 @@ if TYPE_CHECKING:
 Closable = TypeVar("Closable", bound="Viewer | LivePage | None")
 LOOK_S = 1 / 60  # between two looks at the clock
 Recorded = Annotated[Path | None, typer.Argument(metavar="[TRIAL]", help="A recorded trial.", show_default=False)]
-Host = Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 lets other computers watch.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one.")]
-Speed = Annotated[float, typer.Option(help="Of playing, 0.001 … 1000 times real time.")]
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; 0.0.0.0 lets other computers watch.")]
+Port = Annotated[int, typer.Option(
+    metavar="PORT", min=0, max=65535, help="Port to listen at; 0 takes a free one.")]
+Speed = Annotated[float, typer.Option(metavar="X", help="Of playing, 0.001 … 1000 times real time.")]
 Web = Annotated[str | None, typer.Option(
     metavar="[HOST:]PORT", help="Built-in page beside it, needs no Foxglove; port 0: a free one.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]

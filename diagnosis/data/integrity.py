@@ -12,11 +12,9 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.data.table import AGE_SUFFIX, COUNTERS, Table
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 LEAST_ROWS: Final = 100
 LEAST_CYCLES: Final = 3

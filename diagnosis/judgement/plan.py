@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity
@@ -27,9 +26,8 @@ from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import Setting, build_problem
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE, EffectParameter
+from physics.laws import Array
 from physics.relations.relation import RELATIONS
-
-Array = NDArray[np.float64]
 
 RISE: Final = 1.0 / (1.0 - LEAST_GAIN) ** 2 - 1.0
 """Mean square that an effect must add to a relation's, in floors squared, to be `LEAST_GAIN` of its RMSE."""
@@ -171,7 +169,7 @@ class _Sight:
 def _moving(candidate: Candidate) -> EffectParameter:
     """The parameter that says how large the effect is; the others shape it."""
     parameters = CATALOGUE[candidate.name].parameters
-    free = [p for p in parameters if p.name in candidate.slots]
+    free = [p for p in parameters if p.name in candidate.parameters]
     return next((p for p in free if p.neutral is not None), free[0])
 
 

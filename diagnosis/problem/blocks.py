@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from diagnosis.data.table import Table
+from physics.laws import Array
+from physics.parameters import PARAMETERS
 from physics.relations import relation as models
 from physics.relations.measured import Fine, Signals
+from physics.relations.recorded import Memory
 from physics.relations.relation import RELATIONS, Relation
-from physics.relations.relation_parameters import LEG
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 SAMPLE_BUDGET: Final = 10_000
@@ -31,6 +32,7 @@ RATE_RANGE_HZ: Final = (50.0, 125.0)
 TAUT_N: Final = 5.0
 """END tension above which rope, knee and stretch are one: below, the rope may be slack."""
 REMEMBERED: Final = 4
+ROPE_PER_KNEE: Final = PARAMETERS["rope_per_knee"].nominal
 FINE_HZ: Final = 100.0
 """Cut-off of the rope's motion that the drive's friction sees."""
 RATE_HZ: Final = 25.0
@@ -49,17 +51,14 @@ class Block:
     keep: NDArray[np.intp]
     cycle: NDArray[np.intp]
     uses: frozenset[str]
-    _last: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False, kw_only=True)
+    _last: Memory = field(default_factory=lambda: Memory(REMEMBERED), repr=False, kw_only=True)
 
     def residual(self, values: Values) -> Array:
         """Return measured less predicted, in the relation's unit, on the samples that count."""
-        key = tuple([values[name] for name in self.uses])
-        if key not in self._last:
-            predicted = models.predict(self.relation, self.signals, values)
-            if len(self._last) >= REMEMBERED:
-                self._last.pop(next(iter(self._last)))
-            self._last[key] = (self.signals[self.relation.output] - predicted)[self.keep]
-        return self._last[key]
+        return self._last.recall(self.relation.name, values, self._residual)
+
+    def _residual(self, values: Values) -> Array:
+        return (self.signals[self.relation.output] - models.predict(self.relation, self.signals, values))[self.keep]
 
 
 def working_rate(tables: Sequence[Table]) -> float:
@@ -123,7 +122,7 @@ def _derive(columns: dict[str, Array]) -> None:
         speed = np.gradient(columns["knee_angle_rad"], time)
         columns["knee_acceleration"] = np.gradient(speed, time)
         if "rope_m" in columns:
-            columns["strain_m_s"] = columns["rope_m_s"] - LEG.moment_arm_m * speed
+            columns["strain_m_s"] = columns["rope_m_s"] - ROPE_PER_KNEE * speed
     if "tension_end_n" in columns:
         step = float(np.median(np.diff(time)))
         columns["end_rate"] = np.gradient(_low_passed(columns["tension_end_n"], RATE_HZ * step), time)
@@ -181,6 +180,10 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
     keep = (time >= time[0] + SETTLE_S) & (time <= time[-1] - SETTLE_S)
     for name in (*relation.columns, relation.output):
         keep &= np.isfinite(signals[name])
+    if taut_n is None and signals.has("rope_m"):
+        # what friction remembers from before the trial is forgotten once the rope has gone half its way
+        gone = np.cumsum(np.abs(np.diff(signals["rope_m"], prepend=signals["rope_m"][0])))
+        keep &= gone >= 0.5 * float(np.ptp(signals["rope_m"]))
     if relation.unit == "rad" and taut_n is not None:
         for name in ("tension_end_n", "tension_start_n"):
             if signals.has(name):

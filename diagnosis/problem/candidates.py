@@ -1,4 +1,4 @@
-"""The catalogue's effects as the fits see them: which slots each one frees, within what, and from where to start.
+"""The catalogue's effects as the fits see them: which parameters each one frees, within what, and from where to start.
 
 The rule of this file: everything comes from the declarations of `physics.effects.catalogue`; no effect is named here.
 """
@@ -13,18 +13,18 @@ from typing import Any, Final
 
 from diagnosis.problem.fit import Free
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations import relation
 from physics.relations.relation import RELATIONS
-from physics.relations.relation_parameters import SLOTS
 
 MAX_STARTS: Final = 8
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect: the slots it frees, and the points its fits start from (at each the effect is at work).
+    """One effect: the parameters it frees, and the points its fits start from (at each the effect is at work).
 
-    `likely`: by slot, where its value is expected on such a bench; empty where nothing is known of the rig.
+    `likely`: by parameter, where its value is expected on such a bench; empty where nothing is known of the rig.
     """
 
     name: str
@@ -32,36 +32,54 @@ class Candidate:
     frees: tuple[Free, ...]
     starts: tuple[Mapping[str, float], ...]
     likely: Mapping[str, tuple[float, float]]
+    level: tuple[str, ...] = ()
 
     def unlikely(self, values: Mapping[str, float]) -> int:
-        """Return how many of its slots are outside of where they are expected."""
+        """Return how many of its parameters are outside of where they are expected."""
         return sum(not low <= values[f.name] <= high for f in self.frees if f.name in self.likely
                    for low, high in (self.likely[f.name],))
 
     @property
-    def slots(self) -> frozenset[str]:
+    def parameters(self) -> frozenset[str]:
         return frozenset(f.name for f in self.frees)
 
 
 def candidates(
     checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False
 ) -> list[Candidate]:
-    """Return every effect that some slot of the `checked` relations can show and that `nuisance` does not swallow.
+    """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
 
-    `any_rig`: the bounds are the slots' own, for rigs of any size, and what reads this bench's geometry is left out.
+    An effect is offered where the relation that shows it first can be checked.
+    `any_rig`: bounds are those for rigs of any size, and what reads this bench's geometry is left out.
     """
+    checked = tuple(checked)
     visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))
     swallowed = {f.name for f in nuisance if math.isinf(f.sigma)}
     found = []
     for effect in CATALOGUE.values():
-        if any_rig and any(SLOTS[p.name].bench_only for p in effect.parameters if p.name in SLOTS):
+        if any_rig and any(PARAMETERS[p.name].bench_only for p in effect.parameters if p.name in PARAMETERS):
             continue
         frees = [_free(p, reference, any_rig) for p in effect.parameters
                  if p.name in visible and p.name not in swallowed]
+        if effect.relations[0] not in checked and not any_rig and not _drives_alone(effect, checked):
+            continue
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
             likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}
-            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely))
+            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely,
+                                   effect.level))
     return found
+
+
+def _drives_alone(effect: Any, checked: Iterable[str]) -> bool:
+    """Whether an effect of the drive is seen in its force, where its target is not recorded."""
+    return effect.relations[0] == "servo" and len(effect.relations) > 1 and effect.relations[1] in checked
+
+
+def untold(checked: Iterable[str]) -> list[str]:
+    """Return the effects that no name is given to because the relation that shows them first cannot be checked."""
+    known = set(checked)
+    return [e.name for e in CATALOGUE.values() if e.relations[0] in RELATIONS and e.relations[0] not in known
+            and not _drives_alone(e, known) and known & set(e.relations)]
 
 
 def _moves(parameter: Any, effect: Any) -> bool:
@@ -70,8 +88,9 @@ def _moves(parameter: Any, effect: Any) -> bool:
 
 
 def _free(parameter: Any, reference: Mapping[str, float], any_rig: bool) -> Free:
-    bounds = SLOTS.get(parameter.name, parameter) if any_rig else parameter
-    low, high = bounds.low, bounds.high
+    low, high = parameter.low, parameter.high
+    if any_rig and parameter.name in RELATION_PARAMETERS:
+        low, high = RELATION_PARAMETERS[parameter.name].rig_bounds
     at = reference[parameter.name]
     scale = max(abs(parameter.likely[1] - parameter.likely[0]) / 4.0, 1e-9)
     return Free(parameter.name, min(low, at), max(high, at), at, math.inf, scale)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.fit import Fit, Problem, solve
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 FOLDS: Final = 5
 

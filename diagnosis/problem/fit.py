@@ -1,6 +1,6 @@
 """Bounded least squares over whole cycles, with what is known beforehand about the parameters.
 
-The rule of this file: a fit sees blocks and slots, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·Σ((p − p0)/σ)²,
+The rule of this file: a fit sees blocks and parameters, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·Σ((p − p0)/σ)²,
 w the relation's floor times the root of the samples that count as one.  Slopes are taken by differences once and
 then follow each step (Broyden 1965, Math. Comp. 19, eq. 4.5); a fit that adds to another starts from that one's: most
 steps cost one evaluation.
@@ -16,23 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
+from physics.laws import Array
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 MAX_STEPS: Final = 40
 DIFFERENCE: Final = 0.02
-"""Step of a slope, of a slot's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
+"""Step of a slope, of a parameter's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
 ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
 IDLE: Final = 1e-5
-"""Share of the cost below which what a slot's step changes is nothing: it stays, and so do the blocks that read it."""
+"""Share of the cost below which a parameter's step is not made: the blocks that read it need no evaluation."""
 SHORT: Final = 1e-3
 """Step, of the scales, below which it teaches nothing of the slopes."""
 TRUSTED: Final = 0.25
 """Share of the predicted gain that a step must reach for its slopes to be used again."""
 MOVED: Final = 0.25
-"""Way of a slot, of its scale, after which its own slope is taken again."""
+"""Change of a parameter, in its scale, beyond which its slope is taken again."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Problem:
         return [self.residual(i, values) for i in range(len(self.blocks))]
 
     def slope(self, i: int, values: Values, residual: Array, f: Free) -> Array:
-        """Return ∂residual/∂slot of block `i` at `values`, one-sided, inside the bounds."""
+        """Return ∂residual/∂parameter of block `i` at `values`, one-sided, inside the bounds."""
         step = DIFFERENCE * f.scale
         if values[f.name] + step > f.high:
             step = -step
@@ -92,7 +92,7 @@ class Fit:
 
 
 class Slopes:
-    """∂residual/∂slot by block, one row a slot; rows of slots that a block does not read are zero."""
+    """∂residual/∂parameter by block, one row a parameter; rows of parameters that a block does not read are zero."""
 
     def __init__(self, problem: Problem, free: Sequence[Free], residuals: Sequence[Array], known: Fit | None) -> None:
         self.problem, self.free = problem, free
@@ -112,9 +112,9 @@ class Slopes:
             rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
 
     def stale(self, values: Values, thorough: bool = False) -> NDArray[np.intp]:
-        """Return the slots whose slope was never taken, or too far from `values`.
+        """Return the parameters whose slope was never taken, or too far from `values`.
 
-        `thorough`: all slots, as soon as one was elsewhere when the slopes were taken.
+        `thorough`: all parameters, as soon as one was elsewhere when the slopes were taken.
         """
         at = np.array([values[f.name] for f in self.free])
         if thorough:
@@ -122,11 +122,11 @@ class Slopes:
         return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
 
     def unknown(self) -> NDArray[np.intp]:
-        """Return the slots whose slope was never taken."""
+        """Return the parameters whose slope was never taken."""
         return np.flatnonzero(np.isnan(self.taken))
 
     def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> bool:
-        """Take the slopes of the slots `which` by differences; return whether there were any."""
+        """Take the slopes of the parameters `which` by differences; return whether there were any."""
         for i, block in enumerate(self.problem.blocks):
             for j in which.tolist():
                 if self.free[j].name in block.uses:
@@ -195,7 +195,7 @@ def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> f
 
 def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: Array, damping: float,
              cost: float) -> tuple[dict[str, float], float]:
-    """Return the next values and the gain that the slopes promise; slots that would leave stop on their bound."""
+    """Return the next values and the gain that the slopes promise; parameters that would leave stop on their bound."""
     at = np.array([values[f.name] for f in free])
     down, up = np.array([f.low for f in free]) - at, np.array([f.high for f in free]) - at
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))

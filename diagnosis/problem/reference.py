@@ -7,8 +7,8 @@ or, on a rig that nothing is known of, there is none: then what an ideal transmi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -16,10 +16,11 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.fit import Free
+from physics import bench_model
+from physics.bench_model import BenchModel
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy, ideal
 from physics.plant.leg import KNEE_AT_FIT
-from physics.relations.relation_parameters import LEG, SLOTS, healthy, ideal
-from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 BAND: Final = 3.0
 """Half width of a hard band, in 1σ of like benches."""
@@ -36,58 +37,46 @@ class Reference:
     nuisance: tuple[Free, ...]
 
 
-SCALARS: Final[Mapping[str, tuple[tuple[str, ...], Callable[..., float]]]] = {
-    "mu1": (("cable_exponent",), lambda e: e / SLOTS["theta1"].healthy),
-    "mu2": (("fabric_friction",), lambda m: m),
-    "phi0": (("wrap_offset",), lambda w: w),
-    "fabric_wrap": (("wrap_slope",), lambda k: k),
-    "cable_share": (("cable_compliance", "stiffness_b"), lambda c, b: c / b),
-    "presliding": (("presliding",), lambda d: d),
-    "knee_ratio": (("swing_k",), lambda k: k),
-    "rope_zero": (("stiffness_c",), lambda c: c),
-    "stiffness_scale": (("stiffness_b",), lambda b: STRETCH_LINEAR / b),
-    "stiffness_shape": (("stiffness_a", "stiffness_b"), lambda a, b: a / STRETCH_BEND * STRETCH_LINEAR / b - 1.0),
-    "servo_bandwidth": (("drive_bandwidth",), lambda f: f),
-    "servo_delay": (("loop_delay",), lambda d: d),
-    "start_offset": (("start_offset",), lambda o: o),
-}
-"""Slots that a calibration's scalars give: which scalars, and how."""
+IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presliding", "rope_per_knee", "rope_zero",
+                     "stiffness_scale", "stiffness_shape", "servo_bandwidth", "servo_delay", "start_offset")
+"""What the relations take from a calibration; the rest has its healthy value."""
 
 
 def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
     """Return the bench of the signal table, its values from `calibration` where that has them."""
     values = {**healthy(), **_brought()}
-    given = (calibration or {}).get("scalars", {})
-    nuisance = []
-    for name, slot in SLOTS.items():
-        value, spread = _calibrated(given, name)
-        values[name] = slot.healthy if value is None else value
-        sigma = math.hypot(slot.sigma, spread)
+    model = bench_model.from_tables(calibration or {}, "calibration")
+    nuisance, spreads, told, known = [], _spreads(model), model.related(), model.at_work()
+    values |= known
+    for name, p in RELATION_PARAMETERS.items():
+        if name in IDENTIFIED:
+            values[name] = told.get(name, p.nominal)
+        values[name] = known.get(name, values[name])
+        sigma = math.hypot(p.like_benches, spreads.get(name, 0.0))
         if sigma > 0.0:
-            at = values[name]
-            nuisance.append(Free(name, max(slot.low, at - BAND * sigma), min(slot.high, at + BAND * sigma),
-                                 at, sigma, sigma))
+            at, (low, high) = values[name], p.rig_bounds
+            nuisance.append(Free(name, max(low, at - BAND * sigma), min(high, at + BAND * sigma), at, sigma, sigma))
     return Reference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
 
 
-def _calibrated(scalars: Mapping[str, Any], slot: str) -> tuple[float | None, float]:
-    """Return a slot's value from the scalars and its 1σ from their intervals; (None, 0) where they lack."""
-    names, law = SCALARS.get(slot, ((), float))
-    if not names or not all(n in scalars for n in names):
-        return None, 0.0
-    at = [float(scalars[n]["value"]) for n in names]
-    spread = 0.0
-    for i, name in enumerate(names):
-        low, high = scalars[name].get("interval", (at[i], at[i]))
-        ends = [law(*at[:i], float(end), *at[i + 1:]) for end in (low, high)]
-        spread = math.hypot(spread, (ends[1] - ends[0]) / (2.0 * 1.96))
-    return law(*at), spread
+def _spreads(model: BenchModel) -> dict[str, float]:
+    """Return the 1σ of what a bench model tells, from the intervals of its values."""
+    total: dict[str, float] = {}
+    for measured, evidence in model.evidence.items():
+        if not math.isfinite(evidence.low + evidence.high):
+            continue
+        low, high = (replace(model, values={**model.values, measured: end}).related()
+                     for end in (evidence.low, evidence.high))
+        for name in IDENTIFIED:
+            if name in low and low[name] != high[name]:
+                total[name] = math.hypot(total.get(name, 0.0), (high[name] - low[name]) / (2.0 * 1.96))
+    return total
 
 
 def _brought() -> dict[str, float]:
     """Return the neutral values of parameters that only an effect's own law reads."""
     return {p.name: sum(p.likely) / 2.0 if p.neutral is None else p.neutral
-            for effect in CATALOGUE.values() for p in effect.parameters if p.name not in SLOTS}
+            for effect in CATALOGUE.values() for p in effect.parameters if p.name not in RELATION_PARAMETERS}
 
 
 def of_unknown_rig(blocks: Sequence[Block]) -> Reference:
@@ -97,11 +86,11 @@ def of_unknown_rig(blocks: Sequence[Block]) -> Reference:
         s = block.signals
         if s.has("rope_m", "knee_angle_rad"):
             slope, level = np.polyfit(s["knee_angle_rad"], s["rope_m"], 1)
-            values["knee_ratio"], values["rope_zero"] = float(slope), float(level + slope * KNEE_AT_FIT)
+            values["rope_per_knee"], values["rope_zero"] = float(slope), float(level + slope * KNEE_AT_FIT)
             break
     nuisance = tuple(
-        Free(name, slot.low, slot.high, values[name], math.inf, _scale(blocks, slot.unit, values[name]))
-        for name, slot in SLOTS.items() if slot.free)
+        Free(name, *p.rig_bounds, values[name], math.inf, _scale(blocks, p.unit, values[name]))
+        for name, p in RELATION_PARAMETERS.items() if p.free)
     return Reference("none", values, nuisance)
 
 
@@ -121,5 +110,5 @@ def like_this_bench(tables: Sequence[Table]) -> bool:
             angle, rope = given["knee_angle_rad"], given["servo_position_m"]
             known = np.isfinite(angle) & np.isfinite(rope)
             slope = float(np.polyfit(angle[known], rope[known], 1)[0])
-            return LIKE_THIS_BENCH[0] < slope / LEG.moment_arm_m < LIKE_THIS_BENCH[1]
+            return LIKE_THIS_BENCH[0] < slope / PARAMETERS["rope_per_knee"].nominal < LIKE_THIS_BENCH[1]
     return any("desired_force_n" in t or "gait_percent" in t for t in tables)

@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Fit, Problem
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 RIDGE: Final = 1e-6
 ROUNDS: Final = 6
-"""Most rounds in which slots that would leave their bounds are held."""
+"""Most rounds in which parameters that would leave their bounds are held."""
 
 
 class Screen:
-    """Normal matrices, by fold and relation, of the residual's change by each free slot and by each extra column."""
+    """Normal matrices, by fold and relation, of the residual's change by each free parameter and extra column."""
 
     def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]],
                  extra: Sequence[Array] | None = None) -> None:
@@ -52,9 +51,9 @@ class Screen:
             self.cost[k, relation] += float(r @ r)
 
     def unseen(self, extra: int | None = None, released: Sequence[int] = ()) -> dict[str, float]:
-        """Return χ² by relation on unseen folds, the free slots (and one extra column) fitted on the others.
+        """Return χ² by relation on unseen folds, the free parameters (and one extra column) fitted on the others.
 
-        A slot that rests on its bound leaves it only inwards, unless it is `released` from bounds and prior.
+        A parameter that rests on its bound leaves it only inwards, unless it is `released` from bounds and prior.
         """
         at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
         more = len(at) - self.known
@@ -76,7 +75,7 @@ class Screen:
 
 
 def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
-    """Return the step to the minimum; slots that it would carry out of their bounds stay."""
+    """Return the step to the minimum; parameters that it would carry out of their bounds stay."""
     moving = np.ones(slope.size, dtype=np.bool_)
     step = np.zeros(slope.size)
     for _ in range(ROUNDS):
@@ -93,14 +92,14 @@ def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offere
              ) -> list[tuple[float, int, int]]:
     """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first.
 
-    Start −1 is where the fit is, of a candidate whose slots all move there already, inside their bands.
+    Start −1 is where the fit is, of a candidate whose parameters all move there already, inside their bands.
     """
     starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
     extra = []
     for i, block in enumerate(problem.blocks):
         rows = np.zeros((len(starts), fit.residuals[i].size))
         for j, (c, s) in enumerate(starts):
-            if offered[c].slots & block.uses:
+            if offered[c].parameters & block.uses:
                 rows[j] = problem.residual(i, {**fit.values, **offered[c].starts[s]}) - fit.residuals[i]
         extra.append(rows)
     screen = Screen(problem, fit, folds, extra)
@@ -108,7 +107,7 @@ def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offere
     falls = [(base - sum(screen.unseen(j).values()), c, s) for j, (c, s) in enumerate(starts)]
     place = {f.name: j for j, f in enumerate(fit.free)}
     for c, candidate in enumerate(offered):
-        if candidate.slots <= place.keys():
-            released = [place[name] for name in candidate.slots]
+        if candidate.parameters <= place.keys():
+            released = [place[name] for name in candidate.parameters]
             falls.append((base - sum(screen.unseen(released=released).values()), c, -1))
     return sorted(falls, reverse=True)

@@ -18,9 +18,8 @@ from diagnosis.data.table import Table
 from diagnosis.finder import Diagnosis
 from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
+from physics.laws import Array
 from physics.relations.relation import RELATIONS
-
-Array = NDArray[np.float64]
 
 BINS: Final = 50
 LEAST_IN_BIN: Final = 5

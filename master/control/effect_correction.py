@@ -9,23 +9,22 @@ would read on a bench without the effect.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from master.control.controller_io import ControllerInput, Outputs
 from master.control.gait_table import GaitTable, fabric_exponent, stretch
 from physics import inverse
-from physics.calibration import Calibration
+from physics.calibration import Calibration, scalars
+from physics.conversions import MEASURABLE, from_scalars, to_scalars
 from physics.effects.catalogue import CATALOGUE, Trajectory, Values, compensate, complete
-from physics.plant.cable import CableParameters
-from physics.plant.fabric import FabricParameters
+from physics.laws import Array
+from physics.parameters import BY_PLANT
 from physics.plant.leg import KNEE_AT_FIT
 
-Array = NDArray[np.float64]
 Effects = Mapping[str, Values]
 
 LAPS: Final = 8
@@ -33,45 +32,31 @@ LAPS: Final = 8
 MIDWAY: Final = 0.5
 """Where in the trial an effect that drifts is met: its mean; the rest is the feedback's."""
 LEAST_EXPONENT: Final = 1e-3
+AROUND: Final = frozenset({"load_slope", "viscous", "start_gain"})
+"""Quantities that tables around any controller meet, though a calibration has a scalar for them: not every one reads
+it."""
 SMOOTH_S: Final = 0.02
 """Tables have no steps: a target must not have any."""
 
 
-def _stretch_linear(calibration: Calibration, values: Values) -> Mapping[str, float]:
-    """(10) by its scale and shape; the rope's own share of it stays what it was."""
-    fabric, scale = FabricParameters(), values.get("stiffness_scale", 1.0)
-    linear = fabric.stretch_b / scale
-    return {"stiffness_a": fabric.stretch_a * (1.0 + values.get("stiffness_shape", 0.0)) / scale,
-            "stiffness_b": linear, "cable_compliance": calibration.cable_compliance * linear / calibration.stiffness_b}
-
-
-_Scalars = Callable[[Calibration, Values], Mapping[str, float]]
-SCALARS: Final[Mapping[str, _Scalars]] = {
-    "mu1": lambda _, v: {"cable_exponent": v["mu1"] * CableParameters().theta1_rad},
-    "mu2": lambda _, v: {"fabric_friction": v["mu2"]},
-    "fabric_wrap": lambda _, v: {"wrap_slope": v["fabric_wrap"]},
-    "presliding": lambda _, v: {"presliding": v["presliding"], "fabric_presliding": v["presliding"]},
-    "stribeck_ratio": lambda _, v: {"breakaway": max(0.0, v["stribeck_ratio"] - 1.0)},
-    "stribeck_speed": lambda _, v: {"breakaway_speed": v["stribeck_speed"]},
-    "stiffness_scale": _stretch_linear,
-    "stiffness_shape": _stretch_linear,
-    "start_offset": lambda _, v: {"start_offset": v["start_offset"]},
-}
-"""Parameters of the catalogue, by slot, that a calibration has scalars for."""
-
-
 def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, dict[str, Values]]:
-    """Return the calibration with what its scalars can say of the effects `found`, and the effects they cannot."""
+    """Return the calibration with what its scalars can say of the effects `found`, and the effects they cannot.
+
+    What an effect sets in the simulation says which scalars it moves (`physics.conversions`).
+    """
     rest: dict[str, Values] = {}
     for name, given in found.items():
         values = complete(name, given)
-        slots = [p.name for p in CATALOGUE[name].parameters]
-        if not all(slot in SCALARS for slot in slots):
+        targets = CATALOGUE[name].forward
+        if not all(BY_PLANT[target] in MEASURABLE - AROUND for target in targets):
             rest[name] = values
             continue
-        for slot in slots:
-            scalars: dict[str, float] = {**SCALARS[slot](calibration, values)}
-            calibration = dataclasses.replace(calibration, **scalars)  # type: ignore[arg-type]
+        before = from_scalars({scalar: getattr(calibration, scalar) for scalar in scalars()})
+        moved = {BY_PLANT[target]: law(values) for target, law in targets.items()}
+        after = to_scalars({**before, **moved})
+        told = to_scalars(before)
+        changed: dict[str, Any] = {scalar: value for scalar, value in after.items() if value != told[scalar]}
+        calibration = dataclasses.replace(calibration, **changed)
     return calibration, rest
 
 

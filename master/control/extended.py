@@ -2,8 +2,8 @@
 
 The rule of this file: pure, and END is nowhere.  What is desired is known ahead, so the model is inverted for the
 instant at which a target will act, and the drive's lag is undone; what is left is fed back from START by the
-paper's impedance and learnt from gait cycle to gait cycle (`learning`), and so is what friction has become
-(`friction`).
+paper's impedance and learnt from gait cycle to gait cycle (`learning`).  What the drive alone makes of a target is
+learnt apart, from the encoder, in every phase; what friction has become is estimated (`friction_following`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ from typing import Any, NamedTuple
 
 from master.control import learning
 from master.control.controller_io import ControllerInput, Outputs, Trace
-from master.control.friction_following import evidence_of, follow, friction_evidence
+from master.control.friction_following import (
+    LEAST_SHARE,
+    Followed,
+    at,
+    evidence_of,
+    follow,
+    friction_evidence,
+)
 from master.control.gait_table import GaitTable
 from master.control.homing_fit import HomingFit
 from master.settings import Impedance
@@ -29,14 +36,19 @@ SETTLED = 0.9
 """Pre-sliding states beyond which START tells of END again; while they turn over, the feedback holds still."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
+TURNED, TURNING_FAST = 0.3, 0.002
+"""Share of the feedback's gain while friction turns over; change of ln(START/END) in a control cycle that halves it."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
 
 class Ahead(NamedTuple):
-    """What the model answered for one control cycle: rope position less slack, m; exponents, slowness, slips."""
+    """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
+    exponents, slowness, slips."""
 
     position: float
+    start: float
+    drag: float
     by_sheath: float
     by_knee: float
     sheath_slow: float
@@ -53,25 +65,29 @@ class Ahead(NamedTuple):
 class State(NamedTuple):
     """What the controller remembers.
 
-    `law` is the model as friction was followed so far.  `departures`: of the knee from its reference, the latest
-    last.  `paths`: the model's answers for this control cycle up to the farthest ahead.  `resting`: control cycles
-    before the feedback listens again.  `learnt`: correction by sample of the gait cycle, m.  `history`: linked list
-    (sample, feedback, evidence, older) of the gait cycle so far.
+    `law` is the model with friction as `followed` so far.  `departures`: of the knee from its reference, the latest
+    last.  `paths`: the model's answers for this control cycle up to the farthest ahead; `wanted`: the positions, m,
+    that are to be reached from this control cycle on.  `resting`: control cycles before the feedback listens again.
+    `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive.  `history`:
+    linked list (sample, feedback, tracking error, evidence, older) of the gait cycle so far.
     """
 
     law: Law
+    followed: Followed = Followed()
     deviation_m: float = 0.0
     slip: tuple[float, ...] = tuple(inverse.Slip())
     departures: tuple[float, ...] = ()
     paths: tuple[Ahead, ...] = ()
+    wanted: tuple[float, ...] = ()
     resting: int = 0
     learnt: tuple[float, ...] = ()
+    tracked: tuple[float, ...] = ()
     history: Any = None
 
 
 @dataclass(frozen=True)
 class Config:
-    """Constants of `step`; `ahead` is the delay and `lag` the drive's time constant, both in control cycles."""
+    """Constants of `step`; `ahead` is the delay, `lag` the drive's and `start_lag` START's, in control cycles."""
 
     gait: GaitTable
     law: Law
@@ -82,8 +98,11 @@ class Config:
     decay: float
     gain_m_n: float
     filter: learning.Filter
+    tracking: learning.Filter
     noise_n: float
-    start_lag_s: float
+    start_lag: float
+    start_gain: float
+    least_n: float
 
 
 def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> Config:
@@ -101,8 +120,11 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         decay=decay,
         gain_m_n=(1.0 - decay) / impedance.stiffness_n_m,
         filter=learning.design(gait.samples, gait.period_s, round(ahead + lag)),
+        tracking=learning.design(gait.samples, gait.period_s, ahead, learning.TRACKED_HZ),
         noise_n=calibration.start_noise,
-        start_lag_s=calibration.start_lag,
+        start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
+        start_gain=calibration.start_gain,
+        least_n=LEAST_SHARE * max(gait.desired),
     )
 
 
@@ -117,27 +139,55 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     here = paths[0]
     ratio = math.exp(here.by_sheath + here.by_knee)
     desired = gait.desired[now]
-    rate = (gait.desired[(now + 1) % samples] - desired) / gait.period_s
-    start = seen.start_n - config.start_offset_n
-    estimated = start / ratio + config.start_lag_s * rate
+    start = (seen.start_n - config.start_offset_n) / config.start_gain
+    rate = paths[min(1, len(paths) - 1)].start - here.start
+    unlagged = start + config.start_lag * rate
+    estimated = (unlagged - here.drag) / ratio
     resting = max(state.resting - 1, 0) if here.settled else config.filter.lead
-    deviation, history = state.deviation_m, state.history
+    deviation, evidence = state.deviation_m, None
     if gait.slack[now] > 0.0:
         deviation *= config.decay
     else:
-        evidence = None
-        if not resting:
-            deviation = config.decay * deviation + config.gain_m_n * (desired - estimated)
+        heard = _heard(paths, resting)
+        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * (desired - estimated)
+        if not resting and desired > config.least_n:
             evidence = friction_evidence(
-                state.law, seen.servo_position_m - config.zero_m, seen.knee_angle_rad, start, *here[1:5])
-        history = (now, deviation, evidence, history)
+                state.law, state.followed, seen.servo_position_m - config.zero_m,
+                seen.knee_angle_rad, unlagged,
+                here.drag, here[3:7], _way(gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
-    feedforward = config.zero_m + paths[max(-2, -len(paths))].position + 0.5 * config.lag * speed
-    target = feedforward + deviation + (state.learnt[now] if state.learnt else 0.0)
-    after = State(state.law, deviation, slip, departures, paths, resting, state.learnt, history)
+    position = config.zero_m + paths[max(-2, -len(paths))].position
+    feedforward = position + 0.5 * config.lag * speed
+    force = deviation + (state.learnt[now] if state.learnt else 0.0)
+    wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
+    missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
+    fed = deviation if gait.slack[now] == 0.0 else 0.0
+    history = (now, fed, missed, evidence, state.history)
+    target = feedforward + force + (state.tracked[now] if state.tracked else 0.0)
+    after = State(state.law, state.followed, deviation, slip, departures, paths, wanted, resting, state.learnt,
+                  state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
     return Outputs(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
+
+
+def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
+    """Share of its gain that the feedback has: all of it where rope and fabric slide, little where they turn over.
+
+    There the rope is stiffer by as much as `TURNED` takes off, and the faster START departs from END, the less it
+    tells of it.
+    """
+    if not resting:
+        return 1.0
+    here, after = paths[0], paths[min(1, len(paths) - 1)]
+    change = abs(after.by_sheath + after.by_knee - here.by_sheath - here.by_knee)
+    return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
+
+
+def _way(gait: GaitTable, now: int) -> float:
+    """−1 or 1: which way the knee moves, 0 where it is still."""
+    moved = gait.knee[(now + 1) % gait.samples] - gait.knee[now - 1]
+    return math.copysign(1.0, moved) if moved else 0.0
 
 
 def _look_ahead(
@@ -148,9 +198,11 @@ def _look_ahead(
     then = (now + cycles) % gait.samples
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = gait.knee[then] + departures[-1] + cycles * speed
-    position, _start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
+    position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
         state.law, state.slip, gait.desired[then], knee)
-    answer = Ahead(position - gait.slack[then], by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
+    drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
+    answer = Ahead(
+        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
     return (*state.paths, answer)[-(config.ahead + 2):], slip
 
 
@@ -164,13 +216,14 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     turning = TURNING * whole * max(1.0 - abs(here.rope_slip), 1.0 - abs(here.fabric_slip), resting)
     known = FOLLOWED * (abs(here.by_sheath) + abs(here.by_knee))
     relative = math.sqrt(turning * turning + known * known + GAIN_ERROR * GAIN_ERROR)
-    return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag_s * rate)
+    return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag * rate / ratio)
 
 
 def _on_cycle_end(state: State, config: Config) -> State:
-    """A gait cycle is over: its feedback is learnt, its evidence moves the friction."""
+    """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
+    followed = follow(state.followed, evidence_of(state.history))
+    feedback, missed = learning.columns(state.history, config.gait.samples)
     return state._replace(
-        law=follow(state.law, evidence_of(state.history)),
-        learnt=learning.learn(state.learnt, state.history, config.gait.samples, config.filter),
-        history=None,
-    )
+        law=at(config.law, followed), followed=followed,
+        learnt=learning.learn(state.learnt, feedback, config.filter),
+        tracked=learning.learn(state.tracked, missed, config.tracking), history=None)

@@ -1,79 +1,119 @@
 """Friction followed over gait cycles: START tells of it against the force that the stretch tells.
 
-The rule of this file: pure; one gait cycle of evidence, one Bayesian least squares, half of the way.  With y the
-logarithm of START by the END force that rope and knee position give,
+The rule of this file: pure; the maximum a posteriori estimate from one gait cycle of evidence, its prior at what
+homing measured today, in every cycle anew.  With y the logarithm of START (its lag and drag undone) by the END force
+that rope and knee position give, less what the law of homing predicts,
 
-    y = f·Σ ci·si + β·Σ ci·si·e^(−(vi/vs)²) + z·dlnF/dx,
+    y = fs·cs + fk·ck + β·(cs·ss + ck·sk) + z·dlnF/dx + w·dlnF/dw + p·d·dlnF/dx,
 
-where f scales the friction, β is its breakaway, and z, an error of the zero, is let go of: it is the same both ways,
-which friction is not.  END plays no part.  START is taken with its lag, as it was when the bench was identified.
+where fs and fk scale the friction in sheath and on knee and β adds to both breakaways.  Errors of the zero z, of the
+stretch w and of play at the knee p (d: the way it moves) are let go of: they take what is theirs, so that friction
+does not.  A systematic error of the model can so move friction by a part of its prior, once, and not a little more in
+every cycle.  END plays no part.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from physics.inverse import Law, adapted, held_by_position
+from physics.inverse import Law, elongation, held_by_position
 
-LEAST_N = 8.0
+LEAST_SHARE = 0.3
+"""Share of the greatest force of the gait below which START and stretch tell too little."""
 STEP = 0.5
 NOISE_N = 0.5
 """Error of START against the model that is believed of one sample."""
-PRIOR = (0.1, 0.2, 0.3e-3)
-"""Standard deviations by which a gait cycle may differ from the last: f, β, z (m)."""
-BREAKAWAY_MOST = 1.5
-SCALE_STEP = 0.2
+WHOLE = 25.0
+"""Samples of a gait cycle that are worth as many independent ones."""
+HUBER = 1.5
+ROUNDS = 5
+PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.05e-3)
+"""Standard deviations from homing: fs, fk, β, z (m), w, p (m)."""
+LEAST_ROWS = 10
+
+
+class Followed(NamedTuple):
+    """What friction has become, against what homing measured: factors of sheath and knee, breakaway added."""
+
+    sheath: float = 1.0
+    knee: float = 1.0
+    breakaway: float = 0.0
 
 
 class Evidence(NamedTuple):
-    """What one control cycle says: y, and what multiplies f, β and z; `weight` 1/σ of y."""
+    """What one control cycle says: y against the law of homing, what multiplies the six unknowns, 1/σ of y."""
 
     y: float
-    friction: float
+    sheath: float
+    knee: float
     breakaway: float
     zero: float
+    stretch: float
+    play: float
     weight: float
 
 
+def at(law: Law, followed: Followed) -> Law:
+    """The law of homing with its friction as it was followed."""
+    sheath, knee, breakaway = followed
+    return law._replace(
+        cable_exponent=sheath * law.cable_exponent, fabric_offset=knee * law.fabric_offset,
+        fabric_slope=knee * law.fabric_slope, breakaway=max(0.0, law.breakaway + breakaway),
+        fabric_breakaway=max(0.0, law.fabric_breakaway + breakaway))
+
+
 def friction_evidence(
-    law: Law, position: float, knee: float, start: float, by_sheath: float, by_knee: float, sheath_slow: float,
-    knee_slow: float,
+    law: Law, followed: Followed, position: float, knee: float, start: float, drag: float,
+    exponents: tuple[float, float, float, float], way: float, least_n: float,
 ) -> Evidence | None:
-    """The evidence of one control cycle, None where START or the stretch is too small to tell."""
-    if start < LEAST_N:
+    """The evidence of one control cycle, None where START or the stretch is too small to tell.
+
+    `law` is the law as followed; `exponents`: of sheath and knee by it, and their slowness; `start`, N, without lag and
+    `drag`, N, of the rope in it; `way` −1…1, the knee's; `least_n` at END.
+    """
+    by_sheath, by_knee, sheath_slow, knee_slow = exponents
+    force = held_by_position(law, position, knee, start, drag, by_sheath)
+    if not force > least_n or start - drag < least_n:
         return None
-    force = held_by_position(law, position, knee, start, by_sheath)
-    if not force > LEAST_N:
-        return None
-    sheath, on_knee = by_sheath / (1.0 + law.breakaway * sheath_slow), by_knee / (1.0 + law.breakaway * knee_slow)
-    softness = law.linear + 2.0 * law.quadratic * force + law.rope_compliance
-    return Evidence(math.log(start / force), sheath + on_knee, sheath * sheath_slow + on_knee * knee_slow,
-                    -1.0 / (softness * force), force / NOISE_N)
+    whole, slope = elongation(law, force)
+    slope += law.rope_compliance
+    sheath, on_knee = by_sheath / followed.sheath, by_knee / followed.knee
+    slower = (by_sheath * sheath_slow / (1.0 + law.breakaway * sheath_slow)
+              + by_knee * knee_slow / (1.0 + law.fabric_breakaway * knee_slow))
+    zero = -1.0 / (slope * force)
+    y = math.log((start - drag) / force) - by_sheath - by_knee
+    y += sheath * (followed.sheath - 1.0) + on_knee * (followed.knee - 1.0) + slower * followed.breakaway
+    return Evidence(y, sheath, on_knee, slower, zero, (whole + law.rope_compliance * start) * -zero, zero * way,
+                    force / NOISE_N)
 
 
-def follow(law: Law, evidence: list[Evidence]) -> Law:
-    """The law after one gait cycle, moved half-way to what the evidence says."""
-    if len(evidence) < 10:
-        return law
+def follow(followed: Followed, evidence: list[Evidence]) -> Followed:
+    """What friction is taken for after one more gait cycle: half of the way to the estimate."""
+    if len(evidence) < LEAST_ROWS:
+        return followed
     rows = np.array(evidence)
-    weight = rows[:, 4] / math.sqrt(len(rows) / 25.0)
-    slopes = rows[:, 1:4] * weight[:, None]
+    weight = rows[:, 7] * math.sqrt(min(1.0, WHOLE / len(rows)))
     prior = np.diag([1.0 / sigma for sigma in PRIOR])
-    wanted = np.concatenate([rows[:, 0] * weight, [1.0 / PRIOR[0], law.breakaway / PRIOR[1], 0.0]])
-    found = np.linalg.lstsq(np.vstack([slopes, prior]), wanted, rcond=None)[0]
-    friction = 1.0 + STEP * min(SCALE_STEP, max(-SCALE_STEP, float(found[0]) - 1.0))
-    breakaway = law.breakaway + STEP * (float(found[1]) / max(float(found[0]), 0.3) - law.breakaway)
-    return adapted(law, friction, min(BREAKAWAY_MOST, max(0.0, breakaway)))
+    found = np.zeros(len(PRIOR))
+    robust = np.ones(len(rows))
+    for _ in range(ROUNDS):
+        by = weight * np.sqrt(robust)
+        stacked = np.vstack([rows[:, 1:7] * by[:, None], prior])
+        found = np.linalg.lstsq(stacked, np.concatenate([rows[:, 0] * by, np.zeros(len(PRIOR))]), rcond=None)[0]
+        left = np.abs(rows[:, 0] - rows[:, 1:7] @ found) * rows[:, 7]
+        robust = np.minimum(1.0, HUBER / np.maximum(left, 1e-9))
+    wanted = (1.0 + float(found[0]), 1.0 + float(found[1]), float(found[2]))
+    return Followed(*(old + STEP * (new - old) for old, new in zip(followed, wanted, strict=True)))
 
 
 def evidence_of(history: Any) -> list[Evidence]:
-    """The evidence in a linked list (sample, feedback, evidence, older)."""
+    """The evidence in a linked list (sample, feedback, tracked, evidence, older)."""
     found = []
     while history is not None:
-        _sample, _feedback, one, history = history
+        *_, one, history = history
         if one is not None:
             found.append(one)
     return found

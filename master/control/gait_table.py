@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from parameters import InputError
 from physics import laws
 from physics.calibration import Calibration
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 ROPE_STILL_M_S = 1e-3
 STRAIN_STILL_N_S = 2.0

@@ -1,21 +1,24 @@
 """What today's bench is, from the pull and release of homing: START, encoder and knee only.
 
-The rule of this file: the model's shape is the calibration's; a day may scale its friction and its stretch, shift
-the encoder zero and START's offset, and nothing else.
+The rule of this file: the model's shape is the calibration's; a day may scale its friction and its stretch, shift the
+encoder zero and START's offset, and nothing else.
+
+The friction is told against what the same motion told on the day of the identification, since a lumped model does not
+see in a loop quite what END sees.  Creep makes a loop wider, too: it is estimated, and let go of.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from physics import inverse
 from physics.calibration import Calibration
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 SMOOTHED = 4
 """Control cycles averaged into one point of the fit: START's noise must not turn the friction over."""
@@ -23,16 +26,27 @@ TAUT_N = 4.0
 STEPS = 6
 SOFT_M = 60e-6
 """Residual beyond which a point counts less (Huber): reversals, where the lumped model is poorest."""
-_DIFFERENCES = (0.02, 0.01)
+WHOLE = 40.0
+"""Points of one motion that are worth as many independent ones."""
+_PRIOR: Final = np.array((0.2, 0.04, 1e-2, 2e-6))
+"""Standard deviations: friction, stretch, zero (m), creep (m/(N·s))."""
+_DIFFERENCES: Final = np.array((0.02, 0.01, 1e-4, 1e-7))
+_LOW, _HIGH = np.array((0.3, 0.5, -1.0, -1e-4)), np.array((3.0, 2.0, 1.0, 1e-4))
+_NEUTRAL: Final = np.array((1.0, 1.0, 0.0, 0.0))
 
 
 class HomingFit(NamedTuple):
-    """Friction and stretch against the calibration's, the encoder zero's shift (m), START's reading when slack (N)."""
+    """Today against the calibration.
+
+    Friction and stretch as factors, the encoder zero's shift, m, START's reading when slack, N; START's lag beyond the
+    calibration's, s.
+    """
 
     friction: float = 1.0
     softness: float = 1.0
     zero_m: float = 0.0
     start_offset_n: float = 0.0
+    lag_s: float = 0.0
 
 
 def smoothed(column: Array, points: int = SMOOTHED) -> Array:
@@ -40,34 +54,53 @@ def smoothed(column: Array, points: int = SMOOTHED) -> Array:
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 
+def led(column: Array, period_s: float, lag_s: float) -> Array:
+    """A column as it would read without its lag, to the first order."""
+    return np.asarray(column + lag_s * np.gradient(column, period_s))
+
+
+class _Loop(NamedTuple):
+    """The loop as the fit sees it: means of `SMOOTHED` control cycles, and which of them are taut."""
+
+    position: Array
+    start: Array
+    knee: Array
+    taut: NDArray[np.bool_]
+
+
 def adapt(
-    calibration: Calibration, period_s: float, position: Array, start: Array, knee: Array, slack_reading_n: float
+    calibration: Calibration, period_s: float, position: Array, start: Array, knee: Array, slack_reading_n: float,
+    lag_s: float = 0.0,
 ) -> Generator[None, None, HomingFit]:
-    """Fit the day to one pull and release by Gauss–Newton; columns by control cycle, m, N, rad.
+    """Fit the day to one pull and release by Gauss–Newton, Huber's weights; columns by control cycle, m, N, rad.
 
     The residual is the rope position that the model puts behind the measured START, where the rope is taut.
     A generator, so that a control cycle can go on between its steps; it returns the day.
     """
-    points = SMOOTHED
-    x, tension, angle = smoothed(position, points), smoothed(start - slack_reading_n, points), smoothed(knee, points)
-    taut = tension > TAUT_N
-
-    def residual(friction: float, softness: float) -> Array:
-        law = inverse.law(calibration, points * period_s, friction, softness)
-        return np.asarray((inverse.end_from_start(law, x, tension, angle)[1] - x)[taut])
-
-    friction, softness, zero = 1.0, 1.0, 0.0
+    step_s = SMOOTHED * period_s
+    tension = led(smoothed((start - slack_reading_n) / calibration.start_gain), step_s, calibration.start_lag + lag_s)
+    loop = _Loop(smoothed(position), tension, smoothed(knee), tension > TAUT_N)
+    prior, found = np.diag(1.0 / _PRIOR), _NEUTRAL.copy()
     for _ in range(STEPS):
-        left = residual(friction, softness) + zero
+        left = _missed(calibration, step_s, loop, found)
         yield
-        by_friction = (residual(friction + _DIFFERENCES[0], softness) + zero - left) / _DIFFERENCES[0]
-        yield
-        by_softness = (residual(friction, softness + _DIFFERENCES[1]) + zero - left) / _DIFFERENCES[1]
-        yield
-        weight = np.sqrt(np.minimum(1.0, SOFT_M / np.maximum(np.abs(left), 1e-9)))
-        slopes = np.column_stack([by_friction, by_softness, np.ones_like(left)]) * weight[:, None]
-        change = np.linalg.lstsq(slopes, -left * weight, rcond=None)[0]
-        friction = float(np.clip(friction + change[0], 0.3, 3.0))
-        softness = float(np.clip(softness + change[1], 0.5, 2.0))
-        zero += float(change[2])
-    return HomingFit(friction, softness, zero, slack_reading_n)
+        slopes = []
+        for way, size in zip(np.diag(_DIFFERENCES), _DIFFERENCES, strict=True):
+            slopes.append((_missed(calibration, step_s, loop, found + way) - left) / size)
+            yield
+        by = np.sqrt(np.minimum(1.0, SOFT_M / np.maximum(np.abs(left), 1e-9))) / SOFT_M * math.sqrt(
+            min(1.0, WHOLE / max(left.size, 1)))
+        rows = np.vstack([np.column_stack(slopes) * by[:, None], prior])
+        wanted = np.concatenate([-left * by, prior @ (_NEUTRAL - found)])
+        found = np.clip(found + np.linalg.lstsq(rows, wanted, rcond=None)[0], _LOW, _HIGH)
+    friction, softness, zero, _creep = found.tolist()
+    return HomingFit(friction / calibration.homed_friction, softness, zero, slack_reading_n, lag_s)
+
+
+def _missed(calibration: Calibration, step_s: float, loop: _Loop, found: Array) -> Array:
+    """Rope position that the model puts behind START, less the measured one, m, where the rope is taut."""
+    friction, softness, zero, creep = found.tolist()
+    law = inverse.law(calibration, step_s, friction, softness)
+    end, position = inverse.end_from_start(law, loop.position - zero, loop.start, loop.knee)
+    crept = creep * step_s * np.cumsum(end)
+    return np.asarray((position + zero + crept - loop.position)[loop.taut])

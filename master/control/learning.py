@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 CUTOFF_HZ = 8.0
 GAIN = 0.7
+TRACKED_HZ = 15.0
+"""Cut-off of what is learnt of the drive alone: there is no rope and no friction in its loop."""
 
 
 @dataclass(frozen=True)
@@ -43,15 +44,21 @@ def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
     return np.asarray(np.exp(-math.log(2.0) * (frequency_hz / cutoff_hz) ** 2), dtype=np.float64)
 
 
-def learn(correction: tuple[float, ...], history: Any, samples: int, filter_: Filter) -> tuple[float, ...]:
-    """The next gait cycle's correction by sample, m; `history` is the linked list (sample, feedback, …, older)."""
-    added = np.zeros(samples)
-    while history is not None:
-        sample, feedback, _evidence, history = history
-        added[(sample - filter_.lead) % samples] = feedback
-    total = filter_.gain * added if not correction else np.array(correction) + filter_.gain * added
-    smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, samples)
+def learn(correction: tuple[float, ...], added: Array, filter_: Filter) -> tuple[float, ...]:
+    """The next gait cycle's correction by sample, m; `added` is what was missing, by the sample at which it was."""
+    led = filter_.gain * np.roll(added, -filter_.lead)
+    total = led if not correction else np.array(correction) + led
+    smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, added.size)
     return tuple(smooth.tolist())
+
+
+def columns(history: Any, samples: int) -> tuple[Array, Array]:
+    """(feedback, tracking error) of one gait cycle by sample, m, from a linked list (sample, both, …, older)."""
+    feedback, tracked = np.zeros(samples), np.zeros(samples)
+    while history is not None:
+        sample, one, other, _evidence, history = history
+        feedback[sample], tracked[sample] = one, other
+    return feedback, tracked
 
 
 def contraction(

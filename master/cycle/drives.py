@@ -26,6 +26,7 @@ RELEASE = 0x2020
 def enable(exchange: Exchange) -> Inputs:
     """Bring both drives to OPERATION ENABLED where they stand; raises `RefusedError` with drive and error code."""
     inputs = _drive_to(exchange, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
+    exchange.plausibility.restart()
     exchange.guard.enabled = True
     return inputs
 
@@ -37,19 +38,19 @@ def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
     return _drive_to(exchange, (goals[0], goals[1]))
 
 
-def disable(exchange: Exchange) -> Inputs:
+def disable(exchange: Exchange, patience_ns: int = PATIENCE_NS) -> Inputs:
     """Take both drives to SWITCH ON DISABLED; raises `RefusedError` where one does not follow."""
     exchange.guard.enabled = False
-    return _drive_to(exchange, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED))
+    return _drive_to(exchange, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED), patience_ns)
 
 
-def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> Inputs:
+def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int = PATIENCE_NS) -> Inputs:
     """Walk both drives along CiA 402's table, resending a word that has no effect for a while."""
     inputs = exchange.inputs
-    deadline = inputs.sync_ns + PATIENCE_NS
+    deadline = inputs.sync_ns + patience_ns
     sent, resend_ns = (-1, -1), 0
     while True:
-        states = state_of(inputs.servo_status), state_of(inputs.knee_status)
+        states = _states(inputs)
         if states == goals:
             return inputs
         if inputs.sync_ns >= deadline:
@@ -61,10 +62,16 @@ def _drive_to(exchange: Exchange, goals: tuple[State, State]) -> Inputs:
         inputs = exchange.advance(*_where(exchange, states))
 
 
+def _states(inputs: Inputs) -> tuple[State | None, State | None]:
+    """Both drives' states; None for a drive whose statusword is not of this SYNC."""
+    servo = None if inputs.missing & 1 else state_of(inputs.servo_status)
+    return servo, None if inputs.missing & 2 else state_of(inputs.knee_status)
+
+
 def _word(state: State | None, goal: State, sent: int) -> int:
-    """The next controlword; a fault reset is an edge, so zero goes before it."""
+    """The next controlword; a fault reset is an edge, so zero goes before it; the last one while nothing is known."""
     if state is None:
-        return 0
+        return max(sent, 0)
     word = next_controlword(state, goal)
     return 0 if word & Control.FAULT_RESET and (sent == -1 or sent & Control.FAULT_RESET) else word
 
@@ -81,11 +88,14 @@ def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tup
 
 def _not_there(exchange: Exchange, inputs: Inputs, goals: tuple[State, State]) -> str:
     texts, remedies = [], []
-    for node, word, goal in ((SERVO, inputs.servo_status, goals[0]), (KNEE, inputs.knee_status, goals[1])):
-        state = state_of(word)
+    words = (inputs.servo_status, inputs.knee_status)
+    for node, word, state, goal in zip((SERVO, KNEE), words, _states(inputs), goals, strict=True):
         if state is goal:
             continue
         name = exchange.wire.nodes[node].name
+        if inputs.missing & 1 << (SERVO, KNEE).index(node):
+            texts.append(f"{name} says nothing, so that its state is not known")
+            continue
         texts.append(f"{name} is in {state.title if state else 'no known state'} "
                      f"(0x603F = {_error_code(exchange, node)}), not in {goal.title}")
         if word & Status.STO_ACTIVE and key(RELEASE) in exchange.wire.nodes[node].dictionary.entries:
@@ -106,9 +116,9 @@ def quick_stop(exchange: Exchange) -> None:
     exchange.command(0x0002, _OPERATE)
 
 
-def release(exchange: Exchange) -> None:
-    """The servo's torque off at once; the knee drive holds."""
-    exchange.command(0x0000, _OPERATE)
+def release(exchange: Exchange, knee_too: bool = False) -> None:
+    """The servo's torque off at once; the knee drive holds, unless its torque goes too."""
+    exchange.command(0x0000, 0x0000 if knee_too else _OPERATE)
 
 
 def set_home(exchange: Exchange, position_um: int) -> Inputs:
@@ -116,7 +126,8 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
 
     Raises `RefusedError` where the drive does not report homing attained.
     """
-    link = exchange.link
+    link, before_m = exchange.link, exchange.inputs.servo_position_m
+    exchange.rehoming = True
     link.sdo_write(SERVO, _HOME_OFFSET, 0, struct.pack("<i", position_um))
     link.sdo_write(SERVO, _HOMING_METHOD, 0, struct.pack("<b", HomingMethod.CURRENT_POSITION_37))
     _set_mode(exchange, Mode.HOMING)
@@ -131,6 +142,7 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
     exchange.advance(inputs.servo_position_m, exchange.targets[1])
     exchange.command(_OPERATE, _OPERATE)
     _set_mode(exchange, Mode.CSP)
+    exchange.rehomed(exchange.inputs.servo_position_m - before_m)
     return exchange.inputs
 
 

@@ -7,7 +7,9 @@ targets, records, and checks what safety checks.  An input that this SYNC did no
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple, Protocol
 
 import can
 
@@ -16,6 +18,8 @@ from eds.cia301 import SYNC_COB_ID
 from eds.scales import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.log import Log
+from master.cycle.plausibility import Plausibility
+from master.cycle.reception import Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Link, stamp_ns
 from trial.signals import TRACE
@@ -59,6 +63,21 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
+WholeCycle = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` their time stamps, and their data; heartbeats as
+`Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them, and their number."""
+
+
+class WholeCycles(Protocol):
+    """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
+
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> WholeCycle | None:
+        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; None: by hand.
+
+        That SYNC has to end after `after_ns`: one before is no new cycle.
+        """
+
+
 class Exchange:
     """The running cycle over a link; SYNC must have been started.
 
@@ -66,6 +85,7 @@ class Exchange:
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
     `annotations` is what a row says of whoever steps, where `advance` is not told.
     `kept`, where it is a list, gets (target, position, knee, START, END) of each whole cycle.
+    `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
 
     def __init__(self, link: Link, wire: Wire, log: Log, guard: Guard, budget_ns: int) -> None:
@@ -88,9 +108,18 @@ class Exchange:
         self._late_in_row = [0, 0, 0, 0]
         self._first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
-        self._told = False
+        self._told = self._doubled_sync = False
+        self._misses = 0
+        self._miss_text = ""
+        self.rehoming = False
+        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9)
+        self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
+        offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
+        self._whole_cycles = None if offer is None else offer(
+            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns,
+            link.heartbeat)
 
     def begin(self) -> Inputs:
         """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
@@ -113,6 +142,11 @@ class Exchange:
         """One cycle with the targets of the last one."""
         return self.advance(*self.targets)
 
+    def rehomed(self, by_m: float) -> None:
+        """The servo's position reads `by_m` more from now on."""
+        self.rehoming = False
+        self.plausibility.shift(by_m)
+
     def command(self, servo_word: int, knee_word: int) -> None:
         """Send both controlwords, event-driven: they act when they arrive."""
         plan = self.wire.controlwords
@@ -127,21 +161,49 @@ class Exchange:
         inputs = self.inputs
         if self.kept is not None and not inputs.missing:
             self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
+        data, watch = self._pack_targets(servo_m, knee_rad), self.link.watch
+        if watch is not None:
+            watch.sent(self.wire.targets.cob_id, data)
+        if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
+            whole = self._whole_cycles.run(data, self.link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
+            if whole is not None:
+                return self._at_once(whole, annotations)
         sent = self.link.try_send(can.Message(
-            arbitration_id=self.wire.targets.cob_id, data=self._pack_targets(servo_m, knee_rad), is_extended_id=False
-        ))
+            arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()
+        self._record(sync_ns, sent, annotations)
+        if sync_ns < 0:
+            self.guard.heed_strangers()
+            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
+        return self._latch(sync_ns)
+
+    def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
+        """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
+        sync_ns, target_ns, ends, data, beats, rows, count = whole
+        if beats:
+            self.link.heed(beats)
+        try:
+            if self.log.taps:
+                self.log.take(rows, count, sync_ns, target_ns)
+            self._record(sync_ns, True, annotations)
+        except StopError:  # the recorder failed; the cycle was run all the same
+            with suppress(StopError):
+                self._latch(sync_ns, ends, data)
+            raise
+        return self._latch(sync_ns, ends, data)
+
+    def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
+        """Record the cycle that a SYNC has ended."""
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
         if not sent or self.inputs.missing:
             self._note_miss(sent)
+        elif self._misses:
+            self._end_misses()
         if not self._told:
+            self._told = True
             self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
-        self._told = sync_ns < 0
-        if self._told:
-            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
-        return self._latch(sync_ns)
 
     def _await_sync(self) -> int:
         """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
@@ -153,36 +215,93 @@ class Exchange:
         while (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id == SYNC_COB_ID:
-                return stamp_ns(message)
-            if can_id in slots:
-                self._take(message, self.inputs.sync_ns)
+                if not self._repeats(stamp_ns(message)):
+                    return stamp_ns(message)
+            elif can_id in slots:
+                if self.inputs.missing >> slots[can_id][0] & 1:
+                    self._take(message, self.inputs.sync_ns)
+                else:
+                    self._note_doubled(message, slots[can_id][0])
         return -1
 
+    def _repeats(self, sync_ns: int) -> bool:
+        """Whether a SYNC comes within half a period of the last one: that one is doubled, and no new cycle."""
+        if self.inputs.sync_ns < 0 or sync_ns - self.inputs.sync_ns > self.wire.period_ns // 2:
+            return False
+        if self.link.watch is not None:
+            self.link.watch.doubled(sync_ns, self._count, "SYNC")
+        self._doubled_sync = True
+        return True
+
+    def _note_doubled(self, message: can.Message, i: int) -> None:
+        """An input of this cycle that came twice, where SYNC did not."""
+        if self.link.watch is not None and not self._doubled_sync:
+            self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {self.wire.nodes[ORDER[i]].name}")
+
     def _take(self, message: can.Message, sync_ns: int) -> int:
-        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is shorter than the plan or says "no value"."""
+        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
         i, size = self._slots[message.arbitration_id]
         if len(message.data) < size:
             return 0
         values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
+        if not self._reception.takes(i, values, self.rehoming):
+            self._tell_refused(i, stamp_ns(message))
+            return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
         self._arrival_ns[i] = stamp_ns(message) - sync_ns
         return 1 << i
 
-    def _latch(self, sync_ns: int) -> Inputs:
-        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety."""
+    def _keep_all(self, sync_ns: int, ends: Sequence[int], data: Sequence[Any]) -> int:
+        """Keep the TPDOs of `ORDER` that ended at `ends`; the bits of those that are not taken."""
+        values = [unpack(each) for unpack, each in zip(self._unpack, data, strict=True)]
+        missing, takes, rehoming, lowest = 0, self._reception.takes, self.rehoming, self._no_value
+        for i, each in enumerate(values):
+            if each[0] <= lowest[i] or not takes(i, each, rehoming):
+                missing |= 1 << i
+        if not missing:
+            self._values, self._latched_ns = values, [sync_ns] * 4
+            self._arrival_ns = [end - sync_ns for end in ends]
+            return 0
+        for i, each in enumerate(values):
+            if not missing >> i & 1:
+                self._values[i], self._latched_ns[i], self._arrival_ns[i] = each, sync_ns, ends[i] - sync_ns
+            elif each[0] > lowest[i]:
+                self._tell_refused(i, ends[i])
+        return missing
+
+    def _tell_refused(self, i: int, stamp: int) -> None:
+        self.log.event(stamp, "miss", "master",
+                       f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+
+    def _latch(self, sync_ns: int, ends: Sequence[int] = (), data: Sequence[Any] = ()) -> Inputs:
+        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
+
+        `ends` and `data` are time stamps and data, in `ORDER`, where all of them are there already.
+        """
         self._arrival_ns = [NAN, NAN, NAN, NAN]
+        self._told = False
         deadline = sync_ns + self._budget_ns
         receive, slots, missing = self.link.receive, self._slots, 0b1111
+        self._doubled_sync = False
+        self._reception.begin()
+        if ends:
+            missing = self._keep_all(sync_ns, ends, data)
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:
-                missing &= ~self._take(message, sync_ns)
-            elif can_id == SYNC_COB_ID:
-                self._early_ns = stamp_ns(message)
+                if missing >> slots[can_id][0] & 1:
+                    missing &= ~self._take(message, sync_ns)
+                else:
+                    self._note_doubled(message, slots[can_id][0])
+            elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
+                self._early_ns = stamp
                 break
+            elif can_id == SYNC_COB_ID and self.link.watch is not None:
+                self.link.watch.doubled(stamp_ns(message), self._count, "SYNC")
+                self._doubled_sync = True
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
@@ -191,7 +310,7 @@ class Exchange:
         late = self._late_in_row
         if missing or any(late):
             self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
-        self.guard.check(inputs, self._late_in_row)
+        self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         return inputs
 
     def _derive(self, inputs: Inputs) -> None:
@@ -209,7 +328,19 @@ class Exchange:
             self.stale_inputs += inputs.missing.bit_count()
         names = [self.wire.nodes[ORDER[i]].name for i in range(4) if inputs.missing >> i & 1]
         text = " and ".join([*(f"no inputs of {name}" for name in names), *([] if sent else ["targets too late"])])
+        if text == self._miss_text:
+            self._misses += 1
+            return
+        if self._misses:
+            self._end_misses()
+        self._misses, self._miss_text = 1, text
         self.log.event(inputs.sync_ns, "miss", "master", f"{text}.")
+
+    def _end_misses(self) -> None:
+        """Say how long a run of equal misses was, once it is over; one alone is told already."""
+        if self._misses > 1:
+            self.log.event(self.inputs.sync_ns, "miss", "master", f"{self._miss_text}, {self._misses} cycles in a row.")
+        self._misses, self._miss_text = 0, ""
 
     def _row(self, annotations: CycleAnnotations, sent: bool) -> tuple[float, ...]:
         """One row in the order of `trial.signals.SIGNALS`."""

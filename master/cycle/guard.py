@@ -1,70 +1,156 @@
 """What is watched in every control cycle, against the table of `safety`.
 
-The rule of this file: a check reads what the cycle already has; it raises `StopError` with the node's name and
-the number that broke the limit, and decides nothing else.
+The rule of this file: a check reads what the cycle already has; it raises `StopError` with the name of what went wrong
+and the number that says so, the cause before its consequences, and decides nothing else.
 """
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from eds.bench import END, KNEE, SERVO, START, Wire
 from eds.cia301 import Emcy, emcy_text
-from eds.cia402 import State
+from eds.cia402 import State, Status
+from master.cycle.blame import blamed
 from master.cycle.log import Log
+from master.cycle.reception import ENOUGH, Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Emergency, Link
 from master.settings import Limits
 
 if TYPE_CHECKING:
     from master.cycle.exchange import Inputs
+    from master.cycle.plausibility import Plausibility
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
+_REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
 WATCH_NS = 10_000_000
+LIMITED_NS = 300_000_000
+"""Time for which a drive may say that an internal limit holds it back (statusword bit 11)."""
+YIELDED_M = 2e-3
+"""By how much further a servo that its tension bound holds back may be from where its targets lead."""
+ORDER = (SERVO, KNEE, START, END)
+_CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
+REMEMBERED = 3
+"""Cycles for which a missed input still explains what a drive says of it."""
 
 
 class Guard:
     """The checks of a running cycle; `enabled` says that both drives must stay in OPERATION ENABLED.
 
-    `active` False lets everything pass: during bring-up, and once a stop is under way.
+    `active` False lets everything pass: during bring-up, and once a stop is under way.  `interrupted` gives the number
+    of the signal that asked for an end, 0 for none.
     """
 
     def __init__(
         self, link: Link, wire: Wire, log: Log, limits: Limits, timeout_ns: int,
-        interrupted: Callable[[], bool] = lambda: False,
+        interrupted: Callable[[], int] = lambda: 0,
     ) -> None:
         self.limits = limits
         self.active = True
         self.enabled = False
+        self.plausibility: Plausibility | None = None
         self._link, self._wire, self._log = link, wire, log
         self._timeout_ns = timeout_ns
         self._interrupted = interrupted
         self._watch_ns = 0
+        self._limited_ns = [0, 0]
+        self._missed = [(0, 0)] * 4
+        self._period_ns = wire.period_ns
 
-    def check(self, inputs: Inputs, late_in_row: Sequence[int]) -> None:
+    def check(
+        self, inputs: Inputs, late_in_row: Sequence[int], targets: tuple[float, float] = (0.0, 0.0),
+        rehoming: bool = False, reception: Reception | None = None,
+    ) -> None:
         """Raise `StopError` where the inputs of one SYNC, or what came with them, break a limit."""
         link = self._link
-        if link.emergencies or link.boots:
-            self._heed(inputs.sync_ns)
+        watch = link.watch
+        if inputs.missing:
+            self._missed = [(late, inputs.sync_ns) if late else was
+                            for late, was in zip(late_in_row, self._missed, strict=True)]
+        if (watch is not None and watch.found) or link.emergencies or link.boots:
+            self.heed(inputs.sync_ns, reception)
         if not self.active:
             return
         limits = self.limits
         if inputs.start_n > limits.start_n:
-            raise StopError(Condition.START_LIMIT, f"{inputs.start_n:.1f} N of {limits.start_n:g} N", START)
+            raise self._limit(Condition.START_LIMIT, f"{inputs.start_n:.1f} N of {limits.start_n:g} N", START)
         if inputs.end_n > limits.end_n:
-            raise StopError(Condition.END_LIMIT, f"{inputs.end_n:.1f} N of {limits.end_n:g} N", END)
+            raise self._limit(Condition.END_LIMIT, f"{inputs.end_n:.1f} N of {limits.end_n:g} N", END)
         if inputs.missing:
+            self._refuse_strange(reception)
             self._refuse_stale(late_in_row)
-        if self.enabled and not (
-            inputs.servo_status & _ENABLED_MASK == _ENABLED == inputs.knee_status & _ENABLED_MASK
-        ):
-            self._refuse_disabled(inputs)
+        if self.enabled:
+            if not (inputs.servo_status & _ENABLED_MASK == _ENABLED == inputs.knee_status & _ENABLED_MASK):
+                self._refuse_disabled(inputs)
+            self._supervise(inputs, targets, rehoming)
         if inputs.sync_ns >= self._watch_ns:
             self._watch(inputs.sync_ns)
 
+    # ---- motion and signals ----
+
+    def _supervise(self, inputs: Inputs, targets: tuple[float, float], rehoming: bool) -> None:
+        """Limits of the knee, the drives' own words about their motion, and every signal against the others."""
+        words = inputs.servo_status | inputs.knee_status
+        if words & _REPORTED or any(self._limited_ns):
+            self._refuse_reported(inputs, rehoming)
+        limits, knee = self.limits, inputs.knee_angle_rad
+        if not limits.knee_low_rad <= knee <= limits.knee_high_rad:
+            raise StopError(Condition.OUT_OF_LIMITS, f"knee at {57.2958 * knee:.1f}°, allowed are "
+                            f"{57.2958 * limits.knee_low_rad:.0f}° … {57.2958 * limits.knee_high_rad:.0f}°", KNEE)
+        plausibility = self.plausibility
+        if plausibility is None or rehoming:
+            return
+        if inputs.missing:
+            plausibility.coast(targets)
+            return
+        limited = YIELDED_M if self._limited_ns[0] else 0.0
+        finding = plausibility.check(limited, targets, inputs.servo_position_m, inputs.servo_force_n, knee,
+                                     inputs.start_n, inputs.end_n)
+        if finding is not None:
+            raise blamed(finding)
+
+    def _refuse_reported(self, inputs: Inputs, rehoming: bool) -> None:
+        """Statusword bits 13 and 11 of both drives: bit 13 means a homing error while homing, and counts there too."""
+        for i, (node, word) in enumerate(((SERVO, inputs.servo_status), (KNEE, inputs.knee_status))):
+            if word & Status.FOLLOWING_ERROR and not rehoming:
+                raise StopError(Condition.OFF_TARGET, f"{self._name(node)} reports a following error (statusword "
+                                                      f"0x{word:04X}, bit 13)", node)
+            since = self._limited_ns[i]
+            if not word & Status.INTERNAL_LIMIT:
+                self._limited_ns[i] = 0
+            elif not since:
+                self._limited_ns[i] = inputs.sync_ns
+            elif inputs.sync_ns - since > LIMITED_NS:
+                raise StopError(Condition.OFF_TARGET, f"{self._name(node)} has been held back by an internal limit for "
+                                                      f"{LIMITED_NS / 1e6:.0f} ms (statusword bit 11)", node)
+
+    def _limit(self, condition: Condition, text: str, node: int) -> StopError:
+        """A limit passed; where a relation is nearly broken as well, the sentence says which."""
+        if self.plausibility is None or not self.enabled:
+            return StopError(condition, text, node)
+        doubt = self.plausibility.doubt()
+        if doubt is None:
+            return StopError(condition, text, node)
+        suspicion = blamed(doubt)
+        return StopError(suspicion.condition, f"{suspicion.detail}; {condition.value}, {text}", suspicion.node_id)
+
+    # ---- communication ----
+
+    def _refuse_strange(self, reception: Reception | None) -> None:
+        if reception is None:
+            return
+        for i, node in enumerate(ORDER):
+            if reception.refused[i] >= ENOUGH:
+                raise StopError(Condition.IMPLAUSIBLE, f"{self._name(node)} says {reception.refusal(i)}, "
+                                                       f"{reception.refused[i]} cycles in a row", node)
+
     def _refuse_stale(self, late_in_row: Sequence[int]) -> None:
         limit = self.limits.stale_cycles
+        if min(late_in_row) >= limit:
+            raise StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late_in_row)} cycles")
         for node, late in zip((SERVO, START, KNEE, END), (late_in_row[i] for i in (0, 2, 1, 3)), strict=True):
             if late >= limit:
                 raise StopError(Condition.STALE, f"{self._name(node)} missed {late} cycles in a row", node)
@@ -76,22 +162,23 @@ class Guard:
 
     def _watch(self, now_ns: int) -> None:
         self._watch_ns = now_ns + WATCH_NS
-        if self._interrupted():
-            raise StopError(Condition.INTERRUPTED, "by the operator")
+        number = self._interrupted()
+        if number:
+            raise StopError(Condition.INTERRUPTED, f"by {_signal_name(number)}")
         for node in (SERVO, START, KNEE, END):
             beat = self._link.beats.get(node)
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
                 raise StopError(Condition.NODE_LOST, f"{self._name(node)}, for {self._timeout_ns / 1e6:.0f} ms", node)
 
-    def _heed(self, now_ns: int) -> None:
-        link = self._link
-        first: StopError | None = None
+    def heed(self, now_ns: int, reception: Reception | None = None) -> None:
+        """Tell what strangers, emergencies and boot-ups there were; raises `StopError` for the first that matters."""
+        link, first = self._link, self._strangers()
         while link.emergencies:
             emergency = link.emergencies.popleft()
             text = self._described(emergency)
             self._log.event(emergency.time_ns, "emcy", self._name(emergency.node_id), text)
             if emergency.code != Emcy.NO_ERROR:
-                first = first or StopError(Condition.EMERGENCY, text, emergency.node_id)
+                first = first or self._cause(emergency, text, now_ns, reception)
         while link.boots:
             node = link.boots.popleft()
             self._log.event(now_ns, "nmt", self._name(node), "boot-up.")
@@ -99,9 +186,52 @@ class Guard:
         if first is not None and self.active:
             raise first
 
+    def heed_strangers(self) -> None:
+        """Raise `StopError` where somebody else on the bus is why nothing comes any more."""
+        first = self._strangers()
+        if first is not None and self.active:
+            raise first
+
+    def _strangers(self) -> StopError | None:
+        first: StopError | None = None
+        watch = self._link.watch
+        while watch is not None and watch.found:
+            stranger = watch.found.popleft()
+            self._log.event(stranger.time_ns, "bus", "master", f"{stranger.text}.")
+            if stranger.moves:
+                first = first or StopError(Condition.FOREIGN, stranger.text)
+        return first
+
+    def _cause(self, emergency: Emergency, text: str, now_ns: int, reception: Reception | None) -> StopError:
+        """What an emergency comes from: a drive that misses or is told too much says so before the master gives up."""
+        if emergency.code in _CONSEQUENCES:
+            since = now_ns - REMEMBERED * self._period_ns
+            late = [count if at >= since else 0 for count, at in self._missed]
+            if min(late) > 0:
+                return StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late)} cycles ({text})")
+            worst = max(range(4), key=late.__getitem__)
+            if late[worst] and ORDER[worst] != emergency.node_id:
+                return StopError(Condition.STALE, f"{self._name(ORDER[worst])} missed {late[worst]} cycles in a row "
+                                                  f"({text})", ORDER[worst])
+        if emergency.code == Emcy.TENSION_LIMIT:
+            start = ORDER.index(START)
+            if reception is not None and reception.refused[start]:
+                return StopError(Condition.IMPLAUSIBLE, f"{self._name(START)} says {reception.refusal(start)} ({text})",
+                                 START)
+            return self._limit(Condition.EMERGENCY, text, SERVO)
+        return StopError(Condition.EMERGENCY, text, emergency.node_id)
+
     def _described(self, emergency: Emergency) -> str:
         return f"{self._name(emergency.node_id)}: 0x{emergency.code:04X}, {emcy_text(emergency.code)}"
 
     def _name(self, node_id: int) -> str:
         entry = self._wire.nodes.get(node_id)
         return entry.name if entry else f"node {node_id}"
+
+
+def _signal_name(number: int) -> str:
+    names = {signal.SIGINT: "the operator (Ctrl-C)"}
+    try:
+        return names.get(signal.Signals(number)) or signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

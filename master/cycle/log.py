@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 
@@ -26,6 +26,8 @@ class Sink(Protocol):
     def frame(
         self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
     ) -> None: ...
+
+    def frames(self, rows: Any, count: int, last_ns: int) -> None: ...
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None: ...
 
@@ -58,8 +60,9 @@ class Log:
         self._tap = tap
         self._recorder = recorder
         self._targets_cob_id = targets_cob_id
-        self.taps = tap is not None
+        self.tap, self.taps = tap, tap is not None
         self._waiting: Callable[[], Iterable[Row]] = getattr(tap, "rows", None) or partial(_rows, tap)
+        self._block: Callable[[int], tuple[Any, int, int, int]] | None = getattr(tap, "block", None)
         self.target_stamp_ns = -1
         self.quiet = False
 
@@ -69,6 +72,11 @@ class Log:
             return
         recorder, targets = self._recorder, self._targets_cob_id
         try:
+            if self._block is not None:
+                rows, count, last_ns, target_ns = self._block(targets)
+                if count:
+                    self.take(rows, count, last_ns, target_ns if target_ns >= 0 else self.target_stamp_ns)
+                return
             for time_ns, can_id, data, flags, sent in self._waiting():
                 if can_id == targets:
                     self.target_stamp_ns = time_ns
@@ -78,6 +86,15 @@ class Log:
             raise LinkError(f"the recorder's tap failed: {error}") from error
         except _FAILURES as error:
             self._give_up(error)
+
+    def take(self, rows: Any, count: int, last_ns: int, target_stamp_ns: int) -> None:
+        """Record frames up to `last_ns`, bytes of `cdr.FRAME_ROW`s, the last targets among them; raises `StopError`."""
+        self.target_stamp_ns = target_stamp_ns
+        if self._recorder is not None:
+            try:
+                self._recorder.frames(rows, count, last_ns)
+            except _FAILURES as error:
+                self._give_up(error)
 
     def tell_lost(self, time_ns: int) -> None:
         """Say how many frames found the tap's receive queue full, where it counts them and there were any."""

@@ -12,12 +12,14 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import can
 
 from eds import bus_load
 from eds.bench import Network, Wire, wire
-from master.cycle import drives
+from master.cycle import drives, plausibility
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log, Sink
@@ -25,22 +27,31 @@ from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
 from master.cycle.stop_request import requested
 from master.network import bringup
+from master.network.bus_watch import BusWatch
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
 from master.settings import Limits
 
+ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+                      if hasattr(signal, name))
+"""Signals that end a run by the safe stop."""
 ESTABLISHED, PATIENCE = 20, 400
 """Cycles in a row that show the exchange to run, and after how many it is taken as it is."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How it ended: `reason` is None where it completed; counts over every control cycle; the bus's time, s."""
+    """How it ended: `reason` is None where it completed; counts over every control cycle; the bus's time, s.
+
+    `signal` is the number of the signal that asked for the end, 0 for none; `condition` the name of what stopped it.
+    """
 
     reason: str | None
     missed_cycles: int
     stale_inputs: int
     duration_s: float
+    signal: int = 0
+    condition: str = ""
 
 
 def run_safely(
@@ -54,6 +65,7 @@ def run_safely(
     described = wire(network)
     budget_ns = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
     log = Log(tap, recorder, described.targets.cob_id)
+    plausibility.prepare()
     with interruption() as interrupted, collector_frozen():
         guard = Guard(link, described, log, limits, network.heartbeat_timeout_ms * 1_000_000, interrupted)
         exchange = Exchange(link, described, log, guard, budget_ns)
@@ -62,10 +74,13 @@ def run_safely(
         if stop is None:
             stop = _attempt(exchange, described, perform)
         log.quiet = True
+        _tell_strangers(link, log)
         log.tell_lost(link.clock())
+        link.watch = None
     reason = None if stop is None else str(stop)
     duration_s = (link.clock() - started_ns) * 1e-9
-    return Outcome(reason, exchange.missed_cycles, exchange.stale_inputs, duration_s)
+    return Outcome(reason, exchange.missed_cycles, exchange.stale_inputs, duration_s, interrupted(),
+                   "" if stop is None else stop.condition.name)
 
 
 def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
@@ -74,6 +89,7 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
     try:
         bringup.bring_up(link, described, exchange.log)
         link.emergencies.clear()
+        link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:
         return StopError(Condition.REFUSED, str(error))
     except (bringup.RefusedError, SdoError, StopError) as error:
@@ -86,7 +102,7 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
 
 
 def _attempt(exchange: Exchange, described: Wire, perform: Callable[[Exchange], None]) -> StopError | None:
-    """Run the cycle with `perform` in it, and stop safely whatever ends it; what the table does not know goes on."""
+    """Run the cycle with `perform` in it, and stop safely whatever ends it: an error of the program does so, too."""
     try:
         _cycle(exchange, described, perform)
         return None
@@ -96,11 +112,33 @@ def _attempt(exchange: Exchange, described: Wire, perform: Callable[[Exchange], 
         stop = StopError(Condition.REFUSED, str(error))
     except LinkError as error:
         stop = StopError(Condition.BUS_LOST, str(error))
+    except Exception as error:
+        stop = StopError(Condition.FAILED, _told(error))
     except BaseException:
         let_go(exchange)
         raise
-    safe_stop(exchange, stop)
+    try:
+        safe_stop(exchange, stop)
+    except Exception as error:
+        exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop itself failed ({_told(error)}).")
+        let_go(exchange)
     return stop
+
+
+def _told(error: Exception) -> str:
+    """One sentence of an error nobody expected: its kind, its text, and where it was raised."""
+    frame = error.__traceback__
+    while frame is not None and frame.tb_next is not None:
+        frame = frame.tb_next
+    where = "" if frame is None else f" ({Path(frame.tb_frame.f_code.co_filename).name}, line {frame.tb_lineno})"
+    text = " ".join(str(error).split())[:300]
+    return f"{type(error).__name__}: {text}{where}" if text else f"{type(error).__name__}{where}"
+
+
+def _tell_strangers(link: Link, log: Log) -> None:
+    """Say of foreign frames that were told once how often they came in all."""
+    for sentence in link.watch.summary() if link.watch is not None else ():
+        log.event(link.clock(), "bus", "master", f"{sentence}.")
 
 
 def _cycle(exchange: Exchange, described: Wire, perform: Callable[[Exchange], None]) -> None:
@@ -128,27 +166,33 @@ def _establish(exchange: Exchange) -> None:
 
 
 @contextmanager
-def interruption() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C as a question asked every few cycles, so that it never tears one; a second one interrupts at once.
+def interruption() -> Iterator[Callable[[], int]]:
+    """Ctrl-C and its like as a question asked every few cycles, so that none tears one.
 
+    What is yielded gives the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts at once.
     A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is.
+    A signal that this process was told to ignore (nohup) stays ignored.
     """
-    pressed = False
+    asked = 0
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: bool(requested())
+        yield requested
         return
 
     def press(number: int, frame: object) -> None:
-        nonlocal pressed
-        if pressed:
+        nonlocal asked
+        if asked and number == signal.SIGINT:
             raise KeyboardInterrupt
-        pressed = True
+        asked = asked or number
 
-    before = signal.signal(signal.SIGINT, press)
+    before = {number: signal.getsignal(number) for number in ENDING}
+    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    for number in taken:
+        signal.signal(number, press)
     try:
-        yield lambda: pressed or bool(requested())
+        yield lambda: asked or requested()
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number in taken:
+            signal.signal(number, before[number])
 
 
 @contextmanager

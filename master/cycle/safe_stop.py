@@ -1,23 +1,32 @@
 """The safe stop: what `safety`'s table decided, carried out to its end.
 
-The rule of this file: the drives end disabled whatever happens on the way, nothing here holds a taut rope,
-and a failure during the stop makes it shorter, never longer.
+The rule of this file: the drives end disabled whatever happens on the way, nothing here holds a taut rope or winds it
+in, and a failure during the stop makes it shorter, never longer.  What is unwound is judged by the greatest of START,
+END and what the servo's force says of the rope: a sensor that lies cannot keep the rope taut, or pull it.
 """
 
 from __future__ import annotations
 
-from eds.bench import SERVO, START
+from eds.bench import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
-from master.cycle.exchange import ORDER, Exchange
+from master.cycle.exchange import ORDER, Exchange, Inputs
 from master.cycle.safety import Reaction, StopError, reaction_to
 from master.network.bringup import RefusedError, leave
 from master.network.link import LinkError
 
 _START_BIT = 1 << ORDER.index(START)
 _SERVO_BIT = 1 << ORDER.index(SERVO)
-QUICK_STOP_NS = 500_000_000
-GRACE_NS = 100_000_000
+_END_BIT = 1 << ORDER.index(END)
+QUICK_STOP_NS = 80_000_000
+DISABLE_NS = 120_000_000
+SLACK_NS = 100_000_000
+GRACE_NS = 50_000_000
+SLACK_N = 5.0
+RISE, RISE_N = 1.03, 0.5
+"""How much a reading may be above the greatest one at the stop's beginning: noise, and less than 5 %."""
+PROGRESS = 0.95
+"""What an unwinding must have left of the tension after each span of `Limits.progress_ms`."""
 
 
 def safe_stop(exchange: Exchange, stop: StopError) -> None:
@@ -28,43 +37,81 @@ def safe_stop(exchange: Exchange, stop: StopError) -> None:
     exchange.log.event(exchange.link.clock(), "safety", "master", f"{stop}: {reaction.value}.")
     try:
         if reaction is not Reaction.UNWIND or not _unwind(exchange):
-            drives.release(exchange)
+            drives.release(exchange, knee_too=reaction is Reaction.RELEASE_BOTH)
+            _await_slack(exchange)
         _finish(exchange)
     except (StopError, RefusedError, LinkError) as error:
         exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop was cut short: {error}.")
         let_go(exchange)
 
 
+def _greatest(exchange: Exchange, inputs: Inputs) -> float:
+    """The rope's tension, N, by whichever signal says most; what is missing says nothing."""
+    start = 0.0 if inputs.missing & _START_BIT else inputs.start_n
+    end = 0.0 if inputs.missing & _END_BIT else inputs.end_n
+    hidden = 0.0 if inputs.missing & (_SERVO_BIT | _START_BIT) else exchange.plausibility.hidden_n()
+    return max(start + hidden, end)
+
+
 def _unwind(exchange: Exchange) -> bool:
-    """Pay the rope out until START is below its limit, then quick stop; False where that cannot be done."""
+    """Pay the rope out until nothing says that it is taut, then quick stop; False where that cannot be done."""
     limits, inputs = exchange.guard.limits, exchange.inputs
     servo, knee = exchange.targets
     servo = min(servo, inputs.servo_position_m)
     step = limits.unwind_m_s * exchange.wire.period_ns * 1e-9
-    deadline = inputs.sync_ns + round(limits.unwind_s * 1e9)
-    late = 0
-    while inputs.start_n >= limits.unwound_n or inputs.missing & _START_BIT:
+    began, late = inputs.sync_ns, 0
+    first = last = _greatest(exchange, inputs)
+    judged = began + round(limits.progress_ms * 1e6)
+    while (tension := _greatest(exchange, inputs)) >= limits.unwound_n or inputs.missing & _START_BIT:
         late = late + 1 if inputs.missing & (_START_BIT | _SERVO_BIT) else 0
         enabled = state_of(inputs.servo_status) is State.OPERATION_ENABLED
-        if inputs.sync_ns >= deadline or late >= limits.stale_cycles or not enabled:
-            return False
+        if inputs.sync_ns - began >= limits.unwind_s * 1e9 or late >= limits.stale_cycles or not enabled:
+            return _not_unwound(exchange, "the servo cannot unwind")
+        if tension > RISE * first + RISE_N:
+            return _not_unwound(exchange, f"tension rose from {first:.1f} to {tension:.1f} N while unwinding")
+        if inputs.sync_ns >= judged:
+            if tension > PROGRESS * last:
+                return _not_unwound(exchange, f"tension stays at {tension:.1f} N while unwinding")
+            judged, last = judged + round(limits.progress_ms * 1e6), tension
         servo -= step
         inputs = exchange.advance(servo, knee)
+        exchange.plausibility.follow(exchange.targets, inputs)
     drives.quick_stop(exchange)
     _await_stopped(exchange)
     return True
+
+
+def _not_unwound(exchange: Exchange, why: str) -> bool:
+    exchange.log.event(exchange.link.clock(), "safety", "master", f"{why}: torque off.")
+    return False
 
 
 def _await_stopped(exchange: Exchange) -> None:
     """Wait until the servo has stopped and left OPERATION ENABLED by itself (0x605A = 2)."""
     deadline = exchange.inputs.sync_ns + QUICK_STOP_NS
     while exchange.inputs.sync_ns < deadline:
-        if state_of(exchange.hold().servo_status) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+        inputs = exchange.hold()
+        silent = inputs.missing & _SERVO_BIT
+        if not silent and state_of(inputs.servo_status) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             return
 
 
+def _await_slack(exchange: Exchange) -> None:
+    """See the rope go slack after the torque was taken off; a stage that does not let go needs the operator's hand."""
+    inputs = exchange.inputs
+    deadline = inputs.sync_ns + SLACK_NS
+    while max(inputs.start_n, inputs.end_n) >= SLACK_N:
+        if inputs.sync_ns >= deadline:
+            exchange.log.event(
+                exchange.link.clock(), "safety", "master",
+                f"START says {inputs.start_n:.1f} N and END {inputs.end_n:.1f} N with the servo's torque off: "
+                "press the emergency stop (STO).")
+            return
+        inputs = exchange.hold()
+
+
 def _finish(exchange: Exchange) -> None:
-    drives.disable(exchange)
+    drives.disable(exchange, DISABLE_NS)
     exchange.end()
     exchange.link.sync_stop()
     leave(exchange.link)

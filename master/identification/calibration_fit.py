@@ -18,24 +18,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import smoothed
+from master.control.homing_fit import adapt, led, smoothed
 from master.identification.jackknife import Line, Measured, half_width
 from parameters import InputError
-from physics import inverse
+from physics import inverse, stretch
 from physics.calibration import Calibration, Evidence
-
-Array = NDArray[np.float64]
+from physics.laws import Array
 
 POINT_M = 0.4e-3
 """Rope travel averaged into one point of the joint fit."""
 TAUT_N = 3.0
 ROBUST_N = 0.5
-STRETCH_N_M = 5000.0
-"""Weighs a residual in rope position against one in END tension: the stiffness at 20–40 N."""
+STIFFNESS_AT_N = 30.0
+"""Tension whose stiffness weighs a residual in rope position against one in END tension."""
 DRIVE_TICKS = 3
 """Control cycles of pure delay: two until a target is reached, and one for what lies below the position loop.
 
@@ -68,22 +66,41 @@ class Rest(NamedTuple):
 
 
 class _Unknown(NamedTuple):
-    """One unknown of the joint fit: a scalar of the calibration, its scale and bounds."""
+    """One unknown of the joint fit: a scalar of the calibration, its scale and bounds.
+
+    `doubt`: standard deviation about the guess, where these motions tell little of it (infinite: they tell all).
+    """
 
     name: str
     scale: float
     low: float
     high: float
+    doubt: float = math.inf
 
 
+END_LAG = "end_lag"
+"""The one unknown of the fit that no calibration keeps: END is not in the loop."""
 _UNKNOWNS = (
-    _Unknown("stiffness_a", 1e-7, -8e-6, -1e-8), _Unknown("stiffness_b", 1e-5, 5e-5, 2e-3),
-    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
-    _Unknown("fabric_share", 0.1, 0.02, 0.98), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
+    _Unknown("stiffness_a", 1e-7, -2e-5, 0.0), _Unknown("stiffness_b", 1e-5, 2e-5, 2e-3),
+    _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
+    _Unknown("stretch_wide", 1e-5, -1e-4, 2e-3, 2e-4), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
+    _Unknown("fabric_share", 0.1, 0.02, 0.98, 0.3), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
     _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
-    _Unknown("swing_k", 1e-3, 0.005, 0.2),
+    _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
+    _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
+    _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("breakaway_speed", 5e-3, 2e-3, 0.05, 0.01),
+    _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
+    _Unknown("start_gain", 5e-3, 0.98, 1.02, 0.004),
+    _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
+SWUNG = frozenset({"swing_k"})
+"""What only a swing tells."""
+WEIGHT = 20.0
+"""Root of the residuals that one segment counts for."""
+SLID_M = 2e-3
+BELIEVED_N = 0.3
+"""Error, N, of the model over a segment, against which a doubt about an unknown counts."""
 
 
 def rest(segments: Sequence[Segment]) -> Rest:
@@ -149,27 +166,45 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
     Intervals are 95 %, from leaving out one segment at a time (jackknife, linearised at the solution).
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
-    start = np.array([getattr(guess, unknown.name) for unknown in _UNKNOWNS])
+    start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
     low, high = (np.array([getattr(unknown, side) for unknown in _UNKNOWNS]) for side in ("low", "high"))
+    doubt = np.array([unknown.doubt for unknown in _UNKNOWNS])
+    doubted = np.isfinite(doubt)
+    heavy, stiff = WEIGHT * BELIEVED_N, 1.0 / float(stretch.slope(guess, STIFFNESS_AT_N))
 
     def residual(point: Array) -> Array:
         made = _with(guess, point)
-        return np.concatenate([_residual(made, segment) for segment in data])
+        return np.concatenate([*(_residual(made, segment, stiff, float(point[-1])) for segment in data),
+                               heavy * ((point - start) / doubt)[doubted]])
 
     found = least_squares(
         residual, np.clip(start, low, high), bounds=(low, high), x_scale=[u.scale for u in _UNKNOWNS],
-        loss="soft_l1", f_scale=ROBUST_N)
-    sizes = [len(_residual(guess, segment)) for segment in data]
-    fun = np.asarray(found.fun)
+        loss="soft_l1", f_scale=ROBUST_N, ftol=1e-5, xtol=1e-6)
+    sizes = [len(_residual(guess, segment, stiff, 0.0)) for segment in data]
+    rows = sum(sizes)
+    fun, slopes = np.asarray(found.fun), np.asarray(found.jac)
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
-    errors = _jackknife(np.asarray(found.jac), fun * robust, sizes)
+    errors = _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
     evidence = {u.name: Evidence(float(value - 1.96 * error), float(value + 1.96 * error))
-                for u, value, error in zip(_UNKNOWNS, found.x, errors, strict=True)}
-    return _with(guess, found.x), evidence
+                for u, value, error in zip(_UNKNOWNS, found.x, errors, strict=True) if u.name != END_LAG}
+    to = max(float(segment.start.max()) for segment in data)
+    return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
+
+
+def homed(segment: Segment, calibration: Calibration, offsets: Rest) -> float:
+    """Friction, as a factor, that homing would find in a pull and release on the day of the identification."""
+    plain = dataclasses.replace(calibration, homed_friction=1.0)
+    work = adapt(plain, segment.period_s, segment.position, segment.start, segment.knee, offsets.start_offset)
+    while True:
+        try:
+            next(work)
+        except StopIteration as done:
+            return float(done.value.friction)
 
 
 def _with(guess: Calibration, point: Array) -> Calibration:
-    values: dict[str, Any] = {u.name: float(value) for u, value in zip(_UNKNOWNS, point, strict=True)}
+    values: dict[str, Any] = {u.name: float(value) for u, value in zip(_UNKNOWNS, point, strict=True)
+                              if u.name != END_LAG}
     return dataclasses.replace(guess, **values)
 
 
@@ -182,27 +217,36 @@ def _averaged(segment: Segment, offsets: Rest) -> Segment:
                    columns[3] - offsets.start_offset, columns[4] - offsets.end_offset)
 
 
-def _residual(calibration: Calibration, segment: Segment) -> Array:
+def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_lag_s: float) -> Array:
     """END and rope position that the model puts behind START, less the measured ones, N; each segment weighs alike.
 
     While the knee swings under a constant START, END tells of the fabric's slip on a turning knee, which the model
     lumps: there only the position counts.
     """
-    law = inverse.law(calibration, segment.period_s)
-    end, position = inverse.end_from_start(law, segment.position, segment.start, segment.knee)
-    taut = segment.start > TAUT_N
-    weight = 20.0 / math.sqrt(max(1, int(np.count_nonzero(taut))))
-    moved = STRETCH_N_M * (position - segment.position)[taut]
+    period_s = segment.period_s
+    law = inverse.law(calibration, period_s)
+    start = led(segment.start, period_s, calibration.start_lag) / calibration.start_gain
+    end, position = inverse.end_from_start(law, segment.position, start, segment.knee)
+    taut = (segment.start > TAUT_N) & _slid(segment)
+    weight = WEIGHT / math.sqrt(max(1, int(np.count_nonzero(taut))))
+    moved = stiff_n_m * (position - segment.position)[taut]
     if segment.kind == "swing":
-        return weight * moved
-    return weight * np.concatenate([(end - segment.end)[taut], moved])
+        return np.asarray(weight * moved)
+    return weight * np.concatenate([(end - led(segment.end, period_s, end_lag_s))[taut], moved])
 
 
-def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int]) -> Array:
-    """Standard errors of the unknowns when one segment at a time is left out."""
+def _slid(segment: Segment) -> Any:
+    """Where it is known which way rope and fabric slide: from slack at once, from tension after `SLID_M` of rope."""
+    if segment.start[0] <= 2.0 * TAUT_N:
+        return True
+    return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
+
+
+def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Array) -> Array:
+    """Standard errors of the unknowns when one segment at a time is left out; `prior`: rows that always stay."""
     scale = np.sqrt(np.maximum((slopes**2).sum(axis=0), 1e-300))
-    scaled, edges = slopes / scale, np.cumsum([0, *sizes])
-    whole = scaled.T @ scaled
+    scaled, kept, edges = slopes / scale, prior / scale, np.cumsum([0, *sizes])
+    whole = scaled.T @ scaled + kept.T @ kept
     shifts = []
     for first, last in itertools.pairwise(edges):
         part = scaled[first:last]

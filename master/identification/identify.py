@@ -7,19 +7,21 @@ The rule of this file: motions only; what they tell is `fits`' business, and the
 | rest | the rope slack, one second | offsets, noise |
 | stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
 | swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
-| ramp | pulls and releases from slack to 60 N and to 35 N at three knee angles, 0.06 m/s | friction, pre-sliding |
+| ramp | pulls and releases from slack to the top and to 45 N at three knee angles, 0.015…0.12 m/s | friction, lags |
 
 The ramps are ours, the paper gives none for friction.  Pulling and releasing slide rope and fabric both ways, so
 START by END force is e^(±(μ1θ + μ2φ)); three knee angles tell the part that grows with the wrap from the part that
-does not; the turn at the top, and at half the load, is the pre-sliding.  The speed is the paper's: slower, a rope
-with breakaway sticks and slips, and the friction that is measured is none.
+does not; the turn at the top, and at half the load, is the pre-sliding.  The top is what the highest desired force
+needs, END 62 N or START as far as its limit permits, so that a controller extrapolates nothing.  Most are at the
+paper's speed; a slower and a faster one tell breakaway, viscous friction and the sensors' lag apart.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import can
@@ -34,7 +36,7 @@ from master.identification import calibration_fit
 from master.identification.calibration_fit import Segment
 from master.identification.jackknife import Line
 from master.motion import moves
-from master.motion.home import home, swing_to
+from master.motion.home import home, swing_held, swing_to
 from master.network.link import Link
 from master.settings import Homing, Limits
 from parameters import InputError
@@ -49,14 +51,15 @@ PROCEDURES: Mapping[str, tuple[str, ...]] = {
 }
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
 SLACK_N = 3.0
-RAMP_FORCES_N = (60.0, -SLACK_N, 60.0, -SLACK_N, 35.0, -SLACK_N)
+TOP_END_N, TOP_SHARE, HALF_N = 62.0, 0.7, 45.0
+"""The ramps' top: tension at END, or this share of START's limit; and START where one turns early, as homing does."""
+SLOW_M_S, FAST_M_S = 0.015, 0.12
+RAMPS = ((True, SPEED_M_S), (True, SPEED_M_S), (False, SPEED_M_S), (True, SLOW_M_S), (True, FAST_M_S))
+"""Each ramp: whether to the top or to half the load, and its speed."""
 RAMP_KNEES_RAD = (math.radians(-6.0), float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)), math.radians(-60.0))
 SWINGS, SWING_S = 10, 4.0
 SWING_FROM_RAD, SWING_TO_RAD = math.radians(-5.0), math.radians(-65.0)
-REST_S, REACH_M, SLACK_M = 1.0, 0.12, 4e-3
-HOLD_GAIN_M_S_N = 3e-3
-"""Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
-HOLD_FILTER_S = 5e-3
+REST_S, REACH_M, SLACK_M, SAME_KNEE_RAD = 1.0, 0.12, 4e-3, 0.05
 
 COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
 """Columns of a segment, in a trial."""
@@ -115,9 +118,22 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
                 continue
             r_squared = told[name][1].r_squared if name in told else math.nan
             told[name] = getattr(fitted, name), dataclasses.replace(interval, r_squared=r_squared)
+        told |= _as_homed(segments, _replaced(guess, told), still)
+        told["identified_to"] = fitted.identified_to, Evidence(math.nan, math.nan)
     evidence = dict(guess.evidence) | {
         name: dataclasses.replace(proof, date=date, trial=trial) for name, (_, proof) in told.items()}
     return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
+
+
+def _as_homed(
+    segments: Sequence[Segment], found: Calibration, still: calibration_fit.Rest
+) -> dict[str, tuple[float, Evidence]]:
+    """What homing finds on this day: the loop that is like its own, at the knee angle that it homes at."""
+    ramps = [s for s in segments if s.kind == "ramp" and abs(float(s.knee[0]) - RAMP_KNEES_RAD[1]) < SAME_KNEE_RAD]
+    if not ramps:
+        return {}
+    like = min(ramps, key=lambda s: abs(float(s.start.max()) - HALF_N))
+    return {"homed_friction": (calibration_fit.homed(like, found, still), Evidence(math.nan, math.nan))}
 
 
 def _named(names: tuple[str, ...], line: Line) -> dict[str, tuple[float, Evidence]]:
@@ -203,13 +219,24 @@ class _Experiments:
     def _ramp(self, exchange: Exchange) -> None:
         for knee in RAMP_KNEES_RAD:
             swing_to(exchange, knee, self.identification.guess, self.identification.homing)
-            self._record(exchange, "ramp", lambda: self._reel(exchange, *RAMP_FORCES_N))
+            for whole, speed in RAMPS:
+                self._record(exchange, "ramp", functools.partial(self._pulled, exchange, whole, speed))
             self._slacken(exchange)
+
+    def _pulled(self, exchange: Exchange, whole: bool, speed_m_s: float) -> None:
+        """Pull to the top, or to half the load, and release to slack."""
+        until = self._at_top if whole else _above(HALF_N)
+        moves.reel(exchange, speed_m_s, until, REACH_M, "the rope does not tighten")
+        moves.reel(exchange, -speed_m_s, _below(SLACK_N), REACH_M, "the rope does not go slack")
+
+    def _at_top(self, inputs: Inputs) -> bool:
+        return inputs.end_n > TOP_END_N or inputs.start_n > TOP_SHARE * self.identification.limits.start_n
 
     def _swing(self, exchange: Exchange) -> None:
         swing_to(exchange, SWING_FROM_RAD, self.identification.guess, self.identification.homing)
         self._reel(exchange, LOW_N)
-        self._record(exchange, "swing", lambda: self._swing_held(exchange))
+        self._record(exchange, "swing", lambda: swing_held(
+            exchange, self.identification.guess.swing_k, LOW_N, _swings(exchange.wire.period_ns * 1e-9)))
 
     def _reel(self, exchange: Exchange, *forces_n: float) -> None:
         """Pull to each force in turn; negative: release to it."""
@@ -219,18 +246,12 @@ class _Experiments:
             else:
                 moves.reel(exchange, -SPEED_M_S, _below(-force), REACH_M, "the rope does not go slack")
 
-    def _swing_held(self, exchange: Exchange) -> None:
-        """Swing the knee while START is held at `LOW_N` by an integral of what it lacks."""
-        period_s = exchange.wire.period_ns * 1e-9
-        servo, knee = exchange.targets
-        held, tension = servo, LOW_N
-        share = min(1.0, period_s / HOLD_FILTER_S)
-        for step in range(round(SWINGS * SWING_S / period_s)):
-            phase = 2.0 * math.pi * step * period_s / SWING_S
-            angle = knee + 0.5 * (SWING_TO_RAD - SWING_FROM_RAD) * (1.0 - math.cos(phase))
-            tension += share * (exchange.inputs.start_n - tension)
-            held += HOLD_GAIN_M_S_N * (LOW_N - tension) * period_s
-            exchange.advance(held + self.identification.guess.swing_k * (angle - knee), angle)
+
+def _swings(period_s: float) -> Iterator[float]:
+    """The knee's angles, rad, by control cycle."""
+    for step in range(round(SWINGS * SWING_S / period_s)):
+        share = 0.5 * (1.0 - math.cos(2.0 * math.pi * step * period_s / SWING_S))
+        yield SWING_FROM_RAD + share * (SWING_TO_RAD - SWING_FROM_RAD)
 
 
 def _above(force_n: float) -> Callable[[Inputs], bool]:

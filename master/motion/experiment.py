@@ -5,8 +5,10 @@ The rule of this file: everything that can be computed or refused is, before the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import can
@@ -28,8 +30,11 @@ from master.motion.home import Homed, home
 from master.network.link import Link
 from parameters import InputError
 from physics import inverse
-from physics.calibration import Calibration, nominal, refuse_beyond_validity
+from physics.calibration import Calibration, nominal, refuse_beyond_validity, said_of
 from physics.reference import Reference
+
+KNEE_SAMPLES = 400
+"""Points of a gait cycle at which a knee motion is held against the limits."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,8 @@ class Result:
     """How it ended: "completed", or "stopped" with the reason; counts over every control cycle; the bus's time.
 
     `day` is what homing found of it: with the trial's inputs it makes every step of the controller again.
-    `warning` says where the experiment was run otherwise than asked for.
+    `warning` says where the experiment was run otherwise than asked for.  `signal` is the number of the signal that
+    asked for the end, 0 for none: a command line ends with 128 + that.
     """
 
     outcome: str
@@ -69,6 +75,7 @@ class Result:
     friction_half_width_m: float | None
     day: HomingFit | None = None
     warning: str | None = None
+    signal: int = 0
 
 
 def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment) -> Result:
@@ -91,7 +98,25 @@ def result_of(outcome: Outcome, trial: Planned) -> Result:
         friction_half_width_m=trial.homed.half_width_m if trial.homed else None,
         day=trial.homed.day if trial.homed else None,
         warning=trial.warning,
+        signal=outcome.signal,
     )
+
+
+def refuse_beyond_limits(experiment: Experiment) -> None:
+    """Raise `InputError` for a knee motion that the limits would stop."""
+    limits = experiment.limits
+    for reference in filter(None, (experiment.reference, experiment.motion)):
+        angles = [reference.at(i / KNEE_SAMPLES).knee_angle_rad for i in range(KNEE_SAMPLES + 1)]
+        if not limits.knee_low_rad <= min(angles) <= max(angles) <= limits.knee_high_rad:
+            raise InputError(
+                f"the knee would move from {math.degrees(min(angles)):.1f} to {math.degrees(max(angles)):.1f} degrees; "
+                f"limits.knee_low_rad and knee_high_rad allow {math.degrees(limits.knee_low_rad):.1f} to "
+                f"{math.degrees(limits.knee_high_rad):.1f}; give another curve, or limits that bench and limb bear.")
+        fastest = max(abs(b - a) for a, b in pairwise(angles)) * KNEE_SAMPLES / reference.period_s
+        if fastest > limits.knee_rad_s:
+            raise InputError(
+                f"the knee would move at up to {fastest:.1f} rad/s; limits.knee_rad_s allows {limits.knee_rad_s:g}; "
+                f"give a period of at least {reference.period_s * fastest / limits.knee_rad_s:.2f} s.")
 
 
 class Planned:
@@ -105,6 +130,7 @@ class Planned:
         calibration, rest = calibrated(experiment.calibration, experiment.known)
         self.kind = controller.find(chosen.controller, where="gait")
         refuse_beyond_validity(calibration, experiment.reference.peak_n)
+        refuse_beyond_limits(experiment)
         knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
         self.experiment, self.calibration = experiment, calibration
         slack_m = chosen.idle_slack_m * self.kind.slack_share
@@ -118,8 +144,10 @@ class Planned:
         self.undone = {id(table): correction(calibration, table, rest, adapts=self.kind.uses_homing_fit)
                        for table in (self.table, self.idle, *self.rising)}
         self.homed: Homed | None = None
-        self.impedance, self.warning = derated(
+        self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
+        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
+        self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None
         inverse.prepare()
         self._rehearse()
 

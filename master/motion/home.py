@@ -7,25 +7,29 @@ preload, on to where the release slides again, and back through the preload.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from master.control.gait_table import stretch
+from eds.bench import START
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange, Inputs
-from master.motion import moves
+from master.motion import agreement, moves
 from master.network.bringup import RefusedError
+from master.network.sdo import SdoError
 from master.settings import Homing
-from physics import laws
+from physics import laws, stretch
 from physics.calibration import Calibration
 
 SLACK_N = 1.0
 REST_S = 0.2
 AROUND = 0.2
 """The crossing is a straight line through START readings within this share of the preload."""
+HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
+"""Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
 BRISK = 4.0
 """Without tension the rope is led this much faster than it is reeled."""
 
@@ -50,19 +54,63 @@ def home(
     Raises `RefusedError` where the rope does not tighten, or the loop has no crossing.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
+    agreement.begin(exchange, calibration, knee_home)
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
+    agreement.refuse_disagreement(exchange, calibration)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
-    shift = float(stretch(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
+    shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
     inputs = moves.settle(exchange, REST_S)
     drives.set_home(exchange, round((inputs.servo_position_m + shift) * 1e6))
-    loop = np.array(pulled + released) / (start_gain, 1.0, 1.0)
-    period_s = exchange.wire.period_ns * 1e-9
-    day = moves.hold_while(
-        exchange, adapt(calibration, period_s, loop[:, 1] + shift, loop[:, 0], loop[:, 2], reading / start_gain))
+    start, position, angle = np.array(pulled + released).T
+    work = adapt(calibration, exchange.wire.period_ns * 1e-9, position + shift, start / start_gain, angle,
+                 reading / start_gain, undeclared_lag(exchange, calibration))
+    day = moves.hold_while(exchange, work)
     return Homed(0.5 * abs(at[0] - at[1]), day._replace(start_offset_n=reading))
+
+
+def _slack(inputs: Inputs) -> bool:
+    return inputs.start_n < SLACK_N
+
+
+def swing_held(
+    exchange: Exchange, swing_k: float, force_n: float, angles: Iterable[float],
+    seen: Callable[[Inputs], None] = lambda _: None,
+) -> None:
+    """Lead the knee through `angles`, rad, the rope along with it, START held by an integral of what it lacks."""
+    period_s = exchange.wire.period_ns * 1e-9
+    held, knee = exchange.targets
+    tension, share = force_n, min(1.0, period_s / HOLD_FILTER_S)
+    for angle in angles:
+        tension += share * (exchange.inputs.start_n - tension)
+        held += HOLD_GAIN_M_S_N * (force_n - tension) * period_s
+        seen(exchange.advance(held + swing_k * (angle - knee), angle))
+
+
+def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
+    """START's lag, s, by what the sensor declares, beyond a calibration's that nobody measured; else 0."""
+    proof = calibration.evidence.get("start_lag")
+    if proof is not None and math.isfinite(proof.low):
+        return 0.0
+    declared = declared_lag(exchange, START)
+    return 0.0 if declared is None else declared - calibration.start_lag
+
+
+def declared_lag(exchange: Exchange, node_id: int) -> float | None:
+    """Lag, s, of a CiA 404 channel by its interval (0x6114) and filter (0x61A0, 0x61A1); None where it tells nothing.
+
+    Half an interval for what a sample takes, half for its age; of an average half of its length besides, and of one
+    that is taken anew for every block half of the block.
+    """
+    try:
+        interval_us, kind, constant = (
+            int.from_bytes(exchange.link.sdo_read(node_id, index, 1), "little") for index in (0x6114, 0x61A0, 0x61A1))
+    except SdoError:
+        return None
+    averaged = {1: 0.5 * (constant - 1), 2: 0.5 * (constant - 1) + 0.5 * constant}.get(kind, 0.0)
+    return (1.0 + averaged) * interval_us * 1e-6
 
 
 def swing_to(exchange: Exchange, knee_rad: float, calibration: Calibration, homing: Homing) -> None:
@@ -91,8 +139,8 @@ def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
     released: list[Row] = []
     moves.reel(exchange, homing.rope_m_s, lambda inputs: inputs.start_n > homing.top_n, homing.reach_m,
                "the rope does not tighten; take up its slack by hand", _into(pulled))
-    moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
-               "the rope does not go slack; tare START", _into(released))
+    moves.reel(exchange, -homing.rope_m_s, _slack, homing.reach_m, "the rope does not go slack; tare START",
+               _into(released))
     return pulled, released
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -20,9 +20,10 @@ from eds.cia301 import (
     NMT_COB_ID,
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
-    TPDO_BASE,
     NmtCommand,
 )
+from master.network.bus_watch import BusWatch
+from master.network.bus_watch import stamp_ns as stamp_ns
 from master.network.sdo import Sdo
 
 NS = 1_000_000_000
@@ -35,13 +36,9 @@ FAILURES = (can.CanError, OSError)
 BUS_OFF = 0x040
 """Class of an error frame (linux/can/error.h)."""
 _NODE_MASK = 0x7F
-_SERVICE = 0x780
-WANTED = [
-    {"can_id": can_id, "can_mask": mask, "extended": False}
-    for can_id, mask in ((NMT_COB_ID, 0x7FF), (SYNC_COB_ID, _SERVICE), (TPDO_BASE, _SERVICE),
-                         (SDO_RESPONSE_BASE, _SERVICE), (HEARTBEAT_BASE, _SERVICE))
-]
-"""Filters for the master's socket: NMT of others, SYNC and EMCY, the nodes' first TPDOs, SDO answers, heartbeats."""
+WANTED = [{"can_id": 0, "can_mask": 0}]
+"""Filters for the master's socket: everything.  A healthy bus carries nothing besides what the master needs, and what
+else there is must be seen: another master's commands, SDO writes, identifiers that nobody owns."""
 
 
 class LinkError(Exception):
@@ -70,6 +67,8 @@ class Link:
 
     `beats` holds every node's last heartbeat, `emergencies` what EMCYs came and were not taken yet, `boots` the
     nodes that booted meanwhile, `errors` the error frames seen, `rivals` the time stamps of another master's NMT.
+    `returned`: the interface returns the master's own frames to it, as seen during bring-up.
+    `watch`, where there is one, hears of every frame that a running bench has no use for.
     `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
     `pump(deadline_ns)` is how an SDO waits: by receiving, or by whole control cycles once they run.
     """
@@ -87,6 +86,9 @@ class Link:
         self.pump: Callable[[int], object] = self.receive
         self.errors = 0
         self.send_failures = 0
+        self.watch: BusWatch | None = None
+        self.returned = False
+        self._last_sent: tuple[int, bytes] | None = None
         self._heartbeat = can.Message(
             arbitration_id=HEARTBEAT_BASE + node_id, data=b"\x05", is_extended_id=False
         )
@@ -117,9 +119,33 @@ class Link:
                     return None
             elif message.is_error_frame:
                 self._notice_error(message)
-            elif not (message.is_extended_id or message.is_remote_frame):
-                self._notice(message)
-                return message
+            else:
+                if self.watch is not None:
+                    self.watch.hear(message, self._pace_ns > 0)
+                if not (message.is_extended_id or message.is_remote_frame):
+                    if self.watch is None and self._last_sent is not None:
+                        self._notice_return(message)
+                    self._notice(message)
+                    return message
+
+    @property
+    def heartbeat(self) -> tuple[int, int, int]:
+        """This master's heartbeat: identifier, its byte, period in ns (`NEVER` for none)."""
+        message, period_ns = self._heartbeat, self._heartbeat_ns
+        return message.arbitration_id, message.data[0], NEVER if period_ns is None else period_ns
+
+    @property
+    def due_ns(self) -> int:
+        """When the heartbeat is due; 0 where the link has more than that to send by itself."""
+        return self._beat_due_ns if not self._pace_ns else 0
+
+    def heed(self, beats: Iterable[tuple[int, int, int]]) -> None:
+        """Take heartbeats of cycles that the bus has run: identifier, time, state; of the own one when it was sent."""
+        for can_id, time_ns, state in beats:
+            if can_id == self._heartbeat.arbitration_id:
+                self._beat_due_ns = self._due_ns = time_ns + (self._heartbeat_ns or NEVER)
+            else:
+                self.beats[can_id - HEARTBEAT_BASE] = Beat(time_ns, state & _NODE_MASK)
 
     def _serve(self, now_ns: int) -> can.Message | None:
         """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
@@ -172,6 +198,10 @@ class Link:
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame, waiting for a full queue by receiving; raises `LinkError` when the bus takes none."""
+        if self.watch is not None:
+            self.watch.sent(can_id, data)
+        elif not self.returned:
+            self._last_sent = can_id, bytes(data)
         message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
         for _attempt in range(SEND_RETRIES):
             try:
@@ -188,6 +218,11 @@ class Link:
         deadline = self.clock() + duration_ns
         while self.receive(deadline) is not None:
             pass
+
+    def _notice_return(self, message: can.Message) -> None:
+        """Learn, before the bus is watched, that the interface returns the master's own frames."""
+        if message.is_rx and (message.arbitration_id, bytes(message.data)) == self._last_sent:
+            self.returned, self._last_sent = True, None
 
     def listen(self, duration_ns: int) -> Iterator[can.Message]:
         """Every data frame for a while, without a word sent, not even a heartbeat."""
@@ -264,9 +299,3 @@ class Link:
         if client is None:
             client = self._clients[node_id] = Sdo(self, node_id)
         return client
-
-
-def stamp_ns(message: can.Message) -> int:
-    """Time stamp of a message, ns: exact where the bus gives `time_ns`, else its float seconds rounded."""
-    exact: int | None = getattr(message, "time_ns", None)
-    return round(message.timestamp * NS) if exact is None else exact

@@ -19,7 +19,7 @@ from typing import Any, Final
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
+from trial.mcap_file.cdr import ERROR, EXTENDED, FRAME_STRUCT, REMOTE
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
@@ -28,15 +28,17 @@ BATCH: Final = 32
 
 _SO_TIMESTAMPNS, _SO_RCVBUFFORCE, _SO_RXQ_OVFL = 35, 33, 40
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
-_OWN, _NOW = socket.MSG_DONTROUTE, socket.MSG_DONTWAIT
+_OWN, _NOW = int(socket.MSG_DONTROUTE), int(socket.MSG_DONTWAIT)
+"""As plain integers: an operation on `socket.MsgFlag` costs more than all else that is done with a frame."""
 _EAGAIN: Final = 11
 _FRAME = struct.Struct("=IB3x8s")
+_SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
+"""A frame and its ancillary data: a time stamp, then the count of lost frames once there are any."""
 _VECTOR = struct.Struct("@QQ")
 _HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 """struct mmsghdr: name, its length, vector, its length, control, its length, flags; bytes received."""
-_HEADER_END = struct.Struct("@Qi")
-_TOLD = struct.Struct("@16xqq16xI4x")
-"""Ancillary data: a time stamp, then the count of lost frames once there are any."""
+_HEADER_END = struct.Struct("=40xQi12x")
+"""Of a header: how much ancillary data there is, flags."""
 _ANCILLARY = 64
 _PLAIN = 32
 """Ancillary bytes of a message that tells its time stamp alone."""
@@ -66,9 +68,11 @@ class KernelBus(SocketcanBus):
         self._readers = [self.socket]
         self._number = self.socket.fileno()
         self._waiting: deque[KernelMessage] = deque()
-        self._frames, self._ancillary = bytearray(BATCH * _FRAME.size), bytearray(BATCH * _ANCILLARY)
-        self._vectors, self._headers = bytearray(BATCH * _VECTOR.size), bytearray(BATCH * _HEADER.size)
+        self._slots, self._vectors = bytearray(BATCH * _SLOT.size), bytearray(BATCH * _VECTOR.size)
+        self._headers = bytearray(BATCH * _HEADER.size)
         self._template = self._laid_out()
+        self._seen, self._ends = memoryview(self._slots), memoryview(self._headers)
+        self._block = bytearray()
         self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -77,13 +81,14 @@ class KernelBus(SocketcanBus):
 
     def _laid_out(self) -> bytes:
         """Point every header at its own frame and ancillary bytes; what the kernel overwrites is copied back."""
-        frames, ancillary, vectors, first = (
+        slots, vectors, first = (
             ctypes.addressof(ctypes.c_char.from_buffer(memory))
-            for memory in (self._frames, self._ancillary, self._vectors, self._headers))
+            for memory in (self._slots, self._vectors, self._headers))
         for i in range(BATCH):
-            _VECTOR.pack_into(self._vectors, i * _VECTOR.size, frames + i * _FRAME.size, _FRAME.size)
+            slot = slots + i * _SLOT.size
+            _VECTOR.pack_into(self._vectors, i * _VECTOR.size, slot, _FRAME.size)
             _HEADER.pack_into(self._headers, i * _HEADER.size, 0, 0, vectors + i * _VECTOR.size, 1,
-                              ancillary + i * _ANCILLARY, _ANCILLARY, 0, 0)
+                              slot + _FRAME.size, _ANCILLARY, 0, 0)
         self._address = ctypes.c_void_p(first)
         return bytes(self._headers)
 
@@ -106,16 +111,16 @@ class KernelBus(SocketcanBus):
                     return None
             except OSError as error:
                 raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
-        for i in range(self._fetch()):
-            waiting.append(self._message(i))
+        for frame in self._frames(self._fetch()):
+            waiting.append(self._message(*frame))
         return waiting.popleft() if waiting else None
 
     def rows(self) -> Iterator[Row]:
         """Every frame that waits, as `master.cycle.log` wants them, without a message made of each."""
-        while True:
+        count = BATCH
+        while count == BATCH:
             count = self._fetch()
-            for i in range(count):
-                can_id, size, payload, time_ns, sent = self._frame(i)
+            for can_id, size, payload, time_ns, sent in self._frames(count):
                 flags = 0
                 if can_id > 0x7FF:
                     flags = REMOTE * (can_id & _RTR != 0) | EXTENDED * (can_id & _EFF != 0)
@@ -123,8 +128,21 @@ class KernelBus(SocketcanBus):
                     can_id &= 0x1FFFFFFF
                     payload = bytes(8) if flags & REMOTE else payload
                 yield time_ns, can_id, payload[:size], flags, sent
-            if count < BATCH:
-                return
+
+    def block(self, marked_id: int) -> tuple[Any, int, int, int]:
+        """Every frame that waits: bytes of `cdr.FRAME_ROW`s, their number, time stamps of the last and of `marked_id`.
+
+        A time stamp is −1 where there is no such frame.  The bytes hold until the next call.
+        """
+        block, at, marked_ns, time_ns = self._block, 0, -1, -1
+        for time_ns, can_id, data, flags, sent in self.rows():
+            if can_id == marked_id:
+                marked_ns = time_ns
+            if at == len(block):
+                block = self._block = block + bytes(BATCH * FRAME_STRUCT.size)
+            FRAME_STRUCT.pack_into(block, at, time_ns, can_id, flags, len(data), 0, sent, data)
+            at += FRAME_STRUCT.size
+        return memoryview(block)[:at], at // FRAME_STRUCT.size, time_ns, marked_ns
 
     def _fetch(self) -> int:
         """Take what waits into memory, at most `BATCH` frames; returns how many."""
@@ -137,17 +155,16 @@ class KernelBus(SocketcanBus):
             raise can.CanOperationError(f"{self.channel}: {os.strerror(code)}", code)
         return 0
 
-    def _frame(self, i: int) -> tuple[int, int, bytes, int, bool]:
-        """Frame `i` of those taken: identifier with the kernel's flags, size, eight bytes, time stamp, own."""
-        can_id, size, payload = _FRAME.unpack_from(self._frames, i * _FRAME.size)
-        told, flags = _HEADER_END.unpack_from(self._headers, i * _HEADER.size + 40)
-        seconds, nanoseconds, lost = _TOLD.unpack_from(self._ancillary, i * _ANCILLARY)
-        if told > _PLAIN:
-            self.lost = lost
-        return can_id, size, payload, seconds * NS + nanoseconds, flags & _OWN != 0
+    def _frames(self, count: int) -> Iterator[tuple[int, int, bytes, int, bool]]:
+        """The frames taken: identifier with the kernel's flags, size, eight bytes, time stamp, own."""
+        ends = _HEADER_END.iter_unpack(self._ends[:count * _HEADER.size])
+        for can_id, size, payload, seconds, nanoseconds, lost in _SLOT.iter_unpack(self._seen[:count * _SLOT.size]):
+            told, flags = next(ends)
+            if told > _PLAIN:
+                self.lost = lost
+            yield can_id, size, payload, seconds * NS + nanoseconds, flags & _OWN != 0
 
-    def _message(self, i: int) -> KernelMessage:
-        can_id, size, payload, time_ns, own = self._frame(i)
+    def _message(self, can_id: int, size: int, payload: bytes, time_ns: int, own: bool) -> KernelMessage:
         message = KernelMessage.__new__(KernelMessage)
         message.time_ns = time_ns
         message.timestamp = time_ns / NS

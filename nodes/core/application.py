@@ -5,13 +5,9 @@ The rule of this file: every method is optional and does nothing here; the core 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from eds.cia301 import Emcy, NmtState
 from eds.datatype import Value
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
+from nodes.core.interfaces import ProfileHost
 
 
 class Application:
@@ -26,7 +22,7 @@ class Application:
     unstored: frozenset[int] = frozenset()
     """Keys that 0x1010 never saves, beyond those that an RPDO may write; read once, after `attach`."""
 
-    def attach(self, device: Device) -> None:
+    def attach(self, device: ProfileHost) -> None:
         """Keep `device`; called once, before power-on, when `device.values` already holds the defaults."""
 
     def check_write(self, key: int, value: Value) -> int:

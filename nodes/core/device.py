@@ -127,6 +127,12 @@ class Device:
         self.now_ns = now_ns
         self.pdos.look(now_ns)
 
+    def rearm(self, now_ns: int) -> None:
+        """Ask every part anew when it has work, which `poll` otherwise does when the earliest time it knew has come."""
+        self.wake_ns = FAR_NS
+        for part in self._parts:
+            self.wake(part.poll(now_ns))
+
     def emergency(self, code: int, register: int, vendor: bytes = b"") -> None:
         """Report an error of the application: EMCY, 0x1001, 0x1003; once while it lasts."""
         self.emcy.set(code, register, vendor)

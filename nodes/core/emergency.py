@@ -9,17 +9,15 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.frame import Frame
 from nodes.core import cob_id
+from nodes.core.interfaces import EmergencyHost
 from nodes.core.parts import FAR_NS, US, Part
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 REGISTER: Final = key(0x1001)
 HISTORY: Final = 0x1003
@@ -35,7 +33,7 @@ _LAYOUT: Final = struct.Struct("<HB5s")
 class Emergency(Part):
     """The errors of one device: which are active, what was said of them, what is still to be said."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: EmergencyHost) -> None:
         self._device = device
         self._active: dict[tuple[int, int], int] = {}
         self._pending: deque[bytes] = deque(maxlen=QUEUE)
@@ -43,6 +41,11 @@ class Emergency(Part):
         self._depth = sum(1 for sub in range(1, 255) if key(HISTORY, sub) in device.objects.entries)
         self.checks = {HISTORY: _check_history, COB_ID: self._check_cob_id}
         self.applied = {HISTORY: lambda _sub, _value, _now: self._forget()}
+
+    @property
+    def silent(self) -> bool:
+        """Nothing is held back."""
+        return not self._pending
 
     def reset(self, now_ns: int) -> None:
         """Forget communication errors and what was not sent; a device error outlives a communication reset."""

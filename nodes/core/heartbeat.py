@@ -7,16 +7,14 @@ hears and reports each loss once.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from eds.cia301 import HEARTBEAT_BASE, Abort, Emcy, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.frame import Frame
+from nodes.core.interfaces import HeartbeatHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 PRODUCER: Final = 0x1017
 CONSUMER: Final = 0x1016
@@ -25,7 +23,7 @@ CONSUMER: Final = 0x1016
 class Producer(Part):
     """Says every 0x1017 ms that this node lives, and in which state; a boot-up is its first heartbeat."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: HeartbeatHost) -> None:
         self._device = device
         self._due_ns = FAR_NS
         self.applied = {PRODUCER: self._configured}
@@ -36,6 +34,15 @@ class Producer(Part):
             self._due_ns = FAR_NS
         elif self._due_ns == FAR_NS:
             self._restart(now_ns + self._period_ns())
+
+    @property
+    def due(self) -> tuple[int, int]:
+        """When the next heartbeat is due, and the period, ns."""
+        return self._due_ns, self._period_ns()
+
+    def sent(self, due_ns: int) -> None:
+        """Hear that all heartbeats up to `due_ns` were sent elsewhere."""
+        self._due_ns = due_ns
 
     def poll(self, now_ns: int) -> int:
         """Send what is due."""
@@ -78,7 +85,7 @@ class Consumer(Part):
 
     service = Service.ERROR_CONTROL
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: HeartbeatHost) -> None:
         self._device = device
         self._watched: list[_Watched] = []
         self.checks = {CONSUMER: self._check}
@@ -100,6 +107,24 @@ class Consumer(Part):
         if watched.lost:
             watched.lost = False
             self._device.emcy.clear(Emcy.HEARTBEAT, watched.node_id)
+
+    def watches_only(self, node_id: int) -> bool:
+        """Say whether nobody but this node is watched, and nobody is lost."""
+        return all(watched.node_id == node_id and not watched.lost for watched in self._watched)
+
+    @property
+    def due(self) -> tuple[int, int]:
+        """When the one node that is watched will be missed (`FAR_NS`: not awaited), after how long; 0 for nobody."""
+        return (self._watched[0].due_ns, self._watched[0].timeout_ns) if self._watched else (FAR_NS, 0)
+
+    def watched_until(self, due_ns: int) -> None:
+        """Hear when the one node that is watched will be missed: its heartbeats were heard elsewhere."""
+        if self._watched:
+            self._watched[0].due_ns = due_ns
+
+    def all_live(self) -> bool:
+        """Say whether every node that 0x1016 lists has been heard and is not overdue; true where it lists none."""
+        return all(watched.due_ns != FAR_NS for watched in self._watched)
 
     def poll(self, now_ns: int) -> int:
         """Report who is overdue."""

@@ -5,13 +5,11 @@ The rule of this file: the state changes only by `eds.cia301.NMT_TRANSITIONS`, b
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from eds.cia301 import HEARTBEAT_BASE, NMT_TRANSITIONS, NmtCommand, NmtState
 from eds.frame import Frame
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
+from nodes.core.interfaces import NmtHost
 
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
@@ -31,7 +29,7 @@ class Nmt:
 
     __slots__ = ("_device", "state")
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: NmtHost) -> None:
         self._device = device
         self.state = NmtState.INITIALISING
 

@@ -7,7 +7,7 @@ moves outside OPERATIONAL.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final, NamedTuple
 
 from eds.cia301 import NmtState, Service
 from eds.datatype import Value
@@ -15,16 +15,21 @@ from eds.dictionary import key
 from eds.frame import Frame
 from eds.plan import compile_plan
 from nodes.core import cob_id, pdo_parameters
+from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, Applied, Handler, Part
 from nodes.core.pdo_mapping import mapping_refused
 from nodes.core.receive_pdo import ReceivePdo
 from nodes.core.transmit_pdo import TransmitPdo
 
-if TYPE_CHECKING:
-    from nodes.core.device import Device
-
 _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""
+
+
+class Steady(NamedTuple):
+    """TPDOs in their order, each sent at every SYNC, and the RPDOs that there are, by identifier."""
+
+    transmit: tuple[TransmitPdo, ...]
+    receive: dict[int, ReceivePdo]
 
 
 class Pdos(Part):
@@ -32,7 +37,7 @@ class Pdos(Part):
 
     service = Service.PDO
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: PdoHost) -> None:
         self._device = device
         indices = {at >> 8 for at in device.objects.entries}
         self._receive = {n: ReceivePdo(self, device, n) for n in range(1, 513) if 0x13FF + n in indices}
@@ -140,6 +145,14 @@ class Pdos(Part):
         for pdo in self._on_event:
             due_ns = min(due_ns, pdo.poll(now_ns))
         return due_ns
+
+    def steady(self) -> Steady | None:
+        """Say what every SYNC does; None while any PDO waits, counts, or goes by events."""
+        if not self._running or self._waiting or self._acyclic or self._on_event or self.arrived:
+            return None
+        if any(pdo.every != 1 or pdo.left > 1 for pdo in self._cyclic):
+            return None
+        return Steady(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
 
     def _start_counting(self, counter: int) -> None:
         """Let the TPDOs begin whose SYNC start value this counter is: it is their first SYNC."""

@@ -7,28 +7,45 @@ any of them; a value outside its object's limits leaves that object as it was.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import NamedTuple, Protocol
 
 from eds.cia301 import SYNC_MAX, Emcy
 from eds.datatype import Value
 from eds.dictionary import Entry, key
 from eds.plan import PdoPlan
 from nodes.core import cob_id
+from nodes.core.interfaces import PdoHost
 from nodes.core.objects import outside
 from nodes.core.parts import FAR_NS, MS
 
-if TYPE_CHECKING:
-    from nodes.core.device import Device
-    from nodes.core.pdo import Pdos
+
+class Taken(NamedTuple):
+    """How an RPDO is taken: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
+
+    pdo: ReceivePdo
+    plan: PdoPlan
+    synchronous: bool
+    deadline_ns: int
+    watched: tuple[int, ...]
+    bounds: tuple[tuple[int, float | None, float | None], ...]
+
+
+class ArrivedPdos(Protocol):
+    """The PDO part, as far as an RPDO reports to it: those that arrived since SYNC, and a look at events."""
+
+    arrived: list[ReceivePdo]
+
+    def look(self, now_ns: int) -> None: ...
 
 
 class ReceivePdo:
     """RPDO `number` (from 1), compiled from 0x1400 + number − 1; `can_id` is 0 while it does not exist."""
 
     __slots__ = ("_asked", "_deadline_ns", "_device", "_fault", "_judged", "_keys", "_late", "_pdos", "_size",
-                 "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number")
+                 "_synchronous", "_unpack", "_watched", "can_id", "data", "due_ns", "number",
+                 "plan")
 
-    def __init__(self, pdos: Pdos, device: Device, number: int) -> None:
+    def __init__(self, pdos: ArrivedPdos, device: PdoHost, number: int) -> None:
         self._pdos, self._device, self.number = pdos, device, number
         self._fault: Emcy | None = None
         self._late = False
@@ -41,6 +58,7 @@ class ReceivePdo:
         self.can_id = word & cob_id.CAN_ID if cob_id.exists(word) else 0
         self._synchronous = objects.number(key(index, 2)) <= SYNC_MAX
         self._deadline_ns = objects.number(key(index, 5)) * MS
+        self.plan = plan
         self._size, self._keys, self._unpack = plan.size, plan.keys, plan.unpack
         self._watched = tuple(at for at in plan.keys if at in self._device.watched)
         self._asked = frozenset(self._watched) if self._device.guarded else frozenset()
@@ -94,6 +112,21 @@ class ReceivePdo:
         """Report that nothing came in time."""
         self.due_ns, self._late = FAR_NS, True
         self._device.communication_lost(Emcy.RPDO_TIMEOUT, now_ns, self.number)
+
+    def steady(self) -> Taken | None:
+        """Say how a frame is taken while nothing is wrong with it; None where something is, or is awaited first."""
+        if self._fault is not None or self._late or (self._deadline_ns and self.due_ns == FAR_NS):
+            return None
+        bounds = tuple((at, entry.low, entry.high) for at, _, entry in self._judged if entry is not None)
+        return Taken(self, self.plan, self._synchronous, self._deadline_ns, self._watched, bounds)
+
+    def taken(self, data: bytes | None, due_ns: int) -> None:
+        """Hear of frames that were taken elsewhere: the last one's data, None for no frame, and the deadline now."""
+        if data is not None:
+            self._device.values.update(zip(self._keys, self._unpack(data)))  # noqa: B905 - as in `take`
+        self.due_ns = due_ns
+        if due_ns < self._device.wake_ns:
+            self._device.wake_ns = due_ns
 
     def _refused(self, at: int, value: Value, bounds: Entry | None) -> bool:
         if bounds is not None and outside(bounds, value):

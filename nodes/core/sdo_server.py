@@ -7,17 +7,15 @@ an abort the server is idle.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, NmtState, Service
 from eds.frame import Frame
+from nodes.core.interfaces import SdoHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo_block import BlockDownload, BlockUpload
 from nodes.core.sdo_segment import SegmentDownload, SegmentUpload
 from nodes.core.sdo_transfer import Received, RefusedError, Transfer, multiplexer
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 TIMEOUT_NS: Final = 1000 * MS
 """Silence of the client after which a transfer is aborted; CiA 301 leaves the time to the device."""
@@ -32,7 +30,7 @@ class SdoServer(Part):
 
     service = Service.SDO
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: SdoHost) -> None:
         self._device = device
         self._transfer: Transfer | None = None
         self._silent_ns = FAR_NS
@@ -69,6 +67,11 @@ class SdoServer(Part):
         except RefusedError as refused:
             self._abort(refused.code, _about(data) if transfer is None else transfer.key)
         self._await(now_ns)
+
+    @property
+    def idle(self) -> bool:
+        """No transfer is under way."""
+        return self._transfer is None
 
     def poll(self, now_ns: int) -> int:
         """Send block segments that are due; abort a transfer whose client went silent."""

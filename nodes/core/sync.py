@@ -6,17 +6,15 @@ The rule of this file: a SYNC of another length than 0x1019 announces is reporte
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from eds.cia301 import COB_ID_NO_RTR, SERVICES, SYNC_MAX, Abort, Emcy, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.frame import Frame
 from nodes.core import cob_id
+from nodes.core.interfaces import SyncHost
 from nodes.core.parts import FAR_NS, US, Handler, Part
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 COB_ID: Final = 0x1005
 PERIOD: Final = 0x1006
@@ -32,7 +30,7 @@ class Sync(Part):
 
     service = Service.SYNC
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: SyncHost) -> None:
         self._device = device
         self._fault = False
         self._counter = 0
@@ -80,6 +78,11 @@ class Sync(Part):
             self._due_ns += (1 + (now_ns - self._due_ns) // self._period_ns) * self._period_ns
             self.receive(data, now_ns)
         return self._due_ns
+
+    @property
+    def steady(self) -> bool:
+        """A SYNC without data does nothing but what the PDOs do at it."""
+        return not (self._length or self._fault or self._window_ns or self._making)
 
     def _right_length(self, data: bytes) -> bool:
         """Report the first SYNC of a wrong length, and the first right one after it."""

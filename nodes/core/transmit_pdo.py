@@ -6,27 +6,23 @@ event timer asks, never sooner than the inhibit time allows.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from eds.cia301 import COB_ID_NO_RTR, SYNC_MAX
 from eds.dictionary import key
 from eds.frame import Frame
 from eds.plan import PdoPlan
 from nodes.core import cob_id
+from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, MS, US
 from nodes.core.pdo_mapping import packer
-
-if TYPE_CHECKING:
-    from nodes.core.device import Device
 
 
 class TransmitPdo:
     """TPDO `number` (from 1), compiled from 0x1800 + number − 1; `can_id` is 0 while it does not exist."""
 
     __slots__ = ("_device", "_event_ns", "_inhibit_ns", "_last", "_requested", "_timer_due_ns", "can_id", "every",
-                 "free_ns", "left", "number", "payload", "requestable", "start")
+                 "free_ns", "left", "number", "payload", "plan", "requestable", "start")
 
-    def __init__(self, device: Device, number: int) -> None:
+    def __init__(self, device: PdoHost, number: int) -> None:
         self._device, self.number = device, number
         self.free_ns = 0
         self.stop()
@@ -41,6 +37,7 @@ class TransmitPdo:
         self.start = objects.number(key(index, 6))
         self._inhibit_ns = objects.number(key(index, 3)) * 100 * US
         self._event_ns = objects.number(key(index, 5)) * MS
+        self.plan = plan
         self.payload = packer(plan)
         self.stop()
 

@@ -90,7 +90,7 @@ def compensate(
 ) -> Trajectory:
     """Return `course` as a controller should meet it that knows of the effects of `found`.
 
-    Laws that two effects share see the values of both, then those `calibrated`, by slot; what sets an exponent comes
+    Laws that two effects share see the values of both, then those `calibrated`, by name; what sets an exponent comes
     before what scales it, as in the catalogue.
     """
     own = {name: complete(name, given) for name, given in found.items()}

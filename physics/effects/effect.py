@@ -1,7 +1,6 @@
 """What an effect is: the one declaration that plant, compensation, diagnosis and report read.
 
-The rule of this file: types only.  A value is known by its slot, the name under which `physics.relations.relation`
-reads it; all values are SI.
+The rule of this file: types only.  A value is known by its name in `physics.parameters`, all values are SI.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from physics.laws import Array
+from physics.parameters import PARAMETERS
 from physics.sampling_laws import Staleness
 
 Values = Mapping[str, float]
@@ -30,6 +30,14 @@ class EffectParameter(NamedTuple):
     likely: tuple[float, float]
     neutral: float | None
     text: str
+
+
+def of_table(name: str) -> EffectParameter:
+    """Return a parameter of the table as an effect's: its bounds are those of a fit on a bench like the nominal one."""
+    p = PARAMETERS[name]
+    if p.likely is None:
+        raise ValueError(f"{name}: the table says no likely range under a fault")
+    return EffectParameter(name, p.unit, *p.search_bounds, p.likely, p.neutral, p.meaning)
 
 
 class Trajectory(NamedTuple):
@@ -82,6 +90,7 @@ class Effect:
     `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for
     an effect that the laws of `physics.relations` do not read themselves. `stale`: of an effect of the wire, what it
     does to the values' ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
+    `level`: parameters whose value is at a load, a bend or a time that this law chooses by convention.
     """
 
     name: str
@@ -99,6 +108,7 @@ class Effect:
     measured: Mapping[str, Measured] = field(default_factory=dict)
     stale: Callable[[Values, float], Staleness] | None = None
     grid: Law | None = None
+    level: tuple[str, ...] = ()
 
 
 def takes(name: str) -> Law:

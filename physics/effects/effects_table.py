@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from parameters import InputError
 from physics.effects.catalogue import complete
+from physics.parameters import current_names
 
 TABLE: Final = "effects"
 EVIDENCE: Final = "found"
@@ -44,7 +45,7 @@ def _values(name: str, row: Any, where: str) -> dict[str, float]:
         raise InputError(
             f"{where}: {TABLE}.{name} = {row!r} is not a table; write [{TABLE}.{name}] and its parameters.")
     values = {}
-    for key, cell in row.items():
+    for key, cell in current_names(row, f"{where} [{TABLE}.{name}]").items():
         value = cell.get("value") if isinstance(cell, Mapping) else cell
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{where}: {TABLE}.{name}.{key} = {cell!r} is no number; give one, or {{ value = … }}.")

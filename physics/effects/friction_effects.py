@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
+from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
 from physics.laws import Array
-from physics.memory_laws import presliding
+from physics.memory_laws import slipped
 from physics.plant.cable import CableParameters
 from physics.plant.fabric import FabricParameters
 
@@ -55,23 +55,23 @@ def _viscous(course: Trajectory, values: Values) -> Trajectory:
 def _presliding(course: Trajectory, values: Values) -> Trajectory:
     fresh = np.zeros(course.rope_m.size, dtype=np.bool_)
     fresh[0] = True
-    slip = presliding(course.rope_m, fresh, values["presliding"])
-    strained = presliding(course.stretch_m, fresh, values["presliding"])
+    slip = slipped(course.rope_m, fresh, values["presliding"])
+    strained = slipped(course.stretch_m, fresh, values["presliding"])
     return course._replace(rope_slip=slip, fabric_slip=strained)
 
 
 EFFECTS: Final = (
     Effect(
         name="cable_friction", site="cable", law="T_start/T_end = e^(μ1·θ1·s)", source="(3)",
-        parameters=(EffectParameter("mu1", "", 0.0, 0.5, (0.03, 0.25), None, "friction coefficient μ1 in the sheath"),),
-        forward={"plant.mu1": takes("mu1")}, inverse=_cable, relations=("friction", "elasticity", "kinematics"),
+        parameters=(of_table("mu1"),),
+        forward={"plant.mu1": takes("mu1")}, inverse=_cable, relations=("friction", "elasticity"),
         signature="END and START step apart with the rope's direction, in proportion to the tension",
         words="The rope rubs in its sheath more, or less, than the calibration says.",
         rivals=("fabric_friction", "stribeck", "load_dependent_friction"), experiment="known_bend",
     ),
     Effect(
         name="fabric_friction", site="fabric", law="T_in/T_out = e^(μ2·φ·s)", source="(7)",
-        parameters=(EffectParameter("mu2", "", 0.0, 1.0, (0.05, 0.6), None, "friction coefficient μ2 on the knee"),),
+        parameters=(of_table("mu2"),),
         forward={"plant.mu2": takes("mu2")}, inverse=_fabric, relations=("friction", "elasticity", "kinematics"),
         signature="END and START step apart with the fabric's strain rate, in proportion to tension and wrap",
         words="The fabric rubs on the knee more, or less, than the calibration says.",
@@ -80,33 +80,34 @@ EFFECTS: Final = (
     Effect(
         name="fabric_wrap", site="fabric", law="φ = φ0 + κ·|θk|", source="(7), φ(t)",
         parameters=(
-            EffectParameter("fabric_wrap", "1/rad", 0.0, 4.0, (0.3, 1.7), None, "κ: wrap angle per knee angle"),),
+            of_table("fabric_wrap"),),
         forward={"plant.fabric_wrap": takes("fabric_wrap")}, inverse=_fabric,
         relations=("friction", "elasticity", "kinematics"),
         signature="the friction loop widens as the knee flexes",
         words="The fabric wraps round the knee more, or less, with flexion than the calibration says.",
-        rivals=("fabric_friction", "cable_bend"), experiment="locked_angles",
+        rivals=("fabric_friction", "cable_bend"), level=("mu2",), experiment="locked_angles",
     ),
     Effect(
         name="cable_bend", site="cable", law="θ1 = θ10·(1 + κb·|θk|)", source="capstan law at a moving bend",
-        parameters=(EffectParameter("cable_bend", "1/rad", -0.7, 1.5, (-0.5, 0.5), 0.0, "κb: bend per knee angle"),),
+        parameters=(of_table("cable_bend"),),
         forward={"plant.cable_bend": takes("cable_bend")}, inverse=_bend, relations=("friction", "elasticity"),
         signature="the loop's width follows the knee angle, with the rope's direction",
         words="The leg bends the sheath as it swings, so that its friction changes with the knee angle.",
-        rivals=("cable_friction", "fabric_wrap"), experiment="locked_angles",
+        rivals=("cable_friction", "fabric_wrap"), level=("mu1",), experiment="locked_angles",
     ),
     Effect(
         name="load_dependent_friction", site="cable and fabric", law="μ(T) = μ·(1 + λ·(T/40 N − 1))",
         source="first order of Howell's law F = a·N^n",
-        parameters=(EffectParameter("load_slope", "", -0.8, 0.8, (-0.4, 0.4), 0.0, "λ: relative change per 40 N"),),
-        forward={"plant.load_slope": takes("load_slope")}, inverse=_load, relations=("friction", "elasticity"),
+        parameters=(of_table("load_slope"),),
+        forward={"plant.load_slope": takes("load_slope")}, inverse=_load,
+        relations=("friction", "elasticity", "kinematics"),
         signature="the loop is not proportional to the tension",
         words="The friction coefficient itself changes with the load.",
-        rivals=("stribeck", "cable_friction", "fabric_friction"), experiment="two_peaks",
+        rivals=("stribeck", "cable_friction", "fabric_friction"), level=("mu1", "mu2"), experiment="two_peaks",
     ),
     Effect(
         name="viscous_friction", site="cable", law="F = b·v", source="Newtonian grease film",
-        parameters=(EffectParameter("viscous", "N·s/m", 0.0, 60.0, (3.0, 20.0), 0.0, "b, whole sheath"),),
+        parameters=(of_table("viscous"),),
         forward={"plant.viscous": takes("viscous")}, inverse=_viscous, relations=("friction", "elasticity"),
         signature="START exceeds END in proportion to the rope's speed, whatever the load",
         words="Grease drags on the rope in proportion to its speed.",
@@ -116,20 +117,20 @@ EFFECTS: Final = (
         name="stribeck", site="cable and fabric", law="μ(v) = μc + (μs − μc)·e^(−(v/vs)²)",
         source="Stribeck curve; the paper's breakaway, Fig. 15",
         parameters=(
-            EffectParameter("stribeck_ratio", "", 1.0, 4.0, (1.2, 2.5), 1.0, "μs/μc; at rest it never rubs less"),
-            EffectParameter("stribeck_speed", "m/s", 1e-3, 0.1, (2e-3, 30e-3), None, "vs"),
+            of_table("stribeck_ratio"),
+            of_table("stribeck_speed"),
         ),
         forward={"plant.stribeck_ratio": takes("stribeck_ratio"), "plant.stribeck_speed_m_s": takes("stribeck_speed")},
-        inverse=_stribeck, relations=("friction", "elasticity"),
+        inverse=_stribeck, relations=("friction", "elasticity", "kinematics"),
         signature="a peak of friction after each reversal and at the start of loading",
         words="The rope breaks away: it rubs more at rest and at creep than when it slides.",
-        rivals=("cable_friction", "presliding", "load_dependent_friction"), experiment="dither",
+        rivals=("cable_friction", "presliding", "load_dependent_friction"), level=("mu1", "mu2"), experiment="dither",
     ),
     Effect(
         name="presliding", site="cable and fabric", law="ds/dx = (1 − s·sgn v)/δ", source="Dahl; Palli et al.",
-        parameters=(EffectParameter("presliding", "m", 20e-6, 3e-3, (50e-6, 1e-3), None, "δ"),),
+        parameters=(of_table("presliding"),),
         forward={"plant.presliding_m": takes("presliding"), "plant.fabric_presliding_m": takes("presliding")},
-        inverse=_presliding, relations=("friction", "elasticity"),
+        inverse=_presliding, relations=("friction", "elasticity", "kinematics"),
         signature="friction turns over with travel after a reversal, at no rate; minor loops",
         words="Friction needs a travel, not a moment, to turn over after a reversal.",
         rivals=("knee_backlash", "stribeck"), experiment="amplitude_sweep",
@@ -138,14 +139,14 @@ EFFECTS: Final = (
         name="friction_drift", site="cable and fabric", law="μ(t) = μ·(1 + ρ·t/T), T the trial",
         source="wear or heat, first order",
         parameters=(
-            EffectParameter("friction_drift", "", -0.95, 3.0, (-0.7, 0.7), 0.0, "ρ: relative change over the trial"),),
+            of_table("friction_drift"),),
         forward={
             "plant.friction_drift": takes("friction_drift"),
             "plant.friction_drift_s": lambda values: values.get("trial_s", CABLE.friction_drift_s),
         },
-        inverse=_drift, relations=("friction", "elasticity"),
+        inverse=_drift, relations=("friction", "elasticity", "kinematics"),
         signature="the friction loop's width trends from cycle to cycle",
         words="Friction changes during the trial, as with heat or wear.",
-        rivals=("cable_friction", "start_drift", "end_drift"), experiment="rest_repeat",
+        rivals=("cable_friction", "start_drift", "end_drift"), level=("mu1", "mu2"), experiment="rest_repeat",
     ),
 )

@@ -7,14 +7,14 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
+from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
 from physics.memory_laws import crept
 from physics.plant.fabric import FabricParameters
 from physics.plant.leg import KNEE_AT_FIT, LegParameters
 from physics.plant.motor import ServoParameters
 
 FABRIC: Final = FabricParameters()
-RATIO: Final = LegParameters().moment_arm_m
+ROPE_PER_KNEE: Final = LegParameters().rope_per_knee
 RADIUS: Final = ServoParameters().drum_radius_m
 
 
@@ -42,8 +42,8 @@ def _backlash(course: Trajectory, values: Values) -> Trajectory:
 
 
 def _moment_arm(course: Trajectory, values: Values) -> Trajectory:
-    more = values["moment_arm"] * (course.knee_rad**2 - KNEE_AT_FIT**2)
-    turned = (values.get("knee_ratio", RATIO) - RATIO) * (course.knee_rad - KNEE_AT_FIT)
+    more = values["rope_per_knee_quadratic"] * (course.knee_rad**2 - KNEE_AT_FIT**2)
+    turned = (values.get("rope_per_knee", ROPE_PER_KNEE) - ROPE_PER_KNEE) * (course.knee_rad - KNEE_AT_FIT)
     return course._replace(rope_extra_m=course.rope_extra_m + more + turned)
 
 
@@ -57,14 +57,14 @@ EFFECTS: Final = (
     Effect(
         name="stiffness", site="cable and fabric", law="e = (b·F + (1 + h)·a·F²)/s", source="(10)",
         parameters=(
-            EffectParameter("stiffness_scale", "", 0.3, 3.0, (0.75, 1.35), 1.0, "s: stiffness against (10)"),
-            EffectParameter("stiffness_shape", "", -0.9, 1.0, (-0.5, 0.5), 0.0, "h: relative change of ak"),
+            of_table("stiffness_scale"),
+            of_table("stiffness_shape"),
         ),
         forward={
             "plant.stiffness_scale": lambda v: v.get("stiffness_scale", 1.0),
             "plant.stiffness_shape": lambda v: v.get("stiffness_shape", 0.0),
         },
-        inverse=_stiffness, relations=("elasticity", "kinematics"),
+        inverse=_stiffness, relations=("friction", "elasticity", "kinematics"),
         signature="tension is off in one sense both ways, more with load",
         words="Rope and fabric together are stiffer, or softer, than the calibration's curve.",
         rivals=("start_gain", "end_gain", "fabric_creep"), experiment="dead_weight",
@@ -72,18 +72,18 @@ EFFECTS: Final = (
     Effect(
         name="fabric_creep", site="fabric", law="γ̇ = (J·T − γ)/τ", source="Kelvin–Voigt element",
         parameters=(
-            EffectParameter("creep_compliance", "m/N", 0.0, 0.2e-3, (0.01e-3, 0.04e-3), 0.0, "J"),
-            EffectParameter("creep_time", "s", 0.05, 300.0, (0.2, 100.0), None, "τ"),
+            of_table("creep_compliance"),
+            of_table("creep_time"),
         ),
         forward={"plant.creep_compliance": takes("creep_compliance"), "plant.creep_s": takes("creep_time")},
-        inverse=_creep, relations=("elasticity", "kinematics"),
+        inverse=_creep, relations=("friction", "elasticity", "kinematics"),
         signature="tension relaxes while position is held, and comes back after unloading",
         words="The fabric creeps under load and recovers.",
         rivals=("slack", "stiffness", "friction_drift"), experiment="hold_return",
     ),
     Effect(
         name="slack", site="cable", law="T = 0 while e < 0; e = x − x0 − slack", source="a rope cannot push",
-        parameters=(EffectParameter("slack", "m", -5e-3, 20e-3, (0.5e-3, 5e-3), 0.0, "length to be wound up first"),),
+        parameters=(of_table("slack"),),
         forward={"plant.slack_m": takes("slack")}, inverse=_slack, relations=("elasticity", "kinematics"),
         signature="tension begins late; elsewhere the curve is only shifted along the rope",
         words="There is rope to be wound up before it is taut.",
@@ -92,8 +92,7 @@ EFFECTS: Final = (
     Effect(
         name="knee_backlash", site="knee drive", law="dead band in θk", source="gear play of the reducer",
         parameters=(
-            EffectParameter(
-                "knee_backlash", "rad", 0.0, 0.2, (math.radians(0.3), math.radians(2.0)), 0.0, "whole dead band"),),
+            of_table("knee_backlash"),),
         forward={"plant.knee_backlash_rad": takes("knee_backlash")}, inverse=_backlash,
         relations=("elasticity", "kinematics"),
         signature="the leg lags the knee drive by a fixed angle after each of its reversals",
@@ -103,12 +102,12 @@ EFFECTS: Final = (
     Effect(
         name="moment_arm", site="leg", law="x2 = k2·θ + k3·θ²", source="(11), next order",
         parameters=(
-            EffectParameter("moment_arm", "m/rad²", -0.01, 0.01, (-1.97e-3, 1.97e-3), 0.0, "k3; θ from upright"),
-            EffectParameter("knee_ratio", "m/rad", 0.9 * RATIO, 1.1 * RATIO, (0.95 * RATIO, 1.05 * RATIO), None,
-                            "k2; a swing finds the slope where it swings, not upright"),
+            of_table("rope_per_knee_quadratic"),
+            of_table("rope_per_knee"),
         ),
-        forward={"plant.moment_arm": takes("moment_arm"),
-                 "plant.moment_arm_m": lambda values: values.get("knee_ratio", RATIO)}, inverse=_moment_arm,
+        forward={"plant.rope_per_knee_quadratic": takes("rope_per_knee_quadratic"),
+                 "plant.rope_per_knee": lambda values: values.get("rope_per_knee", ROPE_PER_KNEE)},
+        inverse=_moment_arm,
         relations=("elasticity", "kinematics"),
         signature="rope and knee angle part by an even function of the angle",
         words="The leg's lever arm changes with the knee angle.",
@@ -117,8 +116,8 @@ EFFECTS: Final = (
     Effect(
         name="drum_eccentricity", site="drum", law="x + A·(sin(x/R + φ) − sin φ)", source="an eccentric circle",
         parameters=(
-            EffectParameter("eccentricity", "m", 0.0, 2e-3, (0.1e-3, 0.5e-3), 0.0, "A"),
-            EffectParameter("eccentricity_phase", "rad", -math.pi, math.pi, (-math.pi, math.pi), None, "φ"),
+            of_table("eccentricity"),
+            of_table("eccentricity_phase"),
         ),
         forward={"plant.eccentricity_m": takes("eccentricity"), "plant.eccentricity_rad": takes("eccentricity_phase")},
         inverse=_eccentricity, relations=("elasticity", "kinematics"),

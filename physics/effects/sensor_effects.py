@@ -7,9 +7,11 @@ from typing import Final
 import numpy as np
 
 from physics.converter import SensorParameters
-from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes
+from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
 
 SENSOR: Final = SensorParameters()
+READ_BY: Final = {"start": ("friction", "elasticity", "kinematics", "drive_force"), "end": ("friction", "kinematics")}
+"""Relations that read each sensor."""
 
 
 def _start_gain(course: Trajectory, values: Values) -> Trajectory:
@@ -25,12 +27,11 @@ def _start_drift(course: Trajectory, values: Values) -> Trajectory:
 
 
 def _gain(side: str, rival: str) -> Effect:
-    relations = ("friction", "kinematics") if side == "end" else ("friction", "elasticity")
     return Effect(
         name=f"{side}_gain", site=f"{side.upper()} sensor", law="reading = g·T", source="bridge sensitivity",
-        parameters=(EffectParameter(f"{side}_gain", "", 0.5, 1.5, (0.92, 1.08), 1.0, "g"),),
+        parameters=(of_table(f"{side}_gain"),),
         forward={f"{side}_sensor.gain": takes(f"{side}_gain")},
-        inverse=_start_gain if side == "start" else _no_use, relations=relations,
+        inverse=_start_gain if side == "start" else _no_use, relations=READ_BY[side],
         signature="one sensor is off in proportion to the tension, in no direction of motion",
         words=f"The {side.upper()} sensor's gain is wrong.",
         rivals=(rival, "stiffness"), experiment="dead_weight" if side == "end" else "swapped_sensors",
@@ -40,10 +41,10 @@ def _gain(side: str, rival: str) -> Effect:
 def _offset(side: str) -> Effect:
     return Effect(
         name=f"{side}_offset", site=f"{side.upper()} sensor", law="reading = T + o", source="bridge zero",
-        parameters=(EffectParameter(f"{side}_offset", "N", -20.0, 20.0, (-3.0, 3.0), 0.0, "o"),),
+        parameters=(of_table(f"{side}_offset"),),
         forward={f"{side}_sensor.offset_n": takes(f"{side}_offset")},
         inverse=_start_offset if side == "start" else _no_use,
-        relations=("friction", "end_sensor") if side == "end" else ("friction", "elasticity", "start_sensor"),
+        relations=(*READ_BY[side], f"{side}_sensor"),
         signature="one sensor is off by the same force everywhere, slack included",
         words=f"The {side.upper()} sensor's zero is wrong.",
         rivals=("slack", "end_mass") if side == "end" else ("slack",), experiment="unload",
@@ -54,13 +55,13 @@ def _drift(side: str) -> Effect:
     return Effect(
         name=f"{side}_drift", site=f"{side.upper()} sensor", law="reading = T + d·t/T, T the trial",
         source="bridge temperature, first order",
-        parameters=(EffectParameter(f"{side}_drift", "N", -20.0, 20.0, (-3.0, 3.0), 0.0, "d: over the trial"),),
+        parameters=(of_table(f"{side}_drift"),),
         forward={
             f"{side}_sensor.drift_n": takes(f"{side}_drift"),
             f"{side}_sensor.drift_s": lambda values: values.get("trial_s", SENSOR.drift_s),
         },
         inverse=_start_drift if side == "start" else _no_use,
-        relations=("friction", "end_sensor") if side == "end" else ("friction", "elasticity", "start_sensor"),
+        relations=(*READ_BY[side], f"{side}_sensor"),
         signature="one sensor's level trends with time, slack included",
         words=f"The {side.upper()} sensor's zero drifts.",
         rivals=("friction_drift",), experiment="rest_repeat",
@@ -78,8 +79,8 @@ EFFECTS: Final = (
         name="end_mass", site="END sensor", law="reading = T + m·(g·cos θk + L·θ̈k)",
         source="the paper, 5.2 and Fig. 15",
         parameters=(
-            EffectParameter("end_mass", "kg", 0.0, 0.5, (0.05, 0.15), 0.0, "m, carried on the cantilever"),
-            EffectParameter("end_mass_arm", "m", 0.05, 0.6, (0.15, 0.35), None, "L, from the knee"),
+            of_table("end_mass"),
+            of_table("end_mass_arm"),
         ),
         forward={
             "plant.end_mass_kg": takes("end_mass"),
@@ -94,7 +95,7 @@ EFFECTS: Final = (
     _offset("end"), _offset("start"), _drift("end"), _drift("start"),
     Effect(
         name="end_delay", site="END sensor", law="reading(t) = T(t − d)", source="dead time of converter or bus",
-        parameters=(EffectParameter("end_delay", "s", 0.0, 0.1, (5e-3, 20e-3), 0.0, "d"),),
+        parameters=(of_table("end_delay"),),
         forward={"end_sensor.delay_s": takes("end_delay")}, inverse=_no_use, relations=("friction", "kinematics"),
         signature="END is late: off in proportion to dT/dt",
         words="The END signal arrives late by a fixed time.",
@@ -102,7 +103,7 @@ EFFECTS: Final = (
     ),
     Effect(
         name="end_filter", site="END sensor", law="τ·dy/dt + y = T", source="first-order low-pass",
-        parameters=(EffectParameter("end_filter", "s", 0.0, 0.1, (5e-3, 20e-3), 0.0, "τ"),),
+        parameters=(of_table("end_filter"),),
         forward={"end_sensor.lag_s": takes("end_filter")}, inverse=_no_use, relations=("friction", "kinematics"),
         signature="END is late and rounded: off in proportion to dT/dt",
         words="The END signal is filtered more than the calibration says.",
@@ -110,7 +111,7 @@ EFFECTS: Final = (
     ),
     Effect(
         name="quantisation", site="converter", law="reading = q·round(T/q)", source="step of the converter or PDO",
-        parameters=(EffectParameter("quantum", "N", 0.0, 20.0, (0.1, 2.0), 0.0, "q"),),
+        parameters=(of_table("quantum"),),
         forward={"start_sensor.quantum_n": takes("quantum"), "end_sensor.quantum_n": takes("quantum")},
         inverse=_no_use, relations=("start_sensor", "end_sensor"),
         signature="readings sit on a grid",

@@ -14,9 +14,9 @@ import numpy as np
 
 from parameters import from_table
 from physics.laws import Array
-from physics.plant import step
+from physics.plant import step, truth_row
 from physics.plant.derived import derive, settle
-from physics.plant.state_layout import CABLE_NODES, NODES, SIZE, SLOT, PlantParameters
+from physics.plant.state_layout import SIZE, SLOT, PlantParameters
 from physics.plant.step import STEP_NS
 
 __all__ = ["STEP_NS", "BowdenPlant", "Outputs", "Plant", "PlantParameters", "create", "prepare"]
@@ -81,24 +81,24 @@ class BowdenPlant:
 
     def truth(self) -> Mapping[str, float]:
         """Return the true tensions, the slip states and what else no device feels."""
-        m = self._memory.tolist()
-        cable = m[SLOT.s + 1 : SLOT.s + CABLE_NODES + 1]
-        fabric = m[SLOT.s + CABLE_NODES + 1 : SLOT.s + NODES + 1]
-        return {
-            "true_start_n": m[SLOT.tension],
-            "true_cable_end_n": m[SLOT.tension + CABLE_NODES],
-            "true_end_n": m[SLOT.tension + NODES],
-            "true_knee_angle_rad": m[SLOT.leg_q],
-            "true_knee_velocity_rad_s": m[SLOT.leg_w],
-            "true_knee_motor_rad": m[SLOT.motor_q],
-            "true_servo_position_m": m[SLOT.servo_x] + self.parameters.encoder_zero_m,
-            "true_servo_velocity_m_s": m[SLOT.servo_v],
-            "true_current_a": m[SLOT.current],
-            "true_supply_v": m[SLOT.bus_v],
-            "true_cable_slip": sum(cable) / len(cable),
-            "true_fabric_slip": sum(fabric) / len(fabric),
-            "true_creep_m": m[SLOT.creep],
-        }
+        row = np.empty(len(truth_row.NAMES))
+        truth_row.truth_row(self._memory, row)
+        return dict(zip(truth_row.NAMES, row.tolist(), strict=True))
+
+    def adopt(self, memory: Array) -> None:
+        """Keep the whole state in this memory, of `state_layout.SIZE` numbers, from now on."""
+        memory[:] = self._memory
+        self._memory = memory
+        self._out = memory[SLOT.out_servo_x : SLOT.out_servo_x + len(Outputs._fields)]
+
+    @property
+    def now_ns(self) -> int:
+        """The last whole step that the state stands at; to be set by whoever ran `step.advance` over it."""
+        return self._now_ns
+
+    @now_ns.setter
+    def now_ns(self, time_ns: int) -> None:
+        self._now_ns = time_ns
 
     @property
     def memory(self) -> Array:

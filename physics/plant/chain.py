@@ -8,14 +8,13 @@ in (3) and with the fabric's strain rate in (7).
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from numba import njit
 
-from physics.plant.cable import load_dependence, spring, stribeck
+from physics.path_laws import capstan_share, load_dependence, presliding_step, stribeck
+from physics.plant.cable import spring
 from physics.plant.fabric import strap
-from physics.plant.motor import dahl
 from physics.plant.state_layout import CABLE_NODES, FABRIC_NODES, NODES, SLOT
 
 
@@ -48,7 +47,7 @@ def slide(m: Any, first: int, last: int, surface: float, dt: float) -> float:
         friction = m[s + i] * m[SLOT.grip + i] * normal + drag * (m[v + i] - surface)
         m[v + i] += dt * m[SLOT.inverse_mass + i] * (m[t + i - 1] - m[t + i] - friction)
         m[x + i] += dt * m[v + i]
-        m[s + i] = dahl(m[s + i], dt * m[SLOT.inverse_delta + i] * (m[v + i] - surface))
+        m[s + i] = presliding_step(m[s + i], dt * m[SLOT.inverse_delta + i] * (m[v + i] - surface))
         total += friction
     return total
 
@@ -62,7 +61,7 @@ def refresh_grip(m: Any, first: int, last: int, exponent: float, surface: float,
         tension = 0.5 * (m[SLOT.tension + i - 1] + m[SLOT.tension + i])
         m[SLOT.recent + i] += fade * (m[SLOT.v + i] - surface - m[SLOT.recent + i])
         factor = load_dependence(slope, tension) * stribeck(ratio, speed, m[SLOT.recent + i])
-        m[SLOT.grip + i] = math.tanh(0.5 * exponent * factor)
+        m[SLOT.grip + i] = capstan_share(exponent * factor)
 
 
 @njit(inline="always")

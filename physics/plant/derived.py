@@ -15,7 +15,7 @@ import numpy as np
 
 from parameters import InputError
 from physics.laws import Array
-from physics.plant.fabric import TANGENT_FROM
+from physics.path_laws import TANGENT_FROM
 from physics.plant.leg import anchor
 from physics.plant.state_layout import (
     CABLE_NODES,
@@ -97,7 +97,7 @@ def settle(m: Array, p: PlantParameters) -> None:
         start = getattr(SLOT, name)
         m[start : start + (ELEMENTS if name == "tension" else NODES + 2)] = 0.0
     m[SLOT.leg_q] = m[SLOT.motor_q] = p.start_knee_rad
-    hung = anchor(p.moment_arm_m, p.moment_arm, p.start_knee_rad)
+    hung = anchor(p.rope_per_knee, p.rope_per_knee_quadratic, p.start_knee_rad)
     m[SLOT.x : SLOT.x + NODES + 2] = hung
     m[SLOT.servo_x] = hung + p.slack_m - p.start_slack_m
     m[SLOT.bus_v] = p.supply_v

@@ -7,50 +7,30 @@ w·(b·T + a·T²), a < 0, and is continued along its tangent from 90 % of the t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Final
 
 from numba import njit
 
-from parameters import parameter
-from physics import laws
-
-TANGENT_FROM: Final = 0.9
-"""Share of the turning tension −b/2a above which the stretch goes on linearly."""
+from physics.parameters import declared
+from physics.path_laws import stretched
 
 
 @dataclass(frozen=True)
 class FabricParameters:
     """The fabric and its friction over the knee."""
 
-    mu2: float = parameter(
-        0.15, "", "friction coefficient μ2 of fabric on the knee", low=0.0, high=1.0,
-        source="assumed: with the wrap an exponent of 0.10 at 13–20 % of gait")
-    wrap_rad: float = parameter(
-        0.15, "rad", "wrap angle φ0 at the upright knee", low=0.0, high=4.0, source="assumed: strap held off the knee")
-    fabric_wrap: float = parameter(
-        1.0, "", "κ: φ = φ0 + κ·|θk|", low=0.0, high=4.0, source="assumed: the wrap grows with the flexion")
-    fabric_presliding_m: float = parameter(
-        0.1e-3, "m", "travel on the knee over which friction turns over", low=0.02e-3, high=3e-3,
-        source="assumed: as the rope's")
-    stretch_a: float = parameter(
-        laws.STIFFNESS_A_MM_N2 * 1e-3, "m/N²", "quadratic coefficient of the whole stretch", low=-1e-5, high=-1e-8,
-        source="(10): ak")
-    stretch_b: float = parameter(
-        laws.STIFFNESS_B_MM_N * 1e-3, "m/N", "linear coefficient of the whole stretch", low=5e-5, high=5e-3,
-        source="(10): bk")
-    stiffness_scale: float = parameter(
-        1.0, "", "stiffness of rope and fabric against (10)", low=0.3, high=3.0, source="(10)")
-    stiffness_shape: float = parameter(
-        0.0, "", "relative change of the quadratic coefficient", low=-0.9, high=1.0, source="(10)")
-    share_before: float = parameter(
-        0.25, "", "share of the fabric between cable and knee", low=0.05, high=0.9, source="assumed: geometry")
-    share_after: float = parameter(
-        0.40, "", "share of the fabric between knee and END sensor", low=0.05, high=0.9, source="assumed: geometry")
-    creep_compliance: float = parameter(
-        0.0, "m/N", "J: creep γ̇ = (J·T − γ)/τ", low=0.0, high=0.2e-3, source="paper, 3.2: elastic fabric")
-    creep_s: float = parameter(5.0, "s", "τ of the creep", low=0.01, high=1e4, source="assumed: woven strap")
+    mu2: float = declared("mu2")
+    wrap_rad: float = declared("phi0")
+    fabric_wrap: float = declared("fabric_wrap")
+    fabric_presliding_m: float = declared("fabric_presliding")
+    stretch_a: float = declared("stretch_a")
+    stretch_b: float = declared("stretch_b")
+    stiffness_scale: float = declared("stiffness_scale")
+    stiffness_shape: float = declared("stiffness_shape")
+    share_before: float = declared("fabric_share_before")
+    share_after: float = declared("fabric_share_after")
+    creep_compliance: float = declared("creep_compliance")
+    creep_s: float = declared("creep_time")
 
 
 @njit(inline="always")
@@ -63,6 +43,5 @@ def strap(
     Never pushing; damping at most as large as the elastic force.
     """
     e = max(0.0, elongation) * per_share
-    bent = (b - math.sqrt(max(0.0, b * b - a4 * min(e, e_tangent)))) * half
-    elastic = bent + k_tangent * max(0.0, e - e_tangent)
+    elastic = stretched(e, b, a4, half, e_tangent, k_tangent)
     return elastic + min(elastic, max(-elastic, damping * rate))

@@ -12,8 +12,8 @@ from typing import Final
 
 from numba import njit
 
-from parameters import parameter
 from physics import laws
+from physics.parameters import declared
 
 GRAVITY: Final = 9.80665
 KNEE_AT_FIT: Final = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
@@ -24,60 +24,29 @@ KNEE_AT_FIT: Final = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
 class LegParameters:
     """57BL75S10-230 motor, PX6-57 1:20 reducer, lower-leg model, END sensor."""
 
-    moment_arm_m: float = parameter(
-        laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE, "m/rad", "k2: rope displacement per knee angle",
-        low=0.005, high=0.2, source="(11): k2")
-    moment_arm: float = parameter(
-        0.0, "m/rad²", "k3: quadratic part of the rope displacement k2·θ + k3·θ²",
-        low=-0.02, high=0.02, source="(11): linear")
-    knee_inertia: float = parameter(
-        0.01, "kg·m²", "rotor of the knee motor behind the reducer", low=1e-3, high=0.5,
-        source="assumed: 2.3e-5 kg·m² by 20²")
-    knee_coulomb_nm: float = parameter(
-        0.3, "N·m", "Coulomb friction of knee motor and reducer", low=0.0, high=10.0, source="assumed: maker's class")
-    knee_viscous: float = parameter(
-        0.05, "N·m·s/rad", "viscous friction of knee motor and reducer", low=0.0, high=10.0,
-        source="assumed: maker's class")
-    knee_presliding_rad: float = parameter(
-        5e-4, "rad", "travel over which the knee drive's friction turns over", low=1e-5, high=0.05,
-        source="assumed: tooth compliance")
-    knee_lag_s: float = parameter(
-        1e-3, "s", "lag of the knee motor's current loop", low=1e-4, high=0.05, source="assumed: block commutation")
-    knee_torque_limit_nm: float = parameter(
-        17.0, "N·m", "peak torque of the knee drive at the knee", low=0.5, high=200.0, source="assumed: maker's class")
-    knee_stall_nm: float = parameter(
-        60.0, "N·m", "torque at which the supply's voltage would stall it", low=1.0, high=1000.0,
-        source="assumed: maker's class")
-    knee_no_load_rad_s: float = parameter(
-        15.7, "rad/s", "no-load speed at the knee", low=1.0, high=100.0, source="assumed: 3000 1/min behind 1:20")
-    reducer_stiffness: float = parameter(
-        2000.0, "N·m/rad", "torsional stiffness of reducer and shaft", low=200.0, high=1e4,
-        source="assumed: maker's class")
-    reducer_damping: float = parameter(
-        1.5, "N·m·s/rad", "damping of reducer and shaft", low=0.0, high=10.0, source="assumed: 15 % of critical")
-    knee_backlash_rad: float = parameter(
-        0.0, "rad", "whole dead band of the reducer", low=0.0, high=0.2, source="assumed: none")
-    leg_inertia: float = parameter(
-        0.03, "kg·m²", "lower-leg model about the knee", low=5e-3, high=1.0, source="assumed: 0.6 kg at 0.2 m")
-    leg_moment_kg_m: float = parameter(
-        0.09, "kg·m", "mass times lever of the lower-leg model", low=0.0, high=5.0, source="assumed: 0.6 kg at 0.15 m")
-    leg_damping: float = parameter(
-        0.02, "N·m·s/rad", "damping of the knee bearing", low=0.0, high=5.0, source="assumed: ball bearings")
-    stop_low_rad: float = parameter(
-        -1.75, "rad", "mechanical stop in flexion", low=-3.0, high=-1.0, source="assumed: beyond the travel of 90°")
-    stop_high_rad: float = parameter(
-        0.35, "rad", "mechanical stop in extension", low=0.0, high=1.0, source="assumed: beyond upright")
-    stop_stiffness: float = parameter(
-        500.0, "N·m/rad", "stiffness of the stops", low=10.0, high=2000.0, source="assumed: rubber")
-    end_mass_kg: float = parameter(
-        0.0, "kg", "mass that the END sensor carries on its cantilever", low=0.0, high=0.5,
-        source="paper, 5.2: named, not given")
-    end_mass_arm_m: float = parameter(
-        0.25, "m", "lever of the END sensor from the knee", low=0.0, high=1.0, source="assumed: geometry")
-    start_knee_rad: float = parameter(
-        0.0, "rad", "knee angle at power-on", low=-1.6, high=0.2, source="assumed: upright")
-    start_slack_m: float = parameter(
-        5e-3, "m", "slack of the rope at power-on", low=0.0, high=1.0, source="assumed: the rope hangs")
+    rope_per_knee: float = declared("rope_per_knee")
+    rope_per_knee_quadratic: float = declared("rope_per_knee_quadratic")
+    knee_inertia: float = declared("knee_inertia")
+    knee_coulomb_nm: float = declared("knee_coulomb")
+    knee_viscous: float = declared("knee_viscous")
+    knee_presliding_rad: float = declared("knee_presliding")
+    knee_lag_s: float = declared("knee_lag")
+    knee_torque_limit_nm: float = declared("knee_torque_limit")
+    knee_stall_nm: float = declared("knee_stall")
+    knee_no_load_rad_s: float = declared("knee_no_load")
+    reducer_stiffness: float = declared("reducer_stiffness")
+    reducer_damping: float = declared("reducer_damping")
+    knee_backlash_rad: float = declared("knee_backlash")
+    leg_inertia: float = declared("leg_inertia")
+    leg_moment_kg_m: float = declared("leg_moment")
+    leg_damping: float = declared("leg_damping")
+    stop_low_rad: float = declared("stop_low")
+    stop_high_rad: float = declared("stop_high")
+    stop_stiffness: float = declared("stop_stiffness")
+    end_mass_kg: float = declared("end_mass")
+    end_mass_arm_m: float = declared("end_mass_arm")
+    start_knee_rad: float = declared("start_knee")
+    start_slack_m: float = declared("start_slack")
 
 
 @njit(inline="always")

@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from numba import njit
 
+from physics.path_laws import presliding_step
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.leg import GRAVITY, anchor, knee_limit, reducer
-from physics.plant.motor import current_step, dahl, supply
+from physics.plant.motor import current_step, supply
 from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 
 STEP_NS: Final = 10_000
@@ -37,13 +38,14 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
         current, m[SLOT.integral], demand_a, back_emf, bus,
         m[SLOT.winding_ohm], m[SLOT.winding_h], m[SLOT.bandwidth], STEP_S,
     )
-    force = m[SLOT.current] * constant / radius
+    force = m[SLOT.demand_gain] * m[SLOT.current] * constant / radius
     s = m[SLOT.servo_s]
     coulomb = m[SLOT.servo_coulomb_n] * s * (1.0 + m[SLOT.servo_asymmetry] * s)
-    loss = coulomb + m[SLOT.servo_viscous] * speed + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
+    drag = m[SLOT.servo_viscous] * (speed + m[SLOT.servo_viscous_asymmetry] * abs(speed))
+    loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
     m[SLOT.servo_v] += STEP_S / m[SLOT.servo_inertia_kg] * (force - loss)
     m[SLOT.servo_x] += STEP_S * m[SLOT.servo_v]
-    m[SLOT.servo_s] = dahl(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])
+    m[SLOT.servo_s] = presliding_step(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])
 
 
 @njit(inline="always")
@@ -58,7 +60,7 @@ def knee(m: Any, demand_nm: float, rope_nm: float) -> None:
     loss = m[SLOT.knee_coulomb_nm] * m[SLOT.motor_s] + m[SLOT.knee_viscous] * m[SLOT.motor_w]
     m[SLOT.motor_w] += STEP_S / m[SLOT.knee_inertia] * (m[SLOT.motor_t] - loss - through)
     m[SLOT.motor_q] += STEP_S * m[SLOT.motor_w]
-    m[SLOT.motor_s] = dahl(m[SLOT.motor_s], STEP_S * m[SLOT.motor_w] / m[SLOT.knee_presliding_rad])
+    m[SLOT.motor_s] = presliding_step(m[SLOT.motor_s], STEP_S * m[SLOT.motor_w] / m[SLOT.knee_presliding_rad])
     weight = m[SLOT.leg_moment_kg_m] * GRAVITY * math.sin(m[SLOT.leg_q])
     beyond = max(0.0, m[SLOT.leg_q] - m[SLOT.stop_high_rad]) - max(0.0, m[SLOT.stop_low_rad] - m[SLOT.leg_q])
     weight += m[SLOT.stop_stiffness] * beyond
@@ -84,8 +86,9 @@ def step(m: Any, demand_a: float, knee_nm: float) -> None:
     m[SLOT.x] = m[SLOT.servo_x] + m[SLOT.eccentricity_m] * (math.sin(turn) - math.sin(m[SLOT.eccentricity_rad]))
     m[SLOT.v] = m[SLOT.servo_v] * arm
     knee_rad = m[SLOT.leg_q]
-    lever = m[SLOT.moment_arm_m] + 2.0 * m[SLOT.moment_arm] * knee_rad
-    m[SLOT.x + NODES + 1] = anchor(m[SLOT.moment_arm_m], m[SLOT.moment_arm], knee_rad)
+    k2, k3 = m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic]
+    lever = k2 + 2.0 * k3 * knee_rad
+    m[SLOT.x + NODES + 1] = anchor(k2, k3, knee_rad)
     surface = lever * m[SLOT.leg_w]
     m[SLOT.v + NODES + 1] = surface
     tensions(m)
@@ -119,8 +122,8 @@ def _compile(sources: int) -> Any:
 
 
 SOURCES: Final = (
-    "laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout", "plant/chain",
-    "plant/step",
+    "laws", "parameters", "path_laws", "plant/motor", "plant/cable", "plant/fabric", "plant/leg", "plant/state_layout",
+    "plant/chain", "plant/step",
 )
 
 

@@ -13,25 +13,28 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.laws import Array
+from physics.plant.motor import ServoParameters
 from physics.relations.measured import Signals, start_tension
-from physics.relations.relation_parameters import SERVO
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Values = Mapping[str, float]
 
+SERVO: Final = ServoParameters()
 FORCE_PER_AMPERE: Final = SERVO.torque_constant / SERVO.drum_radius_m
 SUBSTEPS: Final = 8
 
 
 def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
-    slip, square = signals.remember("drive", p, ("drive_presliding", "drive_calm"), lambda: _turned(signals, p))
+    slip, square = signals.remember(_turned, p)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
-    force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
+    speed = signals["rope_m_s"]
+    drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
+    force = force + p["drive_viscous"] * drag + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):
         force = force + signals.later(start_tension(signals, p), p["timestamp_skew"])
-    return np.asarray(force)
+    return np.asarray(force / p["demand_gain"])
 
 
 def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
@@ -44,7 +47,7 @@ def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
 
 
 def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
-    slip = states.presliding(position, fresh, p["drive_presliding"])
+    slip = states.slipped(position, fresh, p["drive_presliding"])
     return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
 
 

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from physics import memory_laws as states
+from physics.laws import Array
 from physics.plant.leg import GRAVITY
+from physics.relations.recorded import Memory
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 T = TypeVar("T")
@@ -44,7 +45,7 @@ class Signals:
     fresh: NDArray[np.bool_]
     progress: Array
     fine: Fine | None = None
-    _memory: dict[object, Any] = field(default_factory=dict)
+    _memory: Memory = field(default_factory=lambda: Memory(MEMORIES), repr=False)
 
     def has(self, *names: str) -> bool:
         return all(name in self.columns for name in names)
@@ -52,15 +53,9 @@ class Signals:
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
-    def remember(self, what: str, p: Values, slots: tuple[str, ...], make: Callable[[], T]) -> T:
-        """Return `make()`, made once for the values of `slots`: most parameters leave most memories as they were."""
-        key = (what, *[p[name] for name in slots])
-        if key not in self._memory:
-            if len(self._memory) >= MEMORIES:
-                self._memory.pop(next(iter(self._memory)))
-            self._memory[key] = make()
-        known: T = self._memory[key]
-        return known
+    def remember(self, law: Callable[[Signals, Values], T], p: Values) -> T:
+        """Return `law(self, p)`, made once for the values that it reads: most parameters leave most laws alone."""
+        return self._memory.recall(law, p, lambda read: law(self, read))
 
     def later(self, values: Array, seconds: float) -> Array:
         """Return `values` as they are `seconds` later."""
@@ -70,12 +65,9 @@ class Signals:
         return np.interp(time + seconds, time, values)
 
 
-END_SLOTS: Final = ("end_filter", "end_delay", "end_offset", "end_drift", "end_mass", "end_mass_arm", "end_gain")
-
-
 def end_tension(signals: Signals, p: Values) -> Array:
     """Return END tension, N, with its sensor's gain, offset, drift, mass, filter and delay undone."""
-    return signals.remember("end", p, END_SLOTS, lambda: _end_tension(signals, p))
+    return signals.remember(_end_tension, p)
 
 
 def _end_tension(signals: Signals, p: Values) -> Array:
@@ -102,7 +94,10 @@ def start_reading(signals: Signals, p: Values, tension: Array) -> Array:
 
 def leg_angle(signals: Signals, p: Values) -> Array:
     """Return the leg's own angle, rad: the knee drive's behind a dead band."""
-    angle, width = signals["knee_angle_rad"], p["knee_backlash"]
-    if width <= 0.0:
-        return angle
-    return signals.remember("play", p, ("knee_backlash",), lambda: states.play(angle, signals.fresh, width))
+    if p["knee_backlash"] <= 0.0:
+        return signals["knee_angle_rad"]
+    return signals.remember(_played, p)
+
+
+def _played(signals: Signals, p: Values) -> Array:
+    return np.asarray(states.play(signals["knee_angle_rad"], signals.fresh, p["knee_backlash"]))

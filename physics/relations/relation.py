@@ -1,26 +1,28 @@
 """Relations between measured signals that should hold: the table of DESIGN §8's names.
 
 The rule of this file: a relation predicts one measured signal from others through the laws of this room, over
-the slots of `models_slots`; an effect that those laws do not read brings its own, by relation (`Effect.measured`).
+the parameters of `physics.parameters`; what a law reads is recorded, not listed.  An effect that those laws do not read
+brings its own, by relation (`Effect.measured`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from physics.effects.catalogue import CATALOGUE
+from physics.laws import Array
+from physics.parameters import RELATION_PARAMETERS, healthy, ideal
 from physics.relations import drive_relations, transmission
-from physics.relations.measured import Signals, Values
-
-Array = NDArray[np.float64]
+from physics.relations.measured import Fine, Signals, Values
+from physics.relations.recorded import Recorded
 
 
 class Relation(NamedTuple):
-    """One relation: it predicts `output`, in `unit`, from `columns`; `uses` names the slots its law reads.
+    """One relation: its law predicts `output`, in `unit`, from `columns` and the parameters that it reads.
 
     `bench_only`: it holds where (10) carries the load, not on a rig whose load is another.
     """
@@ -30,49 +32,67 @@ class Relation(NamedTuple):
     output: str
     columns: tuple[str, ...]
     law: Callable[[Signals, Values], Array]
-    uses: frozenset[str]
     bench_only: bool = False
 
 
-_FRICTION: Final = frozenset({
-    "mu1", "mu2", "fabric_wrap", "cable_bend", "load_slope", "viscous", "stribeck_ratio", "stribeck_speed",
-    "presliding", "presliding_shape", "fabric_presliding", "friction_drift", "start_gain", "start_offset",
-    "start_drift", "tension_ratio", "coulomb", "cable_share", "share_before", "toe", "stiffness_scale",
-    "stiffness_shape", "creep_compliance", "creep_time"})
-_FABRIC: Final = frozenset({
-    "mu2", "fabric_wrap", "load_slope", "stribeck_ratio", "stribeck_speed", "presliding", "presliding_shape",
-    "fabric_presliding", "friction_drift", "start_gain", "start_offset", "start_drift"})
-_END: Final = frozenset({"end_mass", "end_mass_arm", "end_gain", "end_offset", "end_drift", "end_delay", "end_filter"})
-_PATH: Final = frozenset({
-    "stiffness_scale", "stiffness_shape", "toe", "cable_share", "creep_compliance", "creep_time", "slack",
-    "knee_backlash", "moment_arm", "eccentricity", "eccentricity_phase", "rope_zero", "home_preload",
-    "knee_ratio"})
-_DRIVE: Final = frozenset({
-    "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset", "drive_asymmetry", "drive_presliding",
-    "drive_calm"})
-
 RELATIONS: Final[Mapping[str, Relation]] = {
     relation.name: relation for relation in (
-        Relation("friction", "N", "tension_start_n", ("tension_end_n", "servo_position_m"),
-                 transmission.friction, _FRICTION | _END | {"timestamp_skew"}),
+        Relation("friction", "N", "tension_start_n", ("tension_end_n", "servo_position_m"), transmission.friction),
         Relation("elasticity", "N", "tension_start_n", ("servo_position_m", "knee_angle_rad"),
-                 transmission.elasticity, _FRICTION | _PATH | {"timestamp_skew"}, bench_only=True),
-        Relation("kinematics", "rad", "knee_angle_rad", ("servo_position_m",),
-                 transmission.kinematics, _PATH | _END | _FABRIC | {"timestamp_skew"}),
-        Relation("servo", "m", "servo_position_m", ("servo_target_m",), drive_relations.servo, frozenset({
-            "servo_bandwidth", "servo_damping", "servo_delay", "current_limit", "supply_ohm"})),
-        Relation("drive_force", "N", "servo_force_n", ("servo_position_m",),
-                 drive_relations.drive_force, _DRIVE | {"start_gain", "start_offset", "start_drift", "timestamp_skew"}),
-        Relation("knee", "rad", "knee_angle_rad", ("knee_target_rad",), drive_relations.knee, frozenset({
-            "knee_bandwidth", "knee_damping", "knee_delay"})),
+                 transmission.elasticity, bench_only=True),
+        Relation("kinematics", "rad", "knee_angle_rad", ("servo_position_m",), transmission.kinematics),
+        Relation("servo", "m", "servo_position_m", ("servo_target_m",), drive_relations.servo),
+        Relation("drive_force", "N", "servo_force_n", ("servo_position_m",), drive_relations.drive_force),
+        Relation("knee", "rad", "knee_angle_rad", ("knee_target_rad",), drive_relations.knee),
     )
 }
 
 
 def uses(relation: Relation) -> frozenset[str]:
-    """Return the slots that move `relation`: its law's, and those of effects that bring their own law for it."""
+    """Return the parameters that move `relation`: what its law reads, and those of effects that bring their own."""
     brought = {p.name for effect in CATALOGUE.values() if relation.name in effect.measured for p in effect.parameters}
-    return relation.uses | brought
+    return read_by(relation) | brought
+
+
+@cache
+def read_by(relation: Relation) -> frozenset[str]:
+    """Return the parameters that the law of `relation` reads, its switches on or off, optional columns there or not."""
+    read: set[str] = set()
+    for values in (healthy(), ideal(), _switched_on()):
+        for signals in (_probe(fine=True), _probe(fine=False), _probe(only={*relation.columns, relation.output})):
+            recorded = Recorded(values)
+            relation.law(signals, recorded)
+            read |= recorded.read
+    return frozenset(read)
+
+
+def _switched_on() -> dict[str, float]:
+    """Return values of which none is where its part of a law is left out."""
+    values = {}
+    for name, p in RELATION_PARAMETERS.items():
+        low, high = (max(end, -1e3) if end < 0.0 else min(end, 1e3) for end in p.rig_bounds)
+        off = p.like_benches or p.law or 1e-3 * (high - low)
+        values[name] = p.nominal + off if p.nominal + off <= high else p.nominal - off
+    return values
+
+
+def _probe(fine: bool = False, only: set[str] | None = None) -> Signals:
+    """Return signals of a few samples that move; `only`: what is measured, else everything is."""
+    time = np.arange(12) * 1e-2
+    wave = 1.0 - np.cos(2.0 * np.pi * time / 0.12)
+    columns = {
+        "time_s": time, "servo_position_m": 0.02 * wave, "servo_target_m": 0.02 * wave, "servo_force_n": 10.0 * wave,
+        "knee_angle_rad": -0.3 * wave, "knee_target_rad": -0.3 * wave, "tension_start_n": 10.0 * wave,
+        "tension_end_n": 8.0 * wave}
+    if only is not None:
+        columns = {name: column for name, column in columns.items() if name in {"time_s", *only}}
+    slope = np.gradient(wave, time)
+    columns |= {"rope_m": 0.02 * wave, "rope_m_s": 0.02 * slope, "rope_m_s2": np.gradient(0.02 * slope, time),
+                "strain_m_s": 0.02 * slope, "knee_acceleration": slope, "end_rate": 8.0 * slope}
+    fresh = np.zeros(time.size, dtype=np.bool_)
+    fresh[0] = True
+    rope = Fine(columns["rope_m"], columns["rope_m_s"], fresh, lambda values: values) if fine else None
+    return Signals(columns, fresh, time / time[-1], rope)
 
 
 def predict(relation: Relation, signals: Signals, values: Values) -> Array:

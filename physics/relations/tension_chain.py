@@ -15,7 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from physics.laws import Array
+from physics.path_laws import capstan, load_dependence, presliding_shaped, stretch, stribeck
+
 Mask = NDArray[np.bool_]
 
 CABLE_NODES: Final = 3
@@ -30,46 +32,15 @@ SHARES: Final = np.array([SHARE_AFTER + SHARE_OVER * 0.5 / FABRIC_NODES,
 """Shares of the fabric's stretch behind its first node, between them, and before its last."""
 ITERATIONS: Final = 50
 TOE_N: Final = 6.0
-EXPONENTIAL: Final = 1e-3
-"""Distance of a shape from 1 within which it counts as 1."""
 CLOSE_N: Final = 1e-6
 CLOSE_M: Final = 1e-9
 
 
 @njit(inline="always")
-def slid(s: float, step: float, distance: float, shape: float) -> float:
-    """Return the pre-sliding state after a sliding `step`, exact for one direction.
-
-    ds/du = (1 − s·sgn u)^i/δ with i the `shape`: 1 the catalogue's, 0 a stop that yields at once.  Source: Dahl 1968.
-    """
-    end = 1.0 if step > 0.0 else -1.0
-    left = 1.0 - s * end
-    power = 1.0 - shape
-    if abs(power) < EXPONENTIAL:
-        return end * (1.0 - left * math.exp(-abs(step) / distance))
-    if left <= 0.0:
-        return end
-    rest = left**power - power * abs(step) / distance
-    return end * (1.0 - rest ** (1.0 / power)) if rest > 0.0 else end
-
-
-@njit(inline="always")
 def grip(force: float, speed: float, load: float, ratio: float, calm: float) -> float:
     """Return the friction's factor at a tension and a sliding speed: load dependence times Stribeck."""
-    factor = max(0.05, 1.0 + load * (force / 40.0 - 1.0))
-    if ratio != 1.0:
-        factor *= 1.0 + (ratio - 1.0) * math.exp(-((speed / calm) ** 2))
-    return factor
-
-
-@njit(inline="always")
-def stretch_of_10(force: float, linear: float, bend: float) -> float:
-    """Return the stretch of (10), m, continued along its tangent from 90 % of the turning point."""
-    if bend < 0.0:
-        last = -0.45 * linear / bend
-        if force > last:
-            return linear * last + bend * last * last + (linear + 2.0 * bend * last) * (force - last)
-    return linear * force + bend * force * force
+    factor = load_dependence(load, force)
+    return factor if ratio == 1.0 else factor * stribeck(ratio, calm, speed)
 
 
 @njit(inline="always")
@@ -80,8 +51,8 @@ def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
     """
     force = max(force, 0.0)
     if toe != 0.0:
-        return toe * (1.0 - math.exp(-force / TOE_N)) + stretch_of_10(force, linear, bend)
-    return stretch_of_10(force, linear, bend)
+        return toe * (1.0 - math.exp(-force / TOE_N)) + stretch(force, linear, bend)
+    return stretch(force, linear, bend)
 
 
 @njit(cache=True)
@@ -103,7 +74,7 @@ def over_fabric(
             if fresh[k] or end[k] < slack_n:
                 s[i] = 0.0
             else:
-                s[i] = slid(s[i], at - q[i], distance, shape)
+                s[i] = presliding_shaped(s[i], at - q[i], distance, shape)
             q[i] = at
             factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, speed[k], load, ratio, calm))
             force *= factor
@@ -141,10 +112,10 @@ def along_cable(
                 turn, steep = 0.0, 0.0
                 for i in range(CABLE_NODES):
                     step = position[k] - compliance * force - u[i]
-                    trial[i] = slid(s[i], step, distance * SPREAD[i], shape)
+                    trial[i] = presliding_shaped(s[i], step, distance * SPREAD[i], shape)
                     turn += trial[i]
                     steep += abs((1.0 if step > 0.0 else -1.0) - trial[i]) / (distance * SPREAD[i])
-                target = base * math.exp(whole * turn)
+                target = capstan(base, whole * turn)
                 miss = force - target
                 if abs(miss) < CLOSE_N:
                     break
@@ -157,7 +128,7 @@ def along_cable(
                 force, last = newton if falls else 0.5 * (low + high), abs(miss)
             for i in range(CABLE_NODES):
                 s[i], u[i] = trial[i], position[k] - compliance * force
-            force = base * math.exp(whole * turn)
+            force = capstan(base, whole * turn)
         start[k], mean[k] = force, (s[0] + s[1] + s[2]) / CABLE_NODES
     return start, mean
 
@@ -173,17 +144,17 @@ def _reach(
     for i in range(FABRIC_NODES):
         at += SHARES[i] * (stretch_of(force, own, bend, toe) + creep)
         new_u[i] = at
-        new_s[i] = slid(s[i], at - u[i], distance_f, shape)
-        force *= math.exp(new_s[i] * fabric / FABRIC_NODES * grip(force, slide_f, load, ratio, calm))
+        new_s[i] = presliding_shaped(s[i], at - u[i], distance_f, shape)
+        force = capstan(force, new_s[i] * fabric / FABRIC_NODES * grip(force, slide_f, load, ratio, calm))
     at += anchor + SHARES[FABRIC_NODES] * (stretch_of(force, own, bend, toe) + creep)
     whole = cable * grip(force, slide_c, load, ratio, calm) / CABLE_NODES
     turn = 0.0
     for i in range(CABLE_NODES):
         j = FABRIC_NODES + i
         new_u[j] = at
-        new_s[j] = slid(s[j], at - u[j], distance * SPREAD[i], shape)
+        new_s[j] = presliding_shaped(s[j], at - u[j], distance * SPREAD[i], shape)
         turn += new_s[j]
-    force *= math.exp(whole * turn)
+    force = capstan(force, whole * turn)
     return at + compliance * force, force
 
 

@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from physics import memory_laws as states
-from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
+from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N, Array
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations import tension_chain as chain
-from physics.relations.measured import END_SLOTS, Signals, end_tension, leg_angle, start_reading, start_tension
+from physics.relations.measured import Signals, end_tension, leg_angle, start_reading, start_tension
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 STRETCH_LINEAR: Final = STIFFNESS_B_MM_N * MILLI
@@ -59,32 +57,19 @@ def cable_compliance(p: Values) -> float:
     return p["cable_share"] * STRETCH_LINEAR / p["stiffness_scale"]
 
 
-FRICTION_SLOTS: Final = (
-    "mu1", "mu2", "theta1", "phi0", "fabric_wrap", "cable_bend", "load_slope", "stribeck_ratio", "stribeck_speed",
-    "presliding", "presliding_shape", "fabric_presliding", "friction_drift", "slack_below", "pull_sign",
-    "tension_ratio", "stiffness_scale", "stiffness_shape", "toe", "cable_share", "share_before", "creep_compliance",
-    "creep_time")
-
-
 def start_from_end(signals: Signals, p: Values) -> Array:
     """Return the START reading, N, that the tension at END and the rope's motion give."""
-    start, slip = signals.remember("start", p, (*END_SLOTS, *FRICTION_SLOTS), lambda: _along(signals, p))
+    start, slip = signals.remember(_along, p)
     if p["coulomb"] != 0.0:
         start = start + p["coulomb"] * slip
     return start_reading(signals, p, _undecided(signals, p, start, _with_drag(signals, p, start)))
-
-
-FABRIC_SLOTS: Final = (
-    *END_SLOTS, "mu2", "phi0", "fabric_wrap", "load_slope", "stribeck_ratio", "stribeck_speed", "presliding",
-    "presliding_shape", "fabric_presliding", "friction_drift", "slack_below", "stiffness_scale", "stiffness_shape",
-    "toe", "cable_share", "creep_compliance", "creep_time", "timestamp_skew")
 
 
 def before_knee(signals: Signals, p: Values) -> Array:
     """Return the tension before the knee, N, from that at END and the fabric's friction."""
     if p["mu2"] == 0.0:
         return end_tension(signals, p)
-    return signals.remember("before knee", p, FABRIC_SLOTS, lambda: _before_knee(signals, p))
+    return signals.remember(_before_knee, p)
 
 
 def _before_knee(signals: Signals, p: Values) -> Array:
@@ -93,7 +78,7 @@ def _before_knee(signals: Signals, p: Values) -> Array:
     crept = _creep(signals, p, end) if p["creep_compliance"] > 0.0 else np.zeros(end.size)
     return np.asarray(chain.over_fabric(
         end, _calm(signals, end), fabric_exponent(signals, p), _moved(signals, p, "strain_m_s"), crept, signals.fresh,
-        max(linear - cable_compliance(p), 1e-9), bend, _toe(p), p["presliding"] * p["fabric_presliding"],
+        max(linear - cable_compliance(p), 1e-9), bend, _toe(p), p["presliding"] * p["fabric_presliding_ratio"],
         p["presliding_shape"], *_law(p)))
 
 
@@ -117,7 +102,7 @@ def _along(signals: Signals, p: Values) -> tuple[Array, Array]:
     start, slip = chain.along_cable(
         before_knee(signals, p), p["pull_sign"] * _moved(signals, p, "rope_m"), cable_exponent(signals, p),
         _moved(signals, p, "rope_m_s"), signals.fresh, p["presliding"], p["presliding_shape"],
-        p["share_before"] * cable_compliance(p), *_law(p), p["tension_ratio"])
+        p["cable_share_before"] * cable_compliance(p), *_law(p), p["tension_ratio"])
     return start, slip
 
 
@@ -180,20 +165,16 @@ def _homed(p: Values) -> float:
 
 def anchored(p: Values, angle: Array) -> Array:
     """Return the rope's share that the knee takes, m: (11) from the knee angle of 13 % of gait."""
-    taken = p["knee_ratio"] * (angle - KNEE_AT_FIT)
-    if p["moment_arm"] != 0.0:
-        taken = taken + p["moment_arm"] * (angle**2 - KNEE_AT_FIT**2)
+    taken = p["rope_per_knee"] * (angle - KNEE_AT_FIT)
+    if p["rope_per_knee_quadratic"] != 0.0:
+        taken = taken + p["rope_per_knee_quadratic"] * (angle**2 - KNEE_AT_FIT**2)
     return np.asarray(taken)
 
 
 def elasticity(signals: Signals, p: Values) -> Array:
     """Predict START tension, N, from rope and knee position: (10) and (11) inverted, then friction."""
-    start = signals.remember("motion", p, MOTION_SLOTS, lambda: _from_motion(signals, p))
-    return start_reading(signals, p, _with_drag(signals, p, start))
-
-
-MOTION_SLOTS: Final = (*FRICTION_SLOTS, "slack", "rope_zero", "home_preload", "knee_ratio", "moment_arm",
-                       "knee_backlash", "eccentricity", "eccentricity_phase", "timestamp_skew")
+    start = signals.remember(_from_motion, p)
+    return start_reading(signals, p, _undecided(signals, p, start, _with_drag(signals, p, start)))
 
 
 def _from_motion(signals: Signals, p: Values) -> Array:
@@ -204,7 +185,7 @@ def _from_motion(signals: Signals, p: Values) -> Array:
         wound(signals, p, position), anchored(p, angle), signals["time_s"], signals.fresh,
         fabric_exponent(signals, p), cable_exponent(signals, p), signals["strain_m_s"], signals["rope_m_s"],
         linear, bend, _toe(p), cable_compliance(p), p["creep_compliance"], p["creep_time"],
-        p["presliding"] * p["fabric_presliding"], p["presliding"], p["presliding_shape"],
+        p["presliding"] * p["fabric_presliding_ratio"], p["presliding"], p["presliding_shape"],
         p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"])
     return start
 
@@ -213,9 +194,9 @@ def kinematics(signals: Signals, p: Values) -> Array:
     """Predict the knee angle, rad, from rope position and the stretch under the measured tensions."""
     position, angle = signals["servo_position_m"], signals["knee_angle_rad"]
     left = wound(signals, p, position) - p["pull_sign"] * _stretched(signals, p)
-    if p["moment_arm"] != 0.0:
-        left = left - p["moment_arm"] * (angle**2 - KNEE_AT_FIT**2)
-    return np.asarray(KNEE_AT_FIT + left / p["knee_ratio"] + (angle - leg_angle(signals, p)))
+    if p["rope_per_knee_quadratic"] != 0.0:
+        left = left - p["rope_per_knee_quadratic"] * (angle**2 - KNEE_AT_FIT**2)
+    return np.asarray(KNEE_AT_FIT + left / p["rope_per_knee"] + (angle - leg_angle(signals, p)))
 
 
 def _stretched(signals: Signals, p: Values) -> Array:

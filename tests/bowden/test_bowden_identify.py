@@ -35,7 +35,7 @@ def test_a_recording_gives_the_same_calibration_again(
     assert again.read_text() == (measured / "stiffness.toml").read_text()
     stiffness, written = json.loads(told.stdout)["scalars"]["stiffness_b"], tomllib.loads(again.read_text())
     assert stiffness["low"] < stiffness["value"] < stiffness["high"]
-    assert stiffness["r_squared"] == written["scalars"]["stiffness_b"]["r_squared"]
+    assert stiffness["r_squared"] == written["parameters"]["stiffness_b"]["r_squared"]
     assert not again.with_suffix(".mcap").exists()
 
 

@@ -32,7 +32,7 @@ assert frame.attrs["units"]["tension_start_n"] == "N"
 assert trial.digest() == again.digest()
 assert trial.metadata["controller"] == "extended" and "calibration.toml" in trial.attachments
 assert "peak_n" in refused
-assert model.calibration.bench == "virtual 3"
+assert model.bench == "virtual 3"
 assert found.verdict == "found" and [cause["effect"] for cause in found.causes] == ["start_gain"], found
 assert simulation.residuals["tension_start_n"].shape == simulation.time_ns.shape
 assert after.metadata["controller_model"] == "start_gain"

@@ -51,7 +51,7 @@ def test_draws_are_the_same_at_every_point_of_the_grid_and_again() -> None:
     (["peak"], "expected NAME=VALUE"),
     (["peak=40", "gait.peak_n=50"], "gait.peak_n: is varied twice"),
     (["peak=90"], "peak_n = 90.0 is outside 1 … 85 N"),
-    (["controller=best"], "controller = 'best' is not known"),
+    (["controller=best"], "controller 'best' is not installed"),
     (["cycles=1"], "settle = 1 leaves none of 1 cycles"),
     (["plant.mu1=7"], "mu1 = 7.0 is outside"),
     (["bench.steady=plant.theta1_rad"], "plant.theta1_rad is nothing that a day changes"),

@@ -12,7 +12,7 @@ from diagnosis.finder import diagnose
 from diagnosis.problem.blocks import blocks_of
 from diagnosis.problem.fit import Free, Problem, solve
 from physics.effects.catalogue import Effect, EffectParameter, registered
-from physics.relations.relation_parameters import ideal
+from physics.parameters import ideal
 from physics.relations.tension_chain import along_cable
 
 

@@ -9,12 +9,13 @@ import pytest
 
 from diagnosis.data.table import table
 from diagnosis.problem.blocks import SETTLE_S, blocks_of
+from physics.parameters import healthy
+from physics.path_laws import presliding_shaped
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations import transmission
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS
-from physics.relations.relation_parameters import healthy
-from physics.relations.tension_chain import from_motion, slid
+from physics.relations.tension_chain import from_motion
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 
@@ -64,18 +65,18 @@ def test_friction_elasticity_and_kinematics_hold_together_on_one_bench() -> None
 @pytest.mark.parametrize("shape", [0.0, 0.5, 0.9999, 1.0, 1.3])
 def test_a_slide_is_the_same_in_one_step_and_in_many(shape: float) -> None:
     for s in (-0.9, 0.0, 0.6):
-        whole, parts = slid(s, 1.5e-4, 1e-4, shape), s
+        whole, parts = presliding_shaped(s, 1.5e-4, 1e-4, shape), s
         for _ in range(10):
-            parts = slid(parts, 1.5e-5, 1e-4, shape)
+            parts = presliding_shaped(parts, 1.5e-5, 1e-4, shape)
         assert parts == pytest.approx(whole, abs=1e-9)
         assert -1.0 <= whole <= 1.0
 
 
 def test_the_shape_goes_from_a_stop_to_an_exponential() -> None:
-    assert slid(0.0, 0.5e-4, 1e-4, 0.0) == pytest.approx(0.5)
-    assert slid(0.0, 2e-4, 1e-4, 0.0) == 1.0
-    assert slid(0.0, 1e-4, 1e-4, 1.0) == pytest.approx(1.0 - math.exp(-1.0))
-    assert slid(0.0, 1e-4, 1e-4, 0.998) == pytest.approx(slid(0.0, 1e-4, 1e-4, 1.0), abs=1e-3)
+    assert presliding_shaped(0.0, 0.5e-4, 1e-4, 0.0) == pytest.approx(0.5)
+    assert presliding_shaped(0.0, 2e-4, 1e-4, 0.0) == 1.0
+    assert presliding_shaped(0.0, 1e-4, 1e-4, 1.0) == pytest.approx(1.0 - math.exp(-1.0))
+    assert presliding_shaped(0.0, 1e-4, 1e-4, 0.998) == pytest.approx(presliding_shaped(0.0, 1e-4, 1e-4, 1.0), abs=1e-3)
 
 
 def test_drag_at_the_edge_of_slack_is_what_start_says_and_elsewhere_all_of_it() -> None:

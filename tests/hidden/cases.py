@@ -83,7 +83,7 @@ EFFECTS: dict[str, Callable[[Rng, Bench], Drawn]] = {
                           _one("creep_t", "creep_time", lambda r: _log(r, 0.2, 20.0))),
     "slack": _one("slack", "slack", lambda r: r.uniform(0.8e-3, 4.0e-3)),
     "knee_backlash": _one("backlash", "knee_backlash", lambda r: math.radians(r.uniform(0.5, 2.0))),
-    "moment_arm": _one("arm2", "moment_arm", lambda r: _either(r, 0.8e-3, 1.97e-3)),
+    "moment_arm": _one("arm2", "rope_per_knee_quadratic", lambda r: _either(r, 0.8e-3, 1.97e-3)),
     "drum_eccentricity": _both(_one("ecc", "eccentricity", lambda r: r.uniform(0.2e-3, 0.5e-3)),
                                _one("ecc_phase", "eccentricity_phase", lambda r: r.uniform(-math.pi, math.pi))),
     "end_mass": _one("end_mass", "end_mass", lambda r: r.uniform(0.05, 0.15)),

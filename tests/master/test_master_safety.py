@@ -13,9 +13,9 @@ def test_every_condition_has_a_row() -> None:
 
 
 @pytest.mark.parametrize("condition", [Condition.NODE_LOST, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
-def test_the_rope_is_unwound_only_while_start_and_servo_are_there(condition: Condition) -> None:
+def test_the_rope_is_unwound_only_while_start_servo_and_knee_are_there(condition: Condition) -> None:
     by_node = {node: REACTIONS[condition, node] for node in (SERVO, KNEE, START, END)}
-    assert by_node == {SERVO: Reaction.RELEASE, KNEE: Reaction.UNWIND, START: Reaction.RELEASE, END: Reaction.UNWIND}
+    assert by_node == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE, START: Reaction.RELEASE, END: Reaction.UNWIND}
 
 
 def test_a_node_that_is_not_of_the_bench_unwinds() -> None:

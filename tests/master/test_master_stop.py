@@ -36,10 +36,10 @@ def stopped(ran: Ran, reason: str) -> None:
 
 
 def servo_is_off(ran: Ran) -> None:
-    """The last statusword on the bus shows no power stage, and the rope is slack."""
+    """The last statusword on the bus shows no power stage, and the rope is slack but for the drum's friction."""
     last = ran.sent(0x181)[-1]
     assert state_of(int(last[0]) | int(last[1]) << 8) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
-    assert ran.truth.columns["true_start_n"][-1] < 2.0
+    assert ran.truth.columns["true_start_n"][-1] < 5.0
 
 
 def test_start_above_its_limit_unwinds_then_quick_stops(composer: Composer) -> None:
@@ -52,18 +52,18 @@ def test_start_above_its_limit_unwinds_then_quick_stops(composer: Composer) -> N
     assert 0 < gone < 150
 
 
-def test_end_above_its_limit_unwinds(composer: Composer) -> None:
+def test_end_above_its_limit_turns_the_torque_off(composer: Composer) -> None:
     ran = composer.run(limits=settings.Limits(end_n=39.0))
     stopped(ran, "END tension above its limit")
-    assert 0x0002 in words(ran)
+    assert 0x0002 not in words(ran)
     servo_is_off(ran)
 
 
-@pytest.mark.parametrize(("node", "name", "quick_stop"), [(2, "knee", True), (3, "start", False), (4, "end", True)])
+@pytest.mark.parametrize(("node", "name", "quick_stop"), [(2, "knee", False), (3, "start", False), (4, "end", True)])
 def test_a_node_cut_off_is_named_and_the_rope_let_go(
     composer: Composer, node: int, name: str, quick_stop: bool
 ) -> None:
-    """Without START nothing says when the rope is slack, so the torque goes off; otherwise it is unwound."""
+    """Without START nothing says when the rope is slack, and a knee may fall: torque off; without END it is unwound."""
     ran = composer.run(
         faults=[{"kind": "cut", "node": node, "start_s": IN_GAIT_S}], limits=settings.Limits(stale_cycles=3))
     stopped(ran, f"inputs too old: {name}")
@@ -108,15 +108,15 @@ def test_start_stale_for_n_cycles_stops_after_n(composer: Composer) -> None:
 
 
 def test_start_lost_is_felt_by_the_servo_before_the_master_gives_up(composer: Composer) -> None:
-    """The servo has START's tension from the bus itself, with a deadline of five cycles."""
+    """The servo has START's tension from the bus itself, with a deadline of five cycles; START is named."""
     ran = composer.run(faults=[{"kind": "cut", "node": 3, "start_s": IN_GAIT_S}])
-    stopped(ran, "emergency message: servo: 0x8250")
+    stopped(ran, "inputs too old: start missed 5 cycles in a row (servo: 0x8250, RPDO time-out)")
     servo_is_off(ran)
 
 
 def test_nodes_that_hear_no_sync_are_stopped(composer: Composer) -> None:
     ran = composer.run(faults=[{"kind": "drop", "cob_id": 0x080, "start_s": IN_GAIT_S}])
-    stopped(ran, "emergency message: servo: 0x8250")
+    stopped(ran, "SYNC missing: no node has answered it")
     assert words(ran)[-1] == 0x0000
 
 
@@ -205,7 +205,7 @@ def test_a_start_without_a_value_never_reaches_a_step(composer: Composer) -> Non
     """Switched off (0x6112 = 0) it sends the least integer, −327 N as it stands; the rope is let go instead."""
     off = can.Message(arbitration_id=0x603, data=bytes.fromhex("2f12610100000000"), is_extended_id=False)
     ran = composer.run(wrap=acting(lambda: composer.open[-2].send(off)))
-    assert ran.result.outcome == "stopped"
+    stopped(ran, "foreign command on the bus: an SDO write of 6112:01 to start from somebody else")
     assert b"\x00\x80" in {bytes(row[:2]) for row in ran.sent(0x183)}
     columns = ran.trial.columns
     assert columns["tension_start_n"].min() > -2.0

@@ -18,7 +18,7 @@ START = 0x1F
 
 def homing_rig(method: int, node_id: int = SERVO, stiffness: float = 3000.0, slack: float = 0.01) -> DriveRig:
     rig = DriveRig(node_id, servo_mass(stiffness, slack) if node_id == SERVO else None)
-    rig.setup(but=[(0x1400, 5)])
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
     rig.run(5)
     rig.write(0x6098, 0, method)
     rig.write(0x6060, 0, Mode.HOMING)

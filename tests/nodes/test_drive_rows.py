@@ -46,6 +46,7 @@ def stand_still(bus: NodeBus) -> None:
 def test_a_controlword_takes_the_profiles_row(node_id: int, row: int, before: int, word: int, after: int) -> None:
     bus = NodeBus(node_id)
     bus.setup()
+    bus.send(0x77F, b"\x05")
     for step in TO[before]:
         bus.write(0x6040, 0, step)
     assert shows(bus, before), row

@@ -17,7 +17,7 @@ STIFF, SOFT = 27_000.0, 3_000.0
 
 def rope_rig(mode: Mode, stiffness: float) -> DriveRig:
     rig = DriveRig(SERVO, servo_mass(stiffness, 0.005))
-    rig.setup(but=[(0x1400, 5)])
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
     rig.run(5)
     rig.write(0x6060, 0, mode)
     rig.to(ENABLED)

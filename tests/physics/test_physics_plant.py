@@ -70,7 +70,7 @@ def test_stretch_follows_eq10_when_friction_is_averaged() -> None:
     branches = []
     for branch in (up, down[::-1]):
         taut = branch[branch[:, X].argsort()]
-        freed = taut[:, X] - NOMINAL.moment_arm_m * (taut[:, KNEE] - FIT_KNEE)
+        freed = taut[:, X] - NOMINAL.rope_per_knee * (taut[:, KNEE] - FIT_KNEE)
         order = taut[:, END].argsort()
         branches.append(np.interp(force, taut[order, END], freed[order]))
     mean = np.mean(branches, axis=0)
@@ -85,7 +85,7 @@ def test_without_friction_the_stretch_is_eq10_itself() -> None:
     rig = Rig(mu1=0.0, mu2=0.0)
     rows = rig.pull_to(60.0, 0.01)
     taut = rows[rows[:, END] > 5.0]
-    freed = taut[:, X] - NOMINAL.moment_arm_m * (taut[:, KNEE] - FIT_KNEE)
+    freed = taut[:, X] - NOMINAL.rope_per_knee * (taut[:, KNEE] - FIT_KNEE)
     # 20 µm: two seconds of drag, damping and inertia at 10 mm/s
     np.testing.assert_allclose(freed, laws.stiffness_displacement(taut[:, END]), atol=20e-6)
 

@@ -42,9 +42,9 @@ class Equations:
         x0, v0, current, integral, s0 = y[:5]
         x, v, s = y[5 : 5 + NODES], y[5 + NODES : 5 + 2 * NODES], y[5 + 2 * NODES : 5 + 3 * NODES]
         motor, motor_w, torque, motor_s, leg, leg_w = y[5 + 3 * NODES :]
-        surface = p.moment_arm_m * leg_w
+        surface = p.rope_per_knee * leg_w
         tension = self.tensions(
-            np.r_[x0, x, p.moment_arm_m * (leg - KNEE_AT_FIT)], np.r_[v0, v, surface])
+            np.r_[x0, x, p.rope_per_knee * (leg - KNEE_AT_FIT)], np.r_[v0, v, surface])
         slip = v - np.r_[np.zeros(CABLE_NODES), np.full(NODES - CABLE_NODES, surface)]
         exponent = np.r_[
             np.full(CABLE_NODES, p.mu1 * p.theta1_rad / CABLE_NODES),
@@ -57,7 +57,7 @@ class Equations:
         volts = band * p.winding_h * error + integral + emf
         pull = current * p.torque_constant / p.drum_radius_m - p.servo_coulomb_n * s0 - p.servo_viscous * v0
         through = p.reducer_stiffness * (motor - leg) + p.reducer_damping * (motor_w - leg_w)
-        rope = (tension[-1] + friction[CABLE_NODES:].sum()) * p.moment_arm_m
+        rope = (tension[-1] + friction[CABLE_NODES:].sum()) * p.rope_per_knee
         weight = p.leg_moment_kg_m * 9.80665 * math.sin(leg)
         return np.r_[
             v0, (pull - tension[0]) / p.servo_inertia_kg,
@@ -79,8 +79,8 @@ def test_agrees_with_solve_ivp_on_pulling_and_flexing() -> None:
     for k, t in enumerate(times[1:], start=1):
         seen = plant.advance(round(t * 1e9), SERVO_NM, KNEE_NM)
         y = solved.y[:, k]
-        path = np.r_[y[0], y[5 : 5 + NODES], NOMINAL.moment_arm_m * (y[-2] - KNEE_AT_FIT)]
-        speed = np.r_[y[1], y[5 + NODES : 5 + 2 * NODES], NOMINAL.moment_arm_m * y[-1]]
+        path = np.r_[y[0], y[5 : 5 + NODES], NOMINAL.rope_per_knee * (y[-2] - KNEE_AT_FIT)]
+        speed = np.r_[y[1], y[5 + NODES : 5 + 2 * NODES], NOMINAL.rope_per_knee * y[-1]]
         tension = equations.tensions(path, speed)
         # first order: one or two steps of 10 µs at 0.4 m/s and 2 N/ms
         assert seen.servo_position_m - NOMINAL.encoder_zero_m == pytest.approx(y[0], abs=1e-5)

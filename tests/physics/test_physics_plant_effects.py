@@ -81,14 +81,14 @@ def test_presliding_sets_the_travel_of_a_reversal() -> None:
 def test_stiffness_scales_the_stretch(scale: float) -> None:
     def stretch(**parameters: float) -> float:
         row = Rig(mu1=0.0, mu2=0.0, **parameters).pull_to(40.0, 0.02)[-1]
-        return float(row[X] - NOMINAL.moment_arm_m * (row[KNEE] - FIT_KNEE)) - NOMINAL.encoder_zero_m
+        return float(row[X] - NOMINAL.rope_per_knee * (row[KNEE] - FIT_KNEE)) - NOMINAL.encoder_zero_m
 
     assert stretch(stiffness_scale=scale) == pytest.approx(stretch() / scale, rel=0.01)
 
 
 def test_shape_changes_the_quadratic_part() -> None:
     row = Rig(mu1=0.0, mu2=0.0, stiffness_shape=-0.5).pull_to(40.0, 0.02)[-1]
-    freed = row[X] - NOMINAL.moment_arm_m * (row[KNEE] - FIT_KNEE) - NOMINAL.encoder_zero_m
+    freed = row[X] - NOMINAL.rope_per_knee * (row[KNEE] - FIT_KNEE) - NOMINAL.encoder_zero_m
     assert freed == pytest.approx(NOMINAL.stretch_b * 40.0 + 0.5 * NOMINAL.stretch_a * 1600.0, rel=0.01)
 
 
@@ -122,12 +122,12 @@ def test_moment_arm_bends_the_path() -> None:
     def position(knee_deg: float, **parameters: float) -> float:
         rig = Rig(knee_rad=math.radians(knee_deg), mu1=0.0, mu2=0.0, **parameters)
         row = rig.pull_to(20.0, 0.02)[-1]
-        return float(row[X] - NOMINAL.moment_arm_m * (row[KNEE] - math.radians(knee_deg)))
+        return float(row[X] - NOMINAL.rope_per_knee * (row[KNEE] - math.radians(knee_deg)))
 
     k3 = 2e-3
     for knee_deg in (-5.0, -60.0):
         knee = math.radians(knee_deg)
-        moved = position(knee_deg, moment_arm=k3) - position(knee_deg)
+        moved = position(knee_deg, rope_per_knee_quadratic=k3) - position(knee_deg)
         assert moved == pytest.approx(k3 * (knee**2 - FIT_KNEE**2), abs=30e-6)
 
 

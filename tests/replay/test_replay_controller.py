@@ -88,7 +88,7 @@ def test_inputs_that_were_not_there_are_held_again(recorded: Callable[..., Trial
     faults.write_text("".join(
         f'[[fault]]\nkind = "drop"\ncob_id = {0x183}\nstart_s = {at}\nstop_s = {at + 0.002}\n'
         for at in (5.6, 6.2, 6.9)))
-    trial = recorded("--option", f"faults={faults}")
+    trial = recorded("--interface", "bowden", "--option", f"faults={faults}")
     assert trial.columns["held"].sum() >= 3
     assert replay(trial, experiment(trial)).same
 
@@ -112,7 +112,7 @@ def test_a_reference_from_files_travels_with_the_trial(
 
 def test_a_controller_model_travels_with_the_trial(recorded: Callable[..., Trial], tmp_path: Path) -> None:
     model = tmp_path / "extended.toml"
-    model.write_text("[effects.moment_arm]\nmoment_arm = 0.004\n")
+    model.write_text("[effects.moment_arm]\nrope_per_knee_quadratic = 0.004\n")
     trial = recorded("--controller", "extended", "--cycles", 2, "--controller-model", model)
     plain = recorded("--controller", "extended", "--cycles", 2)
     model.unlink()

@@ -1,0 +1,109 @@
+"""What everything costs, in one table of paired ratios: docs/performance.md.
+
+    python -m benchmarks.performance                     # `make bench`: prints the table and writes it into the page
+    python -m benchmarks.performance --rows cycle pdo    # these rows alone, printed
+
+Own work and its peer run in two processes that pass a token (`benchmarks.paired`): a busy machine strikes both.  Each
+row gives the medians of both in processor time and the ratio with its quartiles.  What has no peer to run beside is
+printed as it is.  Nothing here is a test: a machine's speed fails no build.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from benchmarks import cycle, performance_rows
+from benchmarks.marked import put
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "performance.md"
+HEAD = ("what", "here", "peer", "peer's", "ratio (quartiles)")
+Row = tuple[str, str, str, str, str]
+
+
+def whole_cycle() -> Iterator[Row]:
+    """The whole simulated cycle."""
+    for name, compared in cycle.measured():
+        yield compared.row("one simulated control cycle, µs", name)
+
+
+def start() -> Iterator[Row]:
+    """`bowden --help`, and the first compilation."""
+    bare = "import typer; a = typer.Typer(); a.command('a')(lambda: None); a.command('b')(lambda: None); a()"
+    own = [_used([str(Path(sys.executable).with_name("bowden")), "--help"]) for _ in range(7)]
+    peer = [_used([sys.executable, "-c", bare, "--help"]) for _ in range(7)]
+    yield ("`bowden --help`, s of CPU", f"{min(own):.2f}", "a bare Typer program of two commands", f"{min(peer):.2f}",
+           f"{min(peer) / min(own):.2f}")
+    with tempfile.TemporaryDirectory() as folder:
+        code = "from bowden.session import compile_laws; compile_laws(simulated=True)"
+        first, later = (_used([sys.executable, "-c", code], NUMBA_CACHE_DIR=folder) for _ in range(2))
+    yield ("laws compiled on a new machine, s of CPU", f"{first:.1f}", "loaded from the cache", f"{later:.1f}", "–")
+
+
+def memory() -> Iterator[Row]:
+    """Peak memory of a trial of ten minutes, beside one of one."""
+    code = "from benchmarks.performance_rows import simulate; simulate({seconds})"
+    short, long = (_peak_mb([sys.executable, "-c", code.format(seconds=seconds)]) for seconds in (60, 600))
+    yield ("peak memory of a trial of 600 s, MB", f"{long:.0f}", "one of 60 s", f"{short:.0f}", f"{short / long:.2f}")
+
+
+def profile() -> str:
+    """Say where the time of one's own cycle goes, by room, from a profile in processor time."""
+    spent: dict[str, float] = {}
+    stats = cycle.profiled(20).stats  # type: ignore[attr-defined]
+    for (file, _, name), (_, _, own_s, _, _) in stats.items():
+        room = performance_rows.room_of(file, name)
+        spent[room] = spent.get(room, 0.0) + own_s
+    whole = sum(spent.values())
+    lines = ["| where | share of the cycle |", "|---|---|"]
+    lines += [f"| {room} | {100 * own_s / whole:.0f} % |" for room, own_s in
+              sorted(spent.items(), key=lambda item: -item[1]) if own_s > 0.01 * whole]
+    return "\n".join(lines)
+
+
+ROWS: dict[str, Callable[[], Iterator[Row]]] = {
+    "cycle": whole_cycle, "events": performance_rows.event_by_event, "pdo": performance_rows.pdos,
+    "load": performance_rows.wire_load, "record": performance_rows.record, "read": performance_rows.read,
+    "size": performance_rows.size, "start": start, "memory": memory,
+}
+
+
+def _used(command: list[str], **environment: str) -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment}, cwd=ROOT)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _peak_mb(command: list[str]) -> float:
+    code = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True); " \
+           "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    done = subprocess.run([sys.executable, "-c", code, *command], check=True, capture_output=True, text=True, cwd=ROOT)
+    return int(done.stdout.split()[-1]) / 1024
+
+
+def main() -> None:
+    """Print the rows; all of them go into the page too."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", nargs="*", choices=list(ROWS), default=list(ROWS))
+    chosen = parser.parse_args().rows
+    lines = [f"| {' | '.join(HEAD)} |", "|---|---|---|---|---|"]
+    print("\n".join(lines), flush=True)
+    for name in chosen:
+        for row in ROWS[name]():
+            lines.append(f"| {' | '.join(row)} |")
+            print(lines[-1], flush=True)
+    if chosen == list(ROWS):
+        put(PAGE, "table", "\n".join(lines))
+        put(PAGE, "profile", profile())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""The rows of `benchmarks.performance`: each a piece of own work beside what people would use instead.
+
+The rule of this file: both sides do the same work on the same data; what differs is said in the row.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import can
+import canopen
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+
+import trial
+from benchmarks import cycle
+from benchmarks import trial as recorded
+from benchmarks.paired import Turn, compare
+from eds import bus_load
+from eds.bench import FILES, SERVO, Network, wire
+from eds.dictionary import packaged
+from master.motion.experiment import Experiment, run
+from master.network.link import WANTED, Link
+from master.settings import Gait
+from physics.reference import paper_reference
+from virtual_bus.bits import INTERMISSION_BITS, bits_of
+from virtual_bus.bus import BowdenBus
+from virtual_bus.steady import SWITCH
+
+Row = tuple[str, str, str, str, str]
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _turns(turn: Turn, unit: Callable[[], object], units: int) -> None:
+    while True:
+        turn()
+        for _ in range(units):
+            unit()
+
+
+def event_by_event() -> Iterator[Row]:
+    """The cycle where something else may happen in it."""
+    def slowly(turn: Turn) -> None:
+        os.environ[SWITCH] = "0"
+        cycle.ours(turn)
+
+    yield compare(cycle.ours, slowly, units=cycle.UNITS, turns=30).row(
+        "one simulated control cycle, µs", "the same event by event, as with faults and plug-in plants")
+
+
+def pdos() -> Iterator[Row]:
+    """Decode four TPDOs, encode the targets."""
+    described = wire(Network())
+    plans = [plan for _, plan in sorted(described.tpdo.items())]
+    frames = [plan.pack(*range(1, 1 + len(plan.keys))) for plan in plans]
+    unpacks, pack = [plan.unpack for plan in plans], described.targets.pack
+    to_si, from_si = [plan.unpack_si for plan in plans], described.targets.pack_si
+
+    def own() -> None:
+        for unpack, frame in zip(unpacks, frames, strict=True):
+            unpack(frame)
+        pack(10_000, -11_459)
+
+    def own_si() -> None:
+        for unpack, frame in zip(to_si, frames, strict=True):
+            unpack(frame)
+        from_si(0.01, -0.2)
+
+    network = canopen.Network()
+    nodes = {n: network.add_node(n, str(packaged(name))) for n, name in FILES.items()}
+    for number, node in nodes.items():
+        cycle.map_pdo(node.tpdo[1], described.pdos(number)[0])
+    cycle.map_pdo(nodes[SERVO].rpdo[1], described.pdos(SERVO)[1])
+    inputs, targets = [node.tpdo[1] for node in nodes.values()], nodes[SERVO].rpdo[1]
+
+    def peer() -> None:
+        for pdo, frame in zip(inputs, frames, strict=True):
+            pdo.data = bytearray(frame)
+            _ = [variable.raw for variable in pdo.map]
+        targets.map[0].raw, targets.map[1].raw = 10_000, -11_459
+
+    for name, unit in (("decoded and encoded", own), ("decoded to SI and encoded from it", own_si)):
+        works = [partial(_turns, unit=each, units=500) for each in (unit, peer)]
+        compared = compare(works[0], works[1], units=500, turns=30)
+        yield compared.row(f"PDOs of a cycle {name}, µs", "canopen `PdoVariable.raw`")
+
+
+def wire_load() -> Iterator[Row]:
+    """What a cycle takes of the wire."""
+    bound = bus_load.refuse(wire(Network()))
+    with tempfile.TemporaryDirectory() as folder:
+        simulate(5, Path(folder))
+        opened = trial.open(Path(folder) / "trial.mcap")
+        first, last = opened.time_ns[0], opened.time_ns[-1]
+        inside = opened.frames[(opened.frames["time_ns"] > first) & (opened.frames["time_ns"] <= last)]
+        bits = bits_of(inside["can_id"], inside["dlc"], inside["data"], inside["flags"] & 1, inside["flags"] & 2)
+        figures = float((bits.sum() + INTERMISSION_BITS * len(bits)) * 1_000 * 100 / (last - first))
+    yield ("load of the wire at 1 kHz and 1 Mbit/s, %", f"{figures:.1f}", "its bound, every frame at worst stuffing",
+           f"{bound.load_percent:.1f}", f"{bound.load_percent / figures:.2f}")
+
+
+def record() -> Iterator[Row]:
+    """Record a cycle: eight frames and a row."""
+    rows, frames = recorded.content()
+
+    def stepped(step: recorded.Step, turn: Turn) -> None:
+        number = 0
+
+        def unit() -> None:
+            nonlocal number
+            step(number * 1_000_000, rows[number % 1000], frames[number % 1000])
+            number += 1
+
+        _turns(turn, unit, 500)
+
+    def own(turn: Turn) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            recorder = trial.Recorder(Path(folder) / "a.mcap", metadata={}, attachments={}, threaded=False)
+            stepped(recorded.ours(recorder), turn)
+
+    def peer(turn: Turn) -> None:
+        with tempfile.TemporaryFile() as file:
+            writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
+            writer.start("ros2")
+            stepped(recorded.inline(writer), turn)
+
+    yield compare(own, peer, units=500, turns=30).row(
+        "a cycle recorded, compressed and written, µs", "mcap's own writer, the same bytes")
+
+
+def read() -> Iterator[Row]:
+    """Read a trial of 2000 cycles."""
+    with tempfile.TemporaryDirectory() as name:
+        path = recorded.written(Path(name) / "read.mcap", 2000)
+
+        def own() -> None:
+            opened = trial.open(path)
+            _ = len(opened.time_ns) + len(opened.frames)
+
+        def peer() -> None:
+            with path.open("rb") as file:
+                for _ in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+                    pass
+
+        yield compare(lambda turn: _turns(turn, own, 1), lambda turn: _turns(turn, peer, 1), units=18_000, turns=7).row(
+            "a message read from a trial, µs", "mcap's reader with the ROS 2 decoder")
+
+
+def size() -> Iterator[Row]:
+    """Size of a trial, every frame and 45 columns, beside its frames alone in BLF."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        simulate(10, folder)
+        opened = trial.open(folder / "trial.mcap")
+        with can.BLFWriter(folder / "frames.blf") as blf:
+            for frame in opened.frames:
+                blf.on_message_received(can.Message(
+                    timestamp=float(frame["time_ns"]) * 1e-9, arbitration_id=int(frame["can_id"]),
+                    data=frame["data"][:frame["dlc"]].tobytes(), is_extended_id=False))
+        own, peer = ((folder / file).stat().st_size / 1e6 for file in ("trial.mcap", "frames.blf"))
+        columns = 8e-6 * sum(len(column) for column in opened.columns.values())
+    yield ("size of 10 s: frames and columns, MB", f"{own:.2f}", "frames in BLF, and the columns as bare float64",
+           f"{peer:.2f} + {columns:.2f}", f"{(peer + columns) / own:.1f}")
+
+
+def simulate(seconds: int, folder: Path | None = None) -> None:
+    """Run a trial about that long into `folder`."""
+    with tempfile.TemporaryDirectory() as name:
+        experiment = Experiment(
+            paper_reference(40.0, 2.0), Network(), gait=Gait(cycles=max(1, (seconds - 4) // 2), settle=0))
+        bus, tap = BowdenBus("simulate"), BowdenBus("simulate")
+        bus.set_filters(WANTED)
+        recorder = trial.Recorder((folder or Path(name)) / "trial.mcap", metadata={}, attachments={}, threaded=False)
+        run(Link(bus, bus.time_ns), tap, recorder, experiment)
+        recorder.close({})
+        tap.shutdown()
+        bus.shutdown()
+
+
+ROOMS: dict[str, str] = {
+    "steady_law": "compiled cycle: plant, drives, sensors, wire", "virtual_bus": "virtual bus, around it",
+    "nodes": "devices, event by event", "master/control": "controller", "master": "exchange, safety, link",
+    "trial": "recording", "zstandard": "recording", "eds": "PDO plans",
+}
+
+
+def room_of(file: str, name: str) -> str:
+    """Say where a function of a profile belongs."""
+    at = file.removeprefix(f"{ROOT}/")
+    for part, room in ROOMS.items():
+        if part in at or part in name:
+            return room
+    return "of Python itself, called by all of them" if file.startswith(("~", "<")) else "the rest"

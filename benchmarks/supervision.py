@@ -1,0 +1,148 @@
+"""What the checks of a control cycle cost, and whether healthy trials raise any: `python -m benchmarks.supervision`.
+
+`--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
+days, peaks, periods, rates and controllers of the bench's own plant and over the structures of the plug-in plant of
+`tests/hidden`, and prints how many were stopped, by what, and how near to its tolerance each relation came.  Plants of
+other families are added by `--plant MODULE:CALLABLE`, which may be repeated; `{n}` in it becomes a number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+PEAKS, PERIODS = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 1.4)
+CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
+NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
+
+
+class Job(NamedTuple):
+    """One healthy trial."""
+
+    number: int
+    bench: dict[str, Any]
+    peak_n: float
+    period_s: float
+    controller: str
+    rate_hz: int
+
+
+class Ended(NamedTuple):
+    """How it ended, and the greatest normalised residual of each relation that held for as long as a stop needs."""
+
+    number: int
+    reason: str | None
+    ratios: list[float]
+
+
+def jobs(count: int, plants: list[str]) -> Iterator[Job]:
+    """Draw the trials: half of them the own plant's, the others' plug-ins in turn."""
+    others = ["tests.hidden.plugin:healthy", *plants]
+    for n in range(count):
+        bench: dict[str, Any] = {"seed": n}
+        if n % 2:
+            bench |= {"serial": 0, "plant": others[n // 2 % len(others)].format(n=n // 2)}
+        else:
+            bench |= {"serial": n // 2, "day": n // 2 % 9}
+        rate = 1000 if n % 10 else (500, 200)[n // 10 % 2]
+        yield Job(n, bench, PEAKS[n // 2 % 4], PERIODS[n // 3 % 4], CONTROLLERS[n % 5], rate)
+
+
+def ran(job: Job) -> Ended:
+    """Run one trial without a recorder."""
+    from eds.bench import Network
+    from master import settings
+    from master.cycle import plausibility
+    from master.motion import experiment
+    from master.network.link import Link
+    from physics.reference import paper_reference
+    from virtual_bus.bus import BowdenBus
+
+    worst = np.zeros(plausibility.RELATIONS)
+
+    class Watched(plausibility.Plausibility):
+        def check(self, *given: Any) -> Any:
+            found = super().check(*given)
+            ratios = self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]
+            np.maximum(worst, np.abs(ratios), out=worst)
+            return found
+
+    from master.cycle import exchange
+
+    exchange.Plausibility = Watched  # type: ignore[misc]
+    channel = f"healthy-{job.number}"
+    bus = BowdenBus(channel, rate_hz=job.rate_hz, **job.bench)
+    tap = BowdenBus(channel)
+    asked = experiment.Experiment(
+        paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
+        gait=settings.Gait(peak_n=job.peak_n, period_s=job.period_s, cycles=2, settle=0, controller=job.controller))
+    result = experiment.run(Link(bus, bus.time_ns), tap, None, asked)
+    tap.shutdown()
+    bus.shutdown()
+    return Ended(job.number, result.stop_reason, worst.tolist())
+
+
+def cost() -> None:
+    """Print the time of one cycle's checks."""
+    from master.cycle import plausibility
+
+    plausibility.prepare()
+    checked = plausibility.Plausibility(1e-3)
+    checked.begin_learning(0.04, -0.5, 3.7e-5)
+    rng = np.random.default_rng(0)
+    rows = [(float(a), float(b), float(c)) for a, b, c in rng.normal(size=(20_000, 3)) * (1e-5, 1e-4, 0.1)]
+    batches = []
+    for _ in range(15):
+        began = time.perf_counter()
+        for x, knee, noise in rows:
+            checked.check(0.0, (0.01, -0.5), 0.01 + x, 20.0 + noise, -0.5 + knee, 20.0 + noise, 18.0 - noise)
+        batches.append((time.perf_counter() - began) / len(rows))
+    print(f"plausibility of one cycle: {1e6 * sorted(batches)[len(batches) // 2]:.2f} µs "
+          f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
+
+
+def healthy(count: int, plants: list[str], workers: int) -> int:
+    """Run the trials and print what they raised; returns how many were stopped."""
+    drawn = list(jobs(count, plants))
+    with multiprocessing.get_context("fork").Pool(workers) as pool:
+        told = []
+        for ended in pool.imap_unordered(ran, drawn):
+            told.append(ended)
+            if ended.reason is not None:
+                print(f"{drawn[ended.number]}: {ended.reason}", file=sys.stderr, flush=True)
+            if len(told) % 25 == 0:
+                print(f"{len(told)} of {count}", file=sys.stderr, flush=True)
+    stopped = [ended for ended in told if ended.reason is not None]
+    print(f"{len(told)} healthy trials, {len(stopped)} stopped")
+    for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
+        numbers = [ended.number for ended in stopped if ended.reason == reason]
+        print(f"  {often} × {reason} {numbers[:6]}")
+    ratios = np.array([ended.ratios for ended in told if ended.reason is None])
+    if len(ratios):
+        print("greatest residual by its tolerance, single cycles among them (a stop needs four in a row): " + ", ".join(
+            f"{name} {value:.2f}" for name, value in zip(NAMES, ratios.max(axis=0), strict=True)))
+    return len(stopped)
+
+
+def main() -> int:
+    """Run what was asked for."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--cost", action="store_true")
+    asked.add_argument("--healthy", type=int, default=0)
+    asked.add_argument("--plant", action="append", default=[])
+    asked.add_argument("--jobs", type=int, default=2)
+    given = asked.parse_args()
+    if given.cost or not given.healthy:
+        cost()
+    return int(bool(given.healthy and healthy(given.healthy, given.plant, given.jobs)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,104 @@
+"""Which sensor or part a broken relation speaks against: the pattern of all relations, told in one sentence.
+
+The rule of this file: each suspect is declared by the relations that it alone disturbs; the suspect whose pattern lies
+nearest to what all relations say now is named, with what it says and what the others expect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from eds.bench import END, KNEE, SERVO, START
+from master.cycle.plausibility import (
+    BY_END,
+    BY_START,
+    FORCE,
+    KNEE_TRACK,
+    RATIO,
+    SERVO_TRACK,
+    STILL_END,
+    STILL_KNEE,
+    STILL_SERVO,
+    STILL_START,
+    Finding,
+)
+from master.cycle.safety import Condition, StopError
+
+_TENSIONS: Final = (RATIO, FORCE, BY_START, BY_END)
+
+
+class Suspect(NamedTuple):
+    """Who it is, in words, and which of the four tension relations it disturbs."""
+
+    node: int
+    words: str
+    disturbed: frozenset[int]
+
+
+SUSPECTS: Final = (
+    Suspect(START, "START", frozenset({RATIO, FORCE, BY_START})),
+    Suspect(END, "END, or a rope that slipped or snapped", frozenset({RATIO, BY_END})),
+    Suspect(SERVO, "the servo's torque, or START with its path", frozenset({FORCE})),
+    Suspect(0, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
+            frozenset({BY_START, BY_END})),
+    Suspect(0, "START or END, or a path between them that is jammed", frozenset({RATIO})),
+    Suspect(START, "START, or a path that is jammed", frozenset({RATIO, BY_START})),
+    Suspect(START, "START, servo position, knee angle, or the calibration's swing_k", frozenset({BY_START})),
+    Suspect(END, "END, servo position, knee angle, or the calibration's swing_k", frozenset({BY_END})),
+)
+"""In the order of their naming where patterns are equally near."""
+_TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
+    RATIO: ("START against END by friction", 1.0, "N"),
+    FORCE: ("servo force beyond START", 1.0, "N"),
+    BY_START: ("stretch of the path for START", 1e3, "mm"),
+    BY_END: ("stretch of the path for END", 1e3, "mm"),
+})
+_AGED: Final = 0.75
+"""Normalised residual from which on a relation counts as disturbed while another one is broken."""
+
+
+def blamed(finding: Finding) -> StopError:
+    """The stop that a finding calls for, with the suspect's name, what was seen and what was expected."""
+    seen, expected, relation = finding.seen, finding.expected, finding.relation
+    if relation == SERVO_TRACK:
+        return StopError(Condition.OFF_TARGET, f"servo position is {1e3 * seen:.2f} mm, by its targets it would be "
+                                               f"{1e3 * expected:.2f} mm", SERVO)
+    if relation == KNEE_TRACK:
+        return StopError(Condition.OFF_TARGET, f"knee angle is {_degrees(seen):.1f}°, by its targets it would be "
+                                               f"{_degrees(expected):.1f}°", KNEE)
+    if relation in (STILL_START, STILL_END):
+        name, node, other = ("START", START, "END") if relation == STILL_START else ("END", END, "START")
+        return StopError(Condition.IMPLAUSIBLE, f"{name} repeats one value while {other} went from {expected:.1f} to "
+                                                f"{seen:.1f} N", node)
+    if relation == STILL_SERVO:
+        return StopError(Condition.OFF_TARGET, f"servo position repeats one value while its target went from "
+                                               f"{1e3 * expected:.2f} to {1e3 * seen:.2f} mm", SERVO)
+    if relation == STILL_KNEE:
+        return StopError(Condition.OFF_TARGET, f"knee angle repeats one value while its target went from "
+                                               f"{_degrees(expected):.1f}° to {_degrees(seen):.1f}°", KNEE)
+    suspect = suspected(finding)
+    what, scale, unit = _TEXTS[relation]
+    swing = finding.swing_k_fits - finding.swing_k
+    fits = (f" (swing_k = {finding.swing_k:.4f} m/rad, {finding.swing_k_fits:.4f} would fit)"
+            if abs(swing) > 0.1 * finding.swing_k else "")
+    return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
+                                            f"expected about {scale * expected:.1f} {unit}{fits}", suspect.node)
+
+
+def suspected(finding: Finding) -> Suspect:
+    """The suspect whose pattern is nearest to the normalised residuals, clipped at the tolerance."""
+    def distance(suspect: Suspect) -> float:
+        told = 0.0
+        for relation in _TENSIONS:
+            size = min(1.0, abs(finding.ratios[relation]) / _AGED)
+            told += (1.0 - size if relation in suspect.disturbed else size) ** 2
+        return told
+
+    possible = [suspect for suspect in SUSPECTS if finding.relation in suspect.disturbed]
+    return min(possible, key=distance)
+
+
+def _degrees(angle: float) -> float:
+    return angle * 57.29577951308232

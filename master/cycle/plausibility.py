@@ -1,0 +1,427 @@
+"""What one cycle's inputs must have in common, whatever the bench does: no sensor is believed alone.
+
+The rule of this file: one compiled step over two flat float64 arrays, `s` (state) and `g` (settings), SI; it compares
+and says which relation broke, by how much, and names nothing.  Relations, each with a tolerance in its own unit:
+
+    servo    position against the answer of a position loop to the targets, m
+    knee     angle against the target of two cycles before, rad
+    ratio    ln(START/END) within friction's bounds, which turn over with rope motion (pre-sliding), N at START
+    force    servo force − START against M·a + friction, over a window of `WINDOW_S`, N
+    start    rope and knee against START by the stretch of the path, m
+    end      rope and knee against END by the same stretch, m
+    still    a tension that repeats to the last bit while the other one changes, N; a position that does so while its
+             target moves, m or rad
+
+Until `learn` is told that homing is over the last four run on wide assumed values, and the stretch not at all; homing's
+own pull and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+SERVO_TRACK, KNEE_TRACK, RATIO, FORCE, BY_START, BY_END, STILL_START, STILL_END, STILL_SERVO, STILL_KNEE, \
+    RELATIONS = range(11)
+"""Relations, in the order of their slots; `RELATIONS` is their number."""
+
+WINDOW: Final = 64
+"""Greatest number of cycles in the window of `force`."""
+FORCE_TERMS, STRETCH_TERMS = 4, 3
+
+(T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
+ OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED) = range(32)
+"""Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
+since the window began anew, repeated values, the window's place and sums, and what homing has told so far."""
+RATIOS = 32
+"""The normalised residual of each relation, signed: 1 is its tolerance."""
+COUNTS = RATIOS + RELATIONS
+SEEN = COUNTS + RELATIONS
+"""What each relation saw and expected, pairs."""
+RING = SEEN + 2 * RELATIONS
+"""Ring of START/servo-force differences, then of positions, signs and speeds."""
+NORMAL_FORCE = RING + 4 * WINDOW
+NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
+STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
+
+(PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, SETTINGS) = range(20)
+
+LEARNING, LEARNT = 0.0, 1.0
+TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
+KNEE_RAD, KNEE_S = 0.010, 2.5e-3
+RATIO_N, RATIO_N_S_M, FORCE_N, FORCE_SHARE = 5.0, 15.0, 10.0, 0.7
+STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.8e-3, 5.0, 0.06, 0.25
+AGREES, ALONE = 0.6, 2.5
+WIDE: Final = 0.95
+"""|ln(START/END)| that no healthy path passes; assumed for benches that have not been homed."""
+LEAST_FRICTION: Final = 0.1
+"""ln(START/END) of sliding that is assumed where homing shows less."""
+SLOW_M_S: Final = 5e-3
+TAUT_N: Final = 3.0
+SAME_FOR_S: Final = 0.012
+STILL_M, STILL_RAD, STILL_CYCLES = 0.5e-3, 3e-3, 6.0
+DOUBT: Final = 0.8
+"""Normalised residual from which on a limit that was passed may be the consequence of something else."""
+
+
+@njit(inline="always")
+def _held(value: float, low: float, high: float) -> float:
+    return min(high, max(low, value))
+
+
+@njit(inline="always")
+def _compare(s: Any, relation: int, seen: float, expected: float, tolerance: float) -> None:
+    """Keep a relation's normalised residual; count the cycles in a row beyond it."""
+    ratio = (seen - expected) / tolerance
+    s[RATIOS + relation] = ratio
+    s[SEEN + 2 * relation], s[SEEN + 2 * relation + 1] = seen, expected
+    s[COUNTS + relation] = s[COUNTS + relation] + 1.0 if abs(ratio) > 1.0 else 0.0
+
+
+@njit(inline="always")
+def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float, position: float, knee: float) -> None:
+    fade = 1.0 - math.exp(-g[BANDWIDTH] * g[PERIOD_S])
+    if s[FRESH] <= 1.0:
+        s[T1] = s[T2] = target
+        s[K1] = s[K2] = knee_target
+        s[PREDICTED] = position
+    s[PREDICTED] += fade * (s[T2] - s[PREDICTED])
+    lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
+    _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
+    moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
+    _compare(s, KNEE_TRACK, knee, s[K2], KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
+    _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M)
+    _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
+    s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
+
+
+@njit(inline="always")
+def _standing(s: Any, g: Any, relation: int, same: int, value: float, target: float, room: float) -> None:
+    """An encoder that repeats itself to the last bit while its target has gone on."""
+    if value != s[same + 2] or s[FRESH] <= 1.0:
+        s[same], s[same + 2], s[same + 4] = 0.0, value, target
+    s[same] += 1.0
+    moved = target if s[same] > STILL_CYCLES else s[same + 4]
+    _compare(s, relation, moved, s[same + 4], room)
+
+
+@njit(inline="always")
+def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
+    """START against END by friction; returns the expected ln(START/END)."""
+    travel = position - g[ROPE_COMPLIANCE] * start
+    step = travel - s[LAST_TRAVEL] if s[FRESH] > 1.0 else 0.0
+    s[LAST_TRAVEL] = travel
+    goal = 1.0 if step > 0.0 else -1.0
+    if abs(step) > 2e-6:
+        s[SLIP] = goal - (goal - s[SLIP]) * math.exp(-abs(step) / g[PRESLIDING])
+    s[SPEED] += 0.2 * (abs(step) / g[PERIOD_S] - s[SPEED])
+    share = 0.5 * (1.0 + s[SLIP])
+    middle = g[LOW] + share * (g[HIGH] - g[LOW])
+    width = g[HIGH] - g[LOW]
+    low, high = middle - 0.6 * width - 0.05, middle + 0.6 * width + 0.05
+    low, high = max(low, g[LOW] - 0.15 * width - 0.1), min(high, g[HIGH] + 0.15 * width + 0.1)
+    if g[LEARNED] == LEARNING:
+        low, high = -WIDE, WIDE
+    pulled = max(end, 0.0)
+    least, most = pulled * math.exp(low), pulled * math.exp(high)
+    room = RATIO_N + 0.05 * max(start, pulled) + RATIO_N_S_M * s[SPEED]
+    if start > most:
+        _compare(s, RATIO, start, most, room)
+    elif start < least:
+        _compare(s, RATIO, start, least, room)
+    else:
+        _compare(s, RATIO, start, start, room)
+    return float(middle)
+
+
+@njit(inline="always")
+def _force(s: Any, g: Any, position: float, force: float, start: float) -> None:
+    cycles = int(g[CYCLES])
+    if s[FILLED] <= 1.0:
+        s[PLACE] = s[SUM] = s[SUM_SIGN] = s[SUM_V] = 0.0
+        for i in range(4 * WINDOW):
+            s[RING + i] = 0.0
+    count = int(s[FILLED]) - 1
+    i = int(s[PLACE])
+    before = s[RING + WINDOW + (i - 1) % (cycles + 2)] if count > 0 else position
+    speed = (position - before) / g[PERIOD_S]
+    sign = _held(speed / SLOW_M_S, -1.0, 1.0)
+    difference = force - start
+    n = cycles + 2
+    old = (i - cycles) % n
+    s[SUM] += difference - s[RING + old]
+    s[SUM_SIGN] += sign - s[RING + 2 * WINDOW + old]
+    s[SUM_V] += speed - s[RING + 3 * WINDOW + old]
+    s[RING + i], s[RING + WINDOW + i], s[RING + 2 * WINDOW + i], s[RING + 3 * WINDOW + i] = (
+        difference, position, sign, speed)
+    s[PLACE] = float((i + 1) % n)
+    if count < cycles + 2:
+        s[RATIOS + FORCE] = s[COUNTS + FORCE] = 0.0
+        return
+    gained = (speed - (s[RING + WINDOW + (i - cycles) % n] - s[RING + WINDOW + (i - cycles - 1) % n]) / g[PERIOD_S])
+    rate = gained / (cycles * g[PERIOD_S])
+    mean, turned, flow = s[SUM] / cycles, s[SUM_SIGN] / cycles, s[SUM_V] / cycles
+    expected = g[INERTIA] * rate + g[COULOMB] * turned + g[VISCOUS] * flow + g[OFFSET]
+    room = FORCE_N + FORCE_SHARE * abs(g[INERTIA] * rate)
+    if g[LEARNED] == LEARNING:
+        room *= 2.5
+        _add(s, NORMAL_FORCE, FORCE_TERMS, (rate, turned, flow, 1.0), mean)
+        s[FORCE_ROWS] += 1.0
+        s[FORCE_SQUARES] += mean * mean
+    _compare(s, FORCE, mean, expected, room)
+
+
+@njit(inline="always")
+def _add(s: Any, at: int, terms: int, row: Any, value: float) -> None:
+    """Add a row to normal equations: terms × (terms + 1) numbers, the last column the right-hand side."""
+    for i in range(terms):
+        for j in range(terms):
+            s[at + i * (terms + 1) + j] += row[i] * row[j]
+        s[at + i * (terms + 1) + terms] += row[i] * value
+
+
+@njit(inline="always")
+def _slope(g: Any, force: float) -> float:
+    return float(max(2e-5, g[C1] + 2.0 * g[C2] * _held(force, 0.0, g[TOP_N])))
+
+
+@njit(inline="always")
+def _curve(g: Any, force: float) -> float:
+    """Stretch, m, at a mean tension; beyond what homing reached it goes on by its slope there."""
+    inside = _held(force, 0.0, g[TOP_N])
+    return float(g[C0] + (g[C1] + g[C2] * inside) * inside + _slope(g, inside) * (force - inside))
+
+
+@njit(inline="always")
+def _one_stretch(
+    s: Any, g: Any, relation: int, stretch: float, force: float, most: float, spread: float, knee: float
+) -> None:
+    """The path's stretch against one tension; a slack path may be as long as it likes.
+
+    `most`: the greatest mean tension that either sensor speaks of; beyond homing's, less is known of the stretch.
+    """
+    expected = _curve(g, max(force, 0.0))
+    beyond = max(0.0, most - g[TOP_N])
+    room_n = STRETCH_N + RATIO_N_S_M * s[SPEED] + spread * max(force, 0.0)
+    room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond
+            + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
+    if force < TAUT_N and stretch < expected:
+        stretch = expected
+    _compare(s, relation, stretch, expected, room)
+
+
+@njit(inline="always")
+def _stretch(s: Any, g: Any, middle: float, position: float, knee: float, start: float, end: float) -> None:
+    stretch = position - g[SWING_K] * (knee - g[KNEE_HOME]) - g[ROPE_COMPLIANCE] * start
+    if g[LEARNED] == LEARNING:
+        if start > TAUT_N and end > TAUT_N and abs(knee - g[KNEE_HOME]) < 0.05:
+            mean = math.sqrt(start * end)
+            _add(s, NORMAL_STRETCH, STRETCH_TERMS, (1.0, mean, mean * mean), stretch)
+            s[STRETCH_ROWS] += 1.0
+            s[TRUSTED] = max(s[TRUSTED], mean)
+            if min(start, end) > 10.0:
+                ratio = math.log(start / end)
+                fade = 0.05
+                if s[SLIP] > 0.9:
+                    s[RISE_HIGH] += fade * (ratio - s[RISE_HIGH]) if s[RISE_HIGH] != 0.0 else ratio
+                elif s[SLIP] < -0.9:
+                    s[RISE_LOW] += fade * (ratio - s[RISE_LOW]) if s[RISE_LOW] != 0.0 else ratio
+        return
+    half = math.exp(0.5 * middle)
+    width, most = g[HIGH] - g[LOW], max(start, end)
+    counts = s[COUNTS + BY_START], s[COUNTS + BY_END]
+    _one_stretch(s, g, BY_START, stretch, start / half, most, 0.45 * width, knee)
+    _one_stretch(s, g, BY_END, stretch, end * half, most, 0.3 * width, knee)
+    _alone(s, BY_START, BY_END, counts[0])
+    _alone(s, BY_END, BY_START, counts[1])
+
+
+@njit(inline="always")
+def _alone(s: Any, relation: int, other: int, before: float) -> None:
+    """The stretch against one tension counts where the other one agrees, or at `ALONE` times its tolerance."""
+    size = abs(s[RATIOS + relation])
+    agrees = s[RATIOS + relation] * s[RATIOS + other] > 0.0 and abs(s[RATIOS + other]) > AGREES
+    s[COUNTS + relation] = before + 1.0 if size > 1.0 and (agrees or size > ALONE) else 0.0
+
+
+@njit(inline="always")
+def _still(s: Any, g: Any, start: float, end: float) -> None:
+    """A converter that is alive never repeats itself for long; what stands still while the other moves is stuck."""
+    if start != s[OLD_START]:
+        s[SAME_START], s[AT_END] = 0.0, end
+    if end != s[OLD_END]:
+        s[SAME_END], s[AT_START] = 0.0, start
+    s[SAME_START] += 1.0
+    s[SAME_END] += 1.0
+    s[OLD_START], s[OLD_END] = start, end
+    least = SAME_FOR_S / g[PERIOD_S] + 4.0
+    room = RATIO_N + 0.1 * max(abs(start), abs(end))
+    _compare(s, STILL_START, end if s[SAME_START] > least else s[AT_END], s[AT_END], room)
+    _compare(s, STILL_END, start if s[SAME_END] > least else s[AT_START], s[AT_START], 1.5 * room + 0.3 * abs(end))
+
+
+def _compile() -> Any:
+    @njit(cache=True)
+    def step(
+        s: Any, g: Any, limited: float, target: float, position: float, force: float, knee_target: float, knee: float,
+        start: float, end: float,
+    ) -> int:
+        s[FRESH] += 1.0
+        s[FILLED] += 1.0
+        _tracking(s, g, limited, target, knee_target, position, knee)
+        middle = _ratio(s, g, position, start, end)
+        _force(s, g, position, force, start)
+        _stretch(s, g, middle, position, knee, start, end)
+        _still(s, g, start, end)
+        for relation in range(RELATIONS):
+            if s[COUNTS + relation] >= g[PERSIST]:
+                return relation
+        return -1
+
+    return step
+
+
+step: Final[Any] = _compile()
+"""step(s, g, limited, target, position, force, knee_target, knee, start, end) → the relation that broke, −1 for none.
+
+`limited` 0 or more: metres by which the servo says that its tension bound holds it back; targets are the ones sent
+before these inputs were latched."""
+
+
+class Finding(NamedTuple):
+    """A relation that broke: what it saw, what it expected, and the normalised residual of every relation."""
+
+    relation: int
+    seen: float
+    expected: float
+    ratios: tuple[float, ...]
+    swing_k: float = 0.0
+    swing_k_fits: float = 0.0
+    """The calibration's rope by radian of the knee, m/rad, and the one for which the stretch would be as expected."""
+
+
+@dataclass
+class Learned:
+    """What homing told of this bench; `stretch_ratio` is its stretch from 10 to 40 N by the calibration's."""
+
+    inertia_kg: float
+    coulomb_n: float
+    force_rms_n: float
+    low: float
+    high: float
+    stretch_ratio: float
+
+
+class Plausibility:
+    """The compiled step with its arrays; `period_s` is the control period."""
+
+    def __init__(self, period_s: float) -> None:
+        self.s, self.g = np.zeros(STATES), np.zeros(SETTINGS)
+        g = self.g
+        g[PERIOD_S], g[BANDWIDTH] = period_s, 2.0 * math.pi * 20.0
+        g[CYCLES] = min(WINDOW - 2, max(2, round(WINDOW_S / period_s)))
+        g[PRESLIDING], g[ROPE_COMPLIANCE] = 5e-4, 3.7e-5
+        g[INERTIA], g[COULOMB], g[VISCOUS] = 2.4, 2.0, 15.0
+        g[LOW], g[HIGH] = -WIDE / 1.3, WIDE / 1.3
+        g[PERSIST] = 4.0 if period_s < 5e-3 else 2.0
+        self.g[TOP_N] = 40.0
+
+    def restart(self) -> None:
+        """Forget what the cycle before said: after a gap, another frame of reference or a change of mode."""
+        self.s[FRESH] = self.s[FILLED] = 0.0
+        self.s[COUNTS:COUNTS + RELATIONS] = 0.0
+
+    def check(
+        self, limited: float, targets: tuple[float, float], position: float, force: float, knee: float, start: float,
+        end: float,
+    ) -> Finding | None:
+        """Compare one cycle; the finding where a relation has been broken for long enough."""
+        relation = step(self.s, self.g, limited, targets[0], position, force, targets[1], knee, start, end)
+        return None if relation < 0 else self.finding(relation)
+
+    def coast(self, targets: tuple[float, float]) -> None:
+        """A cycle without all of its inputs: the targets go on, windows begin anew."""
+        s, g = self.s, self.g
+        s[FILLED] = 0.0
+        s[PREDICTED] += (1.0 - math.exp(-g[BANDWIDTH] * g[PERIOD_S])) * (s[T2] - s[PREDICTED])
+        s[T2], s[T1], s[K2], s[K1] = s[T1], targets[0], s[K1], targets[1]
+
+    def follow(self, targets: tuple[float, float], inputs: Any) -> None:
+        """Keep comparing without drawing conclusions: while a stop is under way."""
+        if inputs.missing:
+            self.coast(targets)
+            return
+        step(self.s, self.g, 0.0, targets[0], inputs.servo_position_m, inputs.servo_force_n, targets[1],
+             inputs.knee_angle_rad, inputs.start_n, inputs.end_n)
+
+    def hidden_n(self) -> float:
+        """By how much the servo's force, friction and inertia aside, speaks of more tension than START does, N."""
+        s = self.s
+        beyond = float(s[SEEN + 2 * FORCE] - s[SEEN + 2 * FORCE + 1])
+        return beyond if beyond > FORCE_N else 0.0
+
+    def doubt(self) -> Finding | None:
+        """The relation nearest to its tolerance, where it is beyond `DOUBT` of it."""
+        ratios = np.abs(self.s[RATIOS:RATIOS + RELATIONS])
+        worst = int(np.argmax(ratios))
+        return self.finding(worst) if ratios[worst] > DOUBT else None
+
+    def finding(self, relation: int) -> Finding:
+        """What the relations say now."""
+        s, g = self.s, self.g
+        seen, expected = float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1])
+        swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
+        fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
+        return Finding(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
+                       swing, fits)
+
+    def learn(self, quadratic: float, linear: float) -> Learned:
+        """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""
+        s, g = self.s, self.g
+        force = _solved(s, NORMAL_FORCE, FORCE_TERMS)
+        rows = max(1.0, s[FORCE_ROWS])
+        right = s[NORMAL_FORCE + FORCE_TERMS:NORMAL_STRETCH:FORCE_TERMS + 1]
+        squares = max(0.0, (s[FORCE_SQUARES] - float(force @ right)) / rows)
+        curve = _solved(s, NORMAL_STRETCH, STRETCH_TERMS)
+        g[[INERTIA, COULOMB, VISCOUS, OFFSET]] = force
+        g[[C0, C1, C2]] = curve
+        low, high = s[RISE_LOW], s[RISE_HIGH]
+        bound = max(abs(low), abs(high), LEAST_FRICTION) if low and high else WIDE / 1.3
+        g[LOW], g[HIGH] = -bound, bound
+        g[TOP_N], g[LEARNED] = max(10.0, s[TRUSTED]), LEARNT
+        found = (curve[1] + g[ROPE_COMPLIANCE]) * 30.0 + curve[2] * 1500.0
+        ratio = found / (linear * 30.0 + quadratic * 1500.0)
+        return Learned(float(force[0]), float(force[1]), math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]),
+                       float(ratio))
+
+    def begin_learning(self, swing_k: float, knee_home: float, compliance: float) -> None:
+        """Start anew with a calibration's geometry, before homing's pull."""
+        g, s = self.g, self.s
+        g[SWING_K], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = swing_k, knee_home, compliance, LEARNING
+        s[NORMAL_FORCE:STATES] = 0.0
+        s[[FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES, TRUSTED, RISE_LOW, RISE_HIGH]] = 0.0
+
+    def shift(self, by_m: float) -> None:
+        """The drive reads `by_m` more from now on: homing has set its zero."""
+        self.g[C0] += by_m
+        self.restart()
+
+
+WINDOW_S: Final = 0.016
+
+
+def _solved(s: Any, at: int, terms: int) -> Any:
+    table = s[at:at + terms * (terms + 1)].reshape(terms, terms + 1)
+    left = table[:, :terms] + np.diag(1e-9 * np.maximum(np.diag(table[:, :terms]), 1e-12))
+    return np.linalg.solve(left, table[:, terms])
+
+
+def prepare() -> None:
+    """Compile the step, or load it from numba's cache, before time matters."""
+    Plausibility(1e-3).check(0.0, (0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0)

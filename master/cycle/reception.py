@@ -1,0 +1,85 @@
+"""Which values are taken for what a node measured: finite, within its range, and no faster than anything can move.
+
+The rule of this file: a value that cannot be is not used and not repaired, its cycle counts as one without that input;
+whoever sends such values for `ENOUGH` cycles in a row contradicts what it said before, and the trial stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from master.settings import Limits
+
+ENOUGH: Final = 5
+SPAN_N: Final = 230.0
+"""Reach of the tension sensors, with room for their offset."""
+TENSION_STEP_N: Final = 25.0
+TENSION_RATE_N_S: Final = 30_000.0
+"""What the stiffest path (27 N/mm, stuck) makes of the drum's greatest speed, and a tenth."""
+REACH_M: Final = 1.0
+"""Rope on the drum; the drive's own position limits are a fifth of it."""
+POSITION_STEP_M: Final = 1e-3
+KNEE_REACH_RAD: Final = 3.2
+KNEE_STEP_RAD: Final = 0.03
+
+
+class Bounds(NamedTuple):
+    """Of one input: column, unit, range, and greatest step of a cycle, `step` + `rate` for each cycle since."""
+
+    column: int
+    unit: str
+    low: float
+    high: float
+    step: float
+    rate: float
+
+
+class Reception:
+    """Takes or refuses the decoded values of servo, knee, START and END (0 … 3), in that order."""
+
+    def __init__(self, period_s: float, limits: Limits) -> None:
+        tension = Bounds(0, "N", -SPAN_N, SPAN_N, TENSION_STEP_N, TENSION_RATE_N_S * period_s)
+        self.bounds = (
+            Bounds(1, "m", -REACH_M, REACH_M, POSITION_STEP_M, limits.rope_m_s * period_s),
+            Bounds(1, "rad", -KNEE_REACH_RAD, KNEE_REACH_RAD, KNEE_STEP_RAD, limits.knee_rad_s * 1.15 * period_s),
+            tension, tension)
+        self.refused = [0, 0, 0, 0]
+        self._last = [math.nan] * 4
+        self._age = [0] * 4
+        self._wrong = [math.nan] * 4
+        self._fast = tuple((b.column, b.low, b.high, b.step, b.rate) for b in self.bounds)
+
+    def begin(self) -> None:
+        """Another cycle begins: what was heard last is a cycle older."""
+        age = self._age
+        age[0] += 1
+        age[1] += 1
+        age[2] += 1
+        age[3] += 1
+
+    def takes(self, i: int, values: Sequence[float], anew: bool) -> bool:
+        """Whether these values are used; `anew`: the position may be counted from elsewhere."""
+        column, low, high, step, rate = self._fast[i]
+        value, last = values[column], self._last[i]
+        near = anew or last != last or abs(value - last) <= step + rate * self._age[i]
+        if not (low <= value <= high and near):
+            self.refused[i] += 1
+            self._wrong[i] = value
+            return False
+        self._last[i], self._age[i] = value, 0
+        self.refused[i] = 0
+        return True
+
+    def refusal(self, i: int) -> str:
+        """What was refused last, against what."""
+        bounds, wrong = self.bounds[i], self._wrong[i]
+        scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / math.pi, "degrees")}.get(bounds.unit, (1.0, bounds.unit))
+        if not bounds.low <= wrong <= bounds.high:
+            return f"{scale * wrong:.6g} {unit} is outside {scale * bounds.low:.4g} … {scale * bounds.high:.4g} {unit}"
+        return f"{scale * wrong:.5g} {unit} right after {scale * self._last[i]:.5g} {unit}"
+
+    def forget(self) -> None:
+        """Take whatever comes next for what it says."""
+        self._last = [math.nan] * 4

@@ -1,0 +1,52 @@
+"""Whether what homing finds is the bench that the calibration describes, and whether its sensors agree with each other.
+
+The rule of this file: it looks once, at the slack rope after homing's pull and release, before anything faster moves;
+what disagrees is refused with both numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from master.cycle.exchange import Exchange
+from master.cycle.plausibility import Learned
+from master.network.bringup import RefusedError
+from physics.calibration import NOMINAL, Calibration
+
+STRETCH: Final = 1.6
+"""Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
+STRETCH_NOMINAL: Final = 2.5
+"""The same for the packaged calibration, which belongs to no bench."""
+CENTRE: Final = 0.45
+"""|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
+FORCE_RMS_N: Final = 6.0
+
+
+def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) -> None:
+    """Start to learn this bench's stretch, friction and inertia from what homing does next."""
+    exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
+
+
+def refuse_disagreement(exchange: Exchange, calibration: Calibration) -> None:
+    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says."""
+    learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
+    sentence = disagreement(learned, calibration)
+    if sentence is not None:
+        raise RefusedError(sentence)
+
+
+def disagreement(learned: Learned, calibration: Calibration) -> str | None:
+    """Say what homing and the calibration disagree in, with both numbers; None where they agree."""
+    ratio, most = learned.stretch_ratio, STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    if not 1.0 / most <= ratio <= most:
+        declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
+        return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "
+                f"homing found {ratio * declared:.2f} mm; identify this bench (bowden identify all) and start again.")
+    centre = 0.5 * (learned.low + learned.high)
+    if learned.low and learned.high and abs(centre) > CENTRE:
+        return (f"homing: pulled and released, START is {100.0 * 2.718281828 ** centre:.0f} % of END in the middle, "
+                "where friction leaves 100 %; check the scaling of both sensors (0x6126) and tare them.")
+    if learned.force_rms_n > FORCE_RMS_N:
+        return (f"homing: the servo's force and START disagree by {learned.force_rms_n:.1f} N rms beyond friction and "
+                f"inertia, expected below {FORCE_RMS_N:g} N; check START's scaling (0x6126) and the servo's torque.")
+    return None

@@ -1,0 +1,170 @@
+"""Who else speaks on the bench's bus: frames that the master did not send and that are no node's own.
+
+The rule of this file: on most interfaces the master's socket never hears what the master itself sent, so a command
+heard there is somebody else's, also where another program on this computer sent it.  Some interfaces (UDP multicast)
+return every frame to its sender: there a frame that equals one of those sent last counts as the master's own, and SYNC
+and the master's heartbeat cannot be told from a stranger's.  Each kind is told once, with how often it came meanwhile.
+Nothing here reacts: whether a stranger can move anything is said with it (`moves`).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import can
+
+from eds.bench import MASTER, Wire
+from eds.cia301 import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    SDO_RESPONSE_BASE,
+    SYNC_COB_ID,
+    NmtCommand,
+)
+
+SDO_REQUEST_BASE: Final = 0x600
+LSS: Final = 0x7E5
+NS: Final = 1_000_000_000
+FLOOD_NS: Final = 10_000_000
+FLOOD: Final = 20
+"""Frames of strangers within `FLOOD_NS` from which on they count as a babbler: two in each millisecond."""
+DOUBLED: Final = 3
+"""Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` from which on it is no chance."""
+DOUBLED_WITHIN: Final = 20
+RETURNED: Final = 64
+"""Frames sent last among which a returned one is looked for: what a bring-up sends in a burst, and more."""
+_WRITES: Final = {0: "a segment of an SDO write", 1: "an SDO write", 6: "an SDO block write", 4: "an SDO abort"}
+_DIRECTIONS: Final[Mapping[int, str]] = {int(command): command.name.replace("_", " ") for command in NmtCommand}
+
+
+class Stranger(NamedTuple):
+    """One kind of foreign frame: when it first came, what it is in words, and whether it can move anything."""
+
+    time_ns: int
+    can_id: int
+    text: str
+    moves: bool
+
+
+class BusWatch:
+    """Takes what the link hears beyond its own nodes' frames; `found` holds what was not told yet.
+
+    `returned`: the interface returns the master's own frames to it.  `own` are the COB-IDs of frames that only the
+    master sends, with the payload that it sent last, so that a frame that the wire doubled is not taken for another
+    master's.
+    """
+
+    def __init__(self, wire: Wire, returned: bool = False) -> None:
+        self._returned: deque[tuple[int, bytes]] | None = deque(maxlen=RETURNED) if returned else None
+        self.found: deque[Stranger] = deque()
+        self.own: dict[int, bytes] = {wire.targets.cob_id: b"", wire.controlwords.cob_id: b""}
+        self.flooded = False
+        self.counts: dict[int, int] = {}
+        self._names = {node: entry.name for node, entry in wire.nodes.items()}
+        self._quiet = frozenset(wire.tpdo)
+        self._nodes = frozenset(
+            base + node for node in wire.nodes for base in (HEARTBEAT_BASE, EMCY_BASE, SDO_RESPONSE_BASE))
+        self._recent: deque[int] = deque(maxlen=FLOOD)
+        self._doubled: deque[int] = deque(maxlen=DOUBLED)
+        self._told: set[str] = set()
+
+    def sent(self, can_id: int, data: bytes) -> None:
+        """Keep what the master is about to send."""
+        if self._returned is not None:
+            self._returned.append((can_id, bytes(data)))
+        if can_id in self.own:
+            self.own[can_id] = data
+
+    def hear(self, message: can.Message, paced: bool) -> None:
+        """Look at one frame; `paced`: the master sends SYNC itself, so that none is ever heard."""
+        can_id = message.arbitration_id
+        if can_id in self._quiet and not (message.is_extended_id or message.is_remote_frame):
+            return
+        time_ns = stamp_ns(message)
+        if message.is_extended_id or message.is_remote_frame:
+            self._count(can_id, time_ns)
+            kind = "remote" if message.is_remote_frame else "extended"
+            self._tell(time_ns, can_id, f"{kind} frame {can_id:X}h, which nobody here owns", moves=False)
+            return
+        if can_id in self._nodes or (self._returned is not None and self._is_own(can_id, bytes(message.data))):
+            return
+        if can_id == SYNC_COB_ID:
+            if message.is_rx or paced:
+                self._tell(time_ns, can_id, "SYNC from somebody else", moves=True)
+            return
+        self._count(can_id, time_ns)
+        if can_id in self.own:
+            self._commanded(time_ns, can_id, bytes(message.data))
+        else:
+            self._tell(time_ns, can_id, *self._described(can_id, bytes(message.data)))
+
+    def _is_own(self, can_id: int, data: bytes) -> bool:
+        """Whether a frame on an interface that returns the master's frames is, or may be, the master's own."""
+        if can_id in (SYNC_COB_ID, HEARTBEAT_BASE + MASTER):
+            return True
+        assert self._returned is not None
+        return (can_id, data) in self._returned
+
+    def doubled(self, time_ns: int, cycle: int, what: str) -> None:
+        """Note a SYNC or an input that came twice in a cycle: an event, and a stop where it goes on."""
+        if self._doubled and self._doubled[-1] == cycle:
+            return
+        self._doubled.append(cycle)
+        often = len(self._doubled) == DOUBLED and cycle - self._doubled[0] < DOUBLED_WITHIN
+        self._tell(time_ns, 0, f"{what} twice in a cycle" + (f", {DOUBLED} times within {DOUBLED_WITHIN} cycles"
+                                                            if often else ""), moves=often)
+
+    def _commanded(self, time_ns: int, can_id: int, data: bytes) -> None:
+        if data == self.own[can_id]:
+            self._tell(time_ns, can_id, f"{can_id:X}h, as the master sent it, a second time", moves=False)
+        else:
+            what = "targets" if can_id == next(iter(self.own)) else "controlwords"
+            self._tell(time_ns, can_id, f"{what} ({can_id:X}h) from another master", moves=True)
+
+    def _described(self, can_id: int, data: bytes) -> tuple[str, bool]:
+        if can_id == NMT_COB_ID:
+            command = _DIRECTIONS.get(data[0], f"{data[0]:02X}h") if data else "empty"
+            node = data[1] if len(data) > 1 else 0
+            whom = "all nodes" if node == 0 else self._names.get(node, f"node {node}")
+            return f"NMT {command} to {whom} from another master", True
+        node = can_id & 0x7F
+        if can_id - node == SDO_REQUEST_BASE and node in self._names:
+            write = _WRITES.get(data[0] >> 5) if data else None
+            at = f" of {int.from_bytes(data[1:3], 'little'):04X}:{data[3]:02X}" if len(data) >= 4 else ""
+            return f"{write or 'an SDO read'}{at} to {self._names[node]} from somebody else", write is not None
+        if can_id == HEARTBEAT_BASE + MASTER:
+            return f"heartbeat of another master (node {MASTER})", True
+        if can_id == LSS:
+            return "LSS command from somebody else", True
+        if can_id > HEARTBEAT_BASE and can_id < HEARTBEAT_BASE + 0x80:
+            return f"heartbeat of node {node}, which is none of this bench", False
+        return f"identifier {can_id:X}h, which nobody here owns", False
+
+    def _count(self, can_id: int, time_ns: int) -> None:
+        self.counts[can_id] = self.counts.get(can_id, 0) + 1
+        self._recent.append(time_ns)
+        if len(self._recent) == FLOOD and time_ns - self._recent[0] <= FLOOD_NS and not self.flooded:
+            self.flooded = True
+            most = max(self.counts, key=self.counts.__getitem__)
+            span_ms = (time_ns - self._recent[0]) / 1e6
+            self._tell(time_ns, most, f"babbler: {FLOOD} frames that are nobody's within {span_ms:.1f} ms, most of "
+                                      f"them {most:X}h", moves=True)
+
+    def _tell(self, time_ns: int, can_id: int, text: str, moves: bool) -> None:
+        if text not in self._told and len(self._told) < 256:
+            self._told.add(text)
+            self.found.append(Stranger(time_ns, can_id, text, moves))
+
+    def summary(self) -> list[str]:
+        """How often each identifier came that was told once, the most frequent first."""
+        often = sorted(((count, can_id) for can_id, count in self.counts.items() if count > 1), reverse=True)
+        return [f"{can_id:X}h came {count} times" for count, can_id in often[:8]]
+
+
+def stamp_ns(message: can.Message) -> int:
+    """Time stamp of a message, ns: exact where the bus gives `time_ns`, else its float seconds rounded."""
+    exact: int | None = getattr(message, "time_ns", None)
+    return round(message.timestamp * NS) if exact is None else exact

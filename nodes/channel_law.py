@@ -1,0 +1,90 @@
+"""What one measuring channel does with one sample, and at one SYNC: filter, span, scaling to the process value.
+
+The rule of this file: compiled laws over one flat float64 array `c`; settings are written into it when an object is
+written, nothing is looked up at a sample.  Sums are of whole numbers below 2⁵³, so a filter forgets what leaves its
+window without a trace.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+MEAN, FACTOR, SHIFT, COUNTS_PER_N, LOW, HIGH, MIDDLE, VERDICT, FIELD, TENSION, PROCESS_16, PROCESS_32, REPEATS, \
+    LENGTH, SUM, COUNT, HEAD, FILLED, WINDOW = range(19)
+"""Slots of `c`: the filtered counts; the line and the integer's counts per newton; span (counts) and its middle (N);
+0x6150, −1 before the first sample; what the last `process` gave, and from which counts; the filter, `WINDOW` its first
+sample."""
+LONGEST: Final = 255
+SIZE: Final = WINDOW + LONGEST
+NO_VERDICT: Final = -1.0
+
+NOT_VALID, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD = 1, 2, 4
+"""Bits of 0x6150, and of the converter's status that `sample` takes: bit 0 is a broken wire."""
+FULL_COUNTS: Final = 1 << 23
+"""A 24-bit converter reads −2²³ … 2²³ − 1; at either end it is overloaded."""
+
+
+def channel(length: int, repeats: bool) -> Any:
+    """Return the array of a channel before its first sample, its filter `length` samples long."""
+    c = np.zeros(SIZE)
+    restart(c, length, repeats)
+    return c
+
+
+def restart(c: Any, length: int, repeats: bool) -> None:
+    """Begin anew with an empty filter."""
+    c[[SUM, COUNT, HEAD, FILLED, MEAN]] = 0.0
+    c[LENGTH], c[REPEATS], c[VERDICT] = length, repeats, NO_VERDICT
+
+
+@njit(cache=True)
+def add(c: Any, sample: float) -> None:
+    """Set `c[MEAN]` to the mean of the last samples: at every one, or (repeating) once for each block of them.
+
+    A window that is not yet full gives the mean of what it holds; a repeating average starts with its first sample.
+    """
+    length = int(c[LENGTH])
+    if length == 1:
+        c[MEAN] = sample
+    elif c[REPEATS] != 0.0:
+        c[SUM] += sample
+        c[COUNT] += 1.0
+        if c[FILLED] == 0.0:
+            c[MEAN] = sample
+        if c[COUNT] == length:
+            c[MEAN] = c[SUM] / length
+            c[SUM] = c[COUNT] = 0.0
+    else:
+        head = int(c[HEAD])
+        c[SUM] += sample
+        if c[COUNT] == length:
+            c[SUM] -= c[WINDOW + head]
+        else:
+            c[COUNT] += 1.0
+        c[WINDOW + head] = sample
+        c[HEAD] = (head + 1) % length
+        c[MEAN] = c[SUM] / c[COUNT]
+    c[FILLED] = 1.0
+
+
+@njit(cache=True)
+def sample(c: Any, counts: int, status: int) -> int:
+    """Take a sample; return what 0x6150 is to be, `c[VERDICT]` left as it is."""
+    add(c, float(counts))
+    mean = c[MEAN]
+    if status == 0 and c[LOW] <= mean <= c[HIGH] and -FULL_COUNTS < counts < FULL_COUNTS - 1:
+        return 0
+    return POSITIVE_OVERLOAD if mean * c[FACTOR] + c[SHIFT] > c[MIDDLE] else NEGATIVE_OVERLOAD
+
+
+@njit(cache=True)
+def process(c: Any) -> None:
+    """Set the process value, N, and the integers that carry it; the least of each is kept for "no valid value"."""
+    tension = c[MEAN] * c[FACTOR] + c[SHIFT]
+    counts = tension * c[COUNTS_PER_N]
+    c[FIELD], c[TENSION] = c[MEAN], tension
+    c[PROCESS_16] = round(min(32767.0, max(-32767.0, counts)))
+    c[PROCESS_32] = round(min(2147483647.0, max(-2147483647.0, counts)))

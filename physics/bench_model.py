@@ -1,0 +1,144 @@
+"""A bench model: what is known of one bench, in one file that simulator, controller and diagnosis load.
+
+The rule of this file: named numbers with their evidence (`[parameters.NAME]`: value, unit, 95 % interval, R², date,
+trial), effects beyond them (`[effects.NAME]`) and what those were found on (`[found]`).  A file may have either part.
+What `bowden identify` writes has the first, what `bowden diagnose` writes the second.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from parameters import InputError, Remark, read_toml
+from physics import calibration
+from physics.calibration import READ, VERSION, Calibration, Evidence
+from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
+from physics.effects.catalogue import CATALOGUE, complete
+from physics.effects.effects_table import EVIDENCE, TABLE, stated
+from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
+
+TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE)
+"""What a bench model holds; a plant model may hold tables of nominal values beside them."""
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class BenchModel:
+    """One bench, SI.
+
+    `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
+    date and trial by the same names; `effects`: name → parameter → value; `found`: what the effects were found on;
+    `bench`: the bench it belongs to ("": none); `label`: the file, or "nominal".
+    """
+
+    values: Values = field(default_factory=dict)
+    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    effects: Mapping[str, Values] = field(default_factory=dict)
+    found: Mapping[str, Any] = field(default_factory=dict)
+    bench: str = ""
+    label: str = calibration.NOMINAL
+
+    @property
+    def calibration(self) -> Calibration:
+        """The controller's view: what is not known has its assumed value and is named in `lacking`."""
+        return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench)
+
+    def simulated(self) -> dict[str, dict[str, float]]:
+        """Return the values that the simulation runs on, table → key → value, without effects.
+
+        What lies outside of what the simulation accepts is taken at the bound, with a `Remark` that says so.
+        """
+        told = converted(SIMULATED, converted(UNRELATED, self.values))
+        tables: dict[str, dict[str, float]] = {}
+        for key, name in BY_PLANT.items():
+            if name in told:
+                table, _, parameter = key.partition(".")
+                tables.setdefault(table, {})[parameter] = self._within(name, told[name])
+        return tables
+
+    def _within(self, name: str, value: float) -> float:
+        p = PARAMETERS[name]
+        kept = min(max(value, p.low), p.high)
+        if not math.isclose(kept, value, rel_tol=1e-9, abs_tol=1e-12):
+            warnings.warn(f"{self.label}: {name} = {value:g} {p.unit} is outside {p.low:g} … {p.high:g}; simulated "
+                          f"with {kept:g}.", Remark, stacklevel=3)
+        return kept
+
+    def unsimulated(self) -> tuple[str, ...]:
+        """Return the names of values that the simulation has no parameter for."""
+        held = set(BY_PLANT.values())
+        forms = {name for form in (*SIMULATED, *UNRELATED) for name in form.of}
+        return tuple(name for name in self.values if name not in held and name not in forms)
+
+    def related(self) -> dict[str, float]:
+        """Return what the relations of the diagnosis read, without effects, as far as it is known."""
+        told = converted(RELATED, converted(SIMULATED, self.values))
+        return {name: told[name] for name in RELATION_PARAMETERS if name in told}
+
+    def at_work(self) -> dict[str, float]:
+        """Return the parameters that the effects set, by name."""
+        return {name: value for effect, given in self.effects.items()
+                for name, value in complete(effect, given).items()
+                if name in {p.name for p in CATALOGUE[effect].parameters}}
+
+    def text(self) -> str:
+        """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
+        lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence)]
+        if self.found:
+            lines += ["", f"[{EVIDENCE}]", *(f"{key} = {_cell(value)}" for key, value in self.found.items())]
+        for name, values in self.effects.items():
+            lines += ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}",
+                      *(f"{key} = {value!r}" for key, value in values.items())]
+        return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_cell(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_cell(each) for each in value) + "]"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return repr(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def nominal() -> BenchModel:
+    """Return the packaged model: the paper's numbers and marked assumptions, belonging to no bench."""
+    return of_calibration(calibration.nominal())
+
+
+def of_calibration(known: Calibration, effects: Mapping[str, Values] | None = None) -> BenchModel:
+    """Return the model of a calibration, with `effects` beyond it."""
+    values, evidence = calibration.values_of(known)
+    return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label)
+
+
+def read(path: str | Path, *, bench: str = "") -> BenchModel:
+    """Read a bench model; `bench` names the bench on the bus, "" accepts any.  Raises `InputError`."""
+    tables = read_toml(Path(path))
+    for name in tables:
+        if name not in TABLES:
+            raise InputError(f"{path}: unknown table {name}; expected {', '.join(f'[{t}]' for t in TABLES[2:])}.")
+    model = from_tables(tables, str(path))
+    if not (model.values or model.effects or model.found):
+        raise InputError(f"{path}: states neither parameters nor effects; give what bowden identify or diagnose wrote.")
+    if bench and model.bench and model.bench != bench:
+        raise InputError(
+            f"{path}: bench = {model.bench!r}, but the bench on the bus is {bench!r}; identify that bench.")
+    return model
+
+
+def from_tables(tables: Mapping[str, Any], where: str) -> BenchModel:
+    """Return the model that a file's tables state; other tables are another reader's.  Raises `InputError`."""
+    if "version" in tables and tables["version"] not in READ:
+        raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
+    values, evidence = calibration.stated(tables, where)
+    found = tables.get(EVIDENCE, {})
+    if not isinstance(found, Mapping):
+        raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
+    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where)

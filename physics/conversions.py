@@ -1,0 +1,99 @@
+"""One quantity in several forms: as the simulation, a calibration and the relations write it, in both directions.
+
+The rule of this file: each conversion stands beside its inverse; what a form does not tell (the bend of the sheath,
+the rope inside it, the fabric on the knee) keeps the value that is given or the nominal one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Final, NamedTuple
+
+from physics.parameters import BY_CALIBRATION, PARAMETERS, nominal
+
+Values = Mapping[str, float]
+
+
+class Form(NamedTuple):
+    """A quantity as a function of others: `name` = `law`(values of `of`, in this order)."""
+
+    name: str
+    of: tuple[str, ...]
+    law: Callable[..., float]
+
+
+def _on_knee(before: float, after: float) -> float:
+    return 1.0 - before - after
+
+
+_ON_KNEE: Final = _on_knee(PARAMETERS["fabric_share_before"].nominal, PARAMETERS["fabric_share_after"].nominal)
+
+GAIN_PER_HZ: Final = PARAMETERS["servo_position_gain"].nominal / PARAMETERS["servo_bandwidth"].nominal
+"""1/s of the servo's position loop per Hz of its bandwidth, as on the nominal bench."""
+
+MEASURED: Final = (
+    Form("cable_exponent", ("mu1", "theta1"), lambda mu, theta: mu * theta),
+    Form("stiffness_a", ("stretch_a", "stiffness_shape", "stiffness_scale"), lambda a, h, s: a * (1.0 + h) / s),
+    Form("stiffness_b", ("stretch_b", "stiffness_scale"), lambda b, s: b / s),
+    Form("cable_compliance", ("lead_compliance", "sheath_compliance", "stiffness_scale"),
+         lambda lead, sheath, s: (lead + 0.5 * sheath) / s),
+    Form("breakaway", ("stribeck_ratio",), lambda ratio: max(0.0, ratio - 1.0)),
+    Form("servo_bandwidth", ("servo_position_gain",), lambda gain: gain / GAIN_PER_HZ),
+    Form("fabric_share", ("fabric_share_before", "fabric_share_after"),
+         lambda before, after: before + 0.5 * _on_knee(before, after)),
+)
+"""What identification measures, from what the simulation runs on."""
+SIMULATED: Final = (
+    Form("mu1", ("cable_exponent", "theta1"), lambda exponent, theta: exponent / theta),
+    Form("stiffness_scale", ("stiffness_b", "stretch_b"), lambda b, nominal_b: nominal_b / b),
+    Form("stiffness_shape", ("stiffness_a", "stretch_a", "stiffness_b", "stretch_b"),
+         lambda a, nominal_a, b, nominal_b: a / nominal_a * nominal_b / b - 1.0),
+    Form("lead_compliance", ("cable_compliance", "sheath_compliance", "stiffness_b", "stretch_b"),
+         lambda c, sheath, b, nominal_b: c * nominal_b / b - 0.5 * sheath),
+    Form("stribeck_ratio", ("breakaway",), lambda beta: 1.0 + beta),
+    Form("servo_position_gain", ("servo_bandwidth",), lambda bandwidth: GAIN_PER_HZ * bandwidth),
+    Form("fabric_share_before", ("fabric_share",), lambda share: share - 0.5 * _ON_KNEE),
+    Form("fabric_share_after", ("fabric_share",), lambda share: 1.0 - share - 0.5 * _ON_KNEE),
+)
+"""What the simulation runs on, from what identification measures; the fabric on the knee is the nominal share."""
+RELATED: Final = (
+    Form("cable_share", ("lead_compliance", "sheath_compliance", "stretch_b"),
+         lambda lead, sheath, b: (lead + 0.5 * sheath) / b),
+    Form("fabric_presliding_ratio", ("fabric_presliding", "presliding"), lambda fabric, rope: fabric / rope),
+)
+"""What the relations read, from what the simulation runs on."""
+UNRELATED: Final = (
+    Form("lead_compliance", ("cable_share", "sheath_compliance", "stretch_b"),
+         lambda share, sheath, b: share * b - 0.5 * sheath),
+    Form("fabric_presliding", ("fabric_presliding_ratio", "presliding"), lambda ratio, rope: ratio * rope),
+)
+"""What the simulation runs on, from what the relations read."""
+MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | {
+    name for name in BY_CALIBRATION.values() if name not in {form.name for form in MEASURED}}
+"""Quantities that the scalars of a calibration tell."""
+
+
+UNTOLD: Final = frozenset({"theta1", "stretch_a", "stretch_b", "sheath_compliance"})
+"""What a form is relative to and does not tell: nominal where it is not given."""
+
+
+def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:
+    """Return `given` with each of `forms` whose quantities it has, those of `UNTOLD` aside."""
+    base = nominal()
+    values = dict(given)
+    for form in forms:
+        if all(name in given for name in form.of if name not in UNTOLD):
+            values[form.name] = float(form.law(*(given.get(name, base[name]) for name in form.of)))
+    return values
+
+
+def from_scalars(scalars: Values) -> dict[str, float]:
+    """Return a calibration's scalars, by their names there, as quantities of the table, in every form."""
+    named = {BY_CALIBRATION[key]: value for key, value in scalars.items() if key in BY_CALIBRATION}
+    return converted(RELATED, converted(SIMULATED, named))
+
+
+def to_scalars(values: Values) -> dict[str, float]:
+    """Return the scalars of a calibration that `values`, quantities of the table, tell; the inverse of the above."""
+    told = converted(MEASURED, values)
+    return {p.calibration: told[name] for name, p in PARAMETERS.items() if p.calibration and name in told}

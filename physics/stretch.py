@@ -1,0 +1,83 @@
+"""The stretch over force: (10), and what a bench's departs from it by.
+
+The rule of this file: x(F) = c + b·F + a·F² + s1·g1(F) + s2·g2(F), linear in its five scalars.  g is d·(1 − e^(−F/d))
+for d = 8 N and 30 N, less the parabola nearest to it over 0…60 N: so a, b and c stay what (10) says of the bench, and
+s1 and s2 say what no parabola can, a toe or a stretch that saturates.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+SHORT_N: Final = 8.0
+WIDE_N: Final = 30.0
+"""Forces that the two saturating terms are scaled with, N."""
+FITTED_N: Final = 60.0
+"""The parabola is nearest over 0…60 N: the range of (10), and below it."""
+
+
+class Stretch(Protocol):
+    """What of a calibration is the stretch."""
+
+    @property
+    def stiffness_a(self) -> float: ...
+
+    @property
+    def stiffness_b(self) -> float: ...
+
+    @property
+    def stiffness_c(self) -> float: ...
+
+    @property
+    def stretch_short(self) -> float: ...
+
+    @property
+    def stretch_wide(self) -> float: ...
+
+
+def saturating(force: Any, scale_n: float) -> Any:
+    """d·(1 − e^(−F/d)): a stretch whose slope fades over `scale_n`, N."""
+    return -scale_n * np.expm1(-np.asarray(force) / scale_n)
+
+
+def _nearest(scale_n: float) -> tuple[float, float, float]:
+    """Coefficients, highest power first, of the parabola nearest to a saturating term."""
+    force = np.linspace(0.0, FITTED_N, 601)
+    a, b, c = np.polyfit(force, saturating(force, scale_n), 2).tolist()
+    return a, b, c
+
+
+_SHORT: Final = _nearest(SHORT_N)
+_WIDE: Final = _nearest(WIDE_N)
+
+
+def coefficients(of: Stretch) -> tuple[float, float, float]:
+    """(constant m, quadratic m/N², linear m/N) beside s1·8 N·(1 − e^(−F/8 N)) + s2·30 N·(1 − e^(−F/30 N))."""
+    short, wide = of.stretch_short, of.stretch_wide
+    quadratic, linear, constant = (
+        own - short * by_short - wide * by_wide
+        for own, by_short, by_wide in zip((of.stiffness_a, of.stiffness_b, of.stiffness_c), _SHORT, _WIDE, strict=True))
+    return constant, quadratic, linear
+
+
+def position(of: Stretch, force: Any) -> Any:
+    """x(F), m, at a force, N; arrays welcome."""
+    constant, quadratic, linear = coefficients(of)
+    return constant + (quadratic * force + linear) * force + of.stretch_short * saturating(
+        force, SHORT_N) + of.stretch_wide * saturating(force, WIDE_N)
+
+
+def slope(of: Stretch, force: Any) -> Any:
+    """dx/dF, m/N, at a force, N."""
+    _, quadratic, linear = coefficients(of)
+    return (2.0 * quadratic * force + linear + of.stretch_short * np.exp(-np.asarray(force) / SHORT_N)
+            + of.stretch_wide * np.exp(-np.asarray(force) / WIDE_N))
+
+
+def limit_n(of: Stretch, least_m_n: float, highest_n: float = 300.0) -> float:
+    """Force, N, at which the slope falls to `least_m_n`; `highest_n` where it does not before."""
+    force = np.linspace(0.0, highest_n, 3001)
+    flat = np.flatnonzero(slope(of, force) <= least_m_n)
+    return float(force[flat[0]]) if flat.size else highest_n

@@ -1,0 +1,343 @@
+"""The matrix: one row a fault, with when it begins, what it must be called, and why it may go unsaid.
+
+The rule of this file: a row is data and one function that lays hands on the bench; how it is judged is elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
+from eds.bench import END, KNEE, SERVO, START
+from physics.calibration import nominal
+from tests.faults import plants
+from tests.faults.plants import lying, stuck
+from tests.faults.stage import Row, Scene
+
+MS = 1_000_000
+LOADED = ("ramp", "peak")
+ALL = ("ramp", "peak", "idle")
+
+
+# ---- hands on the bench ----
+
+
+def sensed(**lies: Callable[[float, float], float]) -> Callable[[Scene], None]:
+    """A sensor lies from now on; `lies` by field of `Outputs`: (true value, seconds since) → what is felt."""
+    def act(scene: Scene) -> None:
+        scene.plant.sense = lying(**lies)(scene.now_ns)
+    return act
+
+
+def frozen(*fields: str) -> Callable[[Scene], None]:
+    """Signals stand still from now on; a frozen position has no speed."""
+    def act(scene: Scene) -> None:
+        lies: dict[str, Any] = {name: stuck() for name in fields}
+        if "servo_position_m" in fields:
+            lies["servo_velocity_m_s"] = lambda value, t: 0.0
+        if "knee_motor_rad" in fields:
+            lies["knee_motor_rad_s"] = lambda value, t: 0.0
+        scene.plant.sense = lying(**lies)(scene.now_ns)
+    return act
+
+
+def staged(stage: plants.Stage) -> Callable[[Scene], None]:
+    """A drive's power stage does something else from now on."""
+    def act(scene: Scene) -> None:
+        scene.plant.stage = stage
+    return act
+
+
+def broken(element: int, by_m: float = 1.0) -> Callable[[Scene], None]:
+    """The rope snaps, or slips by a length, at an element: 0 is at the drum."""
+    return lambda scene: scene.plant.snap(element, by_m)
+
+
+def changed(**factors: float) -> Callable[[Scene], None]:
+    """Numbers of the path are multiplied from now on."""
+    def act(scene: Scene) -> None:
+        was = scene.plant.parameters
+        scene.plant.change(**{name: getattr(was, name) * factor for name, factor in factors.items()})
+    return act
+
+
+def wire(kind: str, for_s: float = 1e6, **fields: Any) -> Callable[[Scene], None]:
+    """A fault of the virtual bus."""
+    return lambda scene: scene.fault(kind, for_s, **fields)
+
+
+def said(can_id: int, data: bytes = b"", **flags: bool) -> Callable[[Scene], None]:
+    """One foreign frame."""
+    return lambda scene: scene.intruder().say(can_id, data, **flags)
+
+
+def repeated(period_ns: int, can_id: int, data: Callable[[int], bytes], times: int = 100_000
+             ) -> Callable[[Scene], None]:
+    """Foreign frames, one every so often; `data` by their number."""
+    def act(scene: Scene) -> None:
+        count = iter(range(times + 1))
+        scene.intruder().repeat(period_ns, lambda: (can_id, data(next(count))), times)
+    return act
+
+
+def sdo(node: int, index: int, sub: int, value: int, size: int) -> bytes:
+    """An expedited SDO download."""
+    return struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + value.to_bytes(size, "little", signed=value < 0
+                                                                                    ).ljust(4, b"\0")
+
+
+def elsewhere(scene: Scene) -> None:
+    """Another master's targets, each millisecond, 20 mm further in."""
+    position = int(1e6 * scene.sink.rows[-1][1][2]) + 20_000
+    repeated(MS, 0x201, lambda n: struct.pack("<ii", position, -28_000))(scene)
+
+
+def near(scene: Scene) -> None:
+    """Another master's targets 4 mm further in: below any step limit."""
+    position = int(1e6 * scene.sink.rows[-1][1][2]) + 4_000
+    knee = round(57295.78 * scene.sink.rows[-1][1][6])
+    repeated(MS, 0x201, lambda n: struct.pack("<ii", position, knee))(scene)
+
+
+def stale_targets(scene: Scene) -> None:
+    """A gateway plays the targets of 150 ms before once more."""
+    rows = [values for _t, values in scene.sink.rows]
+    count = len(rows) - 150
+
+    def old(n: int) -> bytes:
+        row = scene.sink.rows[count + n][1] if count + n < len(scene.sink.rows) else scene.sink.rows[-1][1]
+        return struct.pack("<ii", round(1e6 * row[2]), round(57295.78 * row[6]))
+
+    repeated(MS, 0x201, old)(scene)
+
+
+def own_socket(can_id: int, data: bytes) -> Callable[[Scene], None]:
+    """Another program on the master's own computer sends a frame."""
+    return lambda scene: scene.tap.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+
+def sync_stops(scene: Scene) -> None:
+    """The kernel's periodic SYNC ends."""
+    scene.bus.stop_all_periodic_tasks()
+
+
+def raised(error: Exception) -> Callable[[Scene], None]:
+    """Something inside a cycle raises."""
+    def act(scene: Scene) -> None:
+        scene.sink.raising = error
+    return act
+
+
+def signalled(number: int) -> Callable[[Scene], None]:
+    """The process is sent a signal."""
+    return lambda scene: os.kill(os.getpid(), number)
+
+
+def decimals(scene: Scene) -> None:
+    """START's decimals are changed by somebody else: a tenth of every value from now on."""
+    said(0x603, sdo(START, 0x6132, 1, 1, 1))(scene)
+
+
+def corrupt_once(can_id: int, data: bytes) -> Callable[[Scene], None]:
+    """One frame of a node is replaced on the wire by another payload, with a CRC that agrees."""
+    def act(scene: Scene) -> None:
+        scene.bench.wire._judge = _Replacing(can_id, data)
+    return act
+
+
+class _Replacing:
+    """Replaces the payload of one frame."""
+
+    def __init__(self, can_id: int, data: bytes) -> None:
+        self.can_id, self.data, self.left = can_id, data, 1
+
+    def ready(self, station: Any, frame: Any, ready_ns: int) -> int:
+        return ready_ns
+
+    def heard(self, entry: Any, now_ns: int) -> Any:
+        frame = entry[3]
+        if frame.can_id != self.can_id or not self.left:
+            return frame
+        self.left -= 1
+        return frame._replace(data=frame.data[:len(frame.data) - len(self.data)] + self.data)
+
+
+def calibrated(**factors: float) -> Callable[[Any], Any]:
+    """An experiment with a calibration whose numbers are multiplied, and which claims to be this bench's."""
+    def alter(given: Any) -> Any:
+        was = nominal()
+        return replace(given, calibration=replace(
+            was, label="wrong.toml", **{name: getattr(was, name) * factor for name, factor in factors.items()}))
+    return alter
+
+
+def nothing(scene: Scene) -> None:
+    """The fault is in what was asked for."""
+
+
+GAIN, OFFSET = (lambda k: lambda value, t: k * value), (lambda b: lambda value, t: value + b)
+SNAPPED = r"rope that slipped or snapped"
+ROWS: tuple[Row, ...] = (
+    # ---- START ----
+    Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), r"START|start"),
+    Row("START stuck at its value", frozen("start_n"), r"START"),
+    Row("START × 0.5", sensed(start_n=GAIN(0.5)), r"START"),
+    Row("START × 2", sensed(start_n=GAIN(2.0)), r"START|start"),
+    Row("START × −1", sensed(start_n=GAIN(-1.0)), r"START|start"),
+    Row("START + 15 N", sensed(start_n=OFFSET(15.0)), r"START|start"),
+    Row("START − 15 N", sensed(start_n=OFFSET(-15.0)), r"START|start"),
+    Row("START drifts by + 20 N/s", sensed(start_n=lambda value, t: value + 20.0 * t), r"START", ("ramp", "idle")),
+    Row("START drifts by − 20 N/s", sensed(start_n=lambda value, t: value - 20.0 * t), r"START", ("ramp", "idle")),
+    Row("START at full scale", sensed(start_n=lambda value, t: 190.0), r"START|start"),
+    Row("START noisy, 8 N rms", sensed(start_n=lambda value, t: value + 11.3 * __import__("math").sin(4e4 * t)),
+        r"START|start", LOADED, silent="zero-mean noise above the control band moves END by less than its bound"),
+    Row("START's wire broken", wire("broken_wire", node=START), r"start: 0x5030"),
+    Row("START's converter at its end", wire("overload", node=START), r"start"),
+    Row("START's PDO lost", wire("drop", cob_id=0x183), r"inputs too old: start"),
+    Row("START cut off", wire("cut", node=START), r"inputs too old: start"),
+    Row("START without supply", wire("power_off", node=START), r"inputs too old: start|restarted"),
+    Row("START restarts", wire("power_off", 0.004, node=START), r"start", ("peak",)),
+    Row("START's PDO shortened", wire("shorten", cob_id=0x183, size=1), r"start", ("peak", "idle")),
+    Row("START's decimals changed by somebody", decimals, r"SDO write of 6132:01 to start"),
+    # ---- END ----
+    Row("END stuck at 0", sensed(end_n=lambda value, t: 0.0), r"END|end"),
+    Row("END stuck at its value", frozen("end_n"), r"END"),
+    Row("END × 0.5", sensed(end_n=GAIN(0.5)), r"END|end"),
+    Row("END × 2", sensed(end_n=GAIN(2.0)), r"END|end"),
+    Row("END + 15 N", sensed(end_n=OFFSET(15.0)), r"END|end"),
+    Row("END at full scale", sensed(end_n=lambda value, t: 190.0), r"END|end"),
+    Row("END's wire broken", wire("broken_wire", node=END), r"end: 0x5030", ("peak", "idle")),
+    Row("END's PDO lost", wire("drop", cob_id=0x184), r"inputs too old: end", ("peak", "idle")),
+    Row("END cut off", wire("cut", node=END), r"inputs too old: end", ("peak", "idle")),
+    Row("END's heartbeat lost", wire("drop", cob_id=0x704), r"heartbeat lost: end", ("peak",)),
+    Row("END restarts", wire("power_off", 0.002, node=END), r"end", ("peak",)),
+    # ---- encoders ----
+    Row("servo encoder frozen", frozen("servo_position_m"), r"servo position|servo reports|servo"),
+    Row("servo encoder + 5 mm", sensed(servo_position_m=OFFSET(5e-3)), r"servo"),
+    Row("servo encoder − 5 mm", sensed(servo_position_m=OFFSET(-5e-3)), r"servo"),
+    Row("servo encoder creeps by 10 mm/s", sensed(servo_position_m=lambda value, t: value - 0.010 * t),
+        r"servo position", LOADED),
+    Row("servo encoder reversed", sensed(servo_position_m=GAIN(-1.0), servo_velocity_m_s=GAIN(-1.0)), r"servo"),
+    Row("servo encoder × 1.2", sensed(servo_position_m=GAIN(1.2), servo_velocity_m_s=GAIN(1.2)), r"servo", ALL),
+    Row("knee encoder frozen", frozen("knee_motor_rad"), r"knee", slow=True),
+    Row("knee encoder sign flipped", sensed(knee_motor_rad=GAIN(-1.0), knee_motor_rad_s=GAIN(-1.0)), r"knee",
+        slow=True),
+    Row("knee encoder + 10°", sensed(knee_motor_rad=OFFSET(0.1745)), r"knee", slow=True),
+    Row("knee encoder creeps by 20°/s", sensed(knee_motor_rad=lambda value, t: value + 0.35 * t), r"knee",
+        ("peak",), slow=True, silent="the knee drive follows its own encoder; END sees the departure as stretch"),
+    # ---- stages ----
+    Row("servo stage dead", staged(plants.dead), r"servo"),
+    Row("servo stage reversed", staged(plants.reversed_servo), r"servo"),
+    Row("servo stage at a quarter", staged(plants.weak), r"servo", ("ramp", "peak"),
+        silent="the drive's loop makes up for a weak stage as long as its bound allows"),
+    Row("servo stage shorted at 4 N·m", staged(plants.shorted), r"servo|START|limit", needs_sto=True),
+    Row("knee stage dead", staged(plants.knee_dead), r"knee", slow=True),
+    Row("knee stage reversed", staged(plants.knee_reversed), r"knee", slow=True),
+    Row("knee stage runs away", staged(plants.knee_runaway), r"knee", slow=True),
+    Row("servo's STO pressed", wire("emergency_stop", node=SERVO), r"servo: 0x5441"),
+    Row("knee's STO pressed", wire("emergency_stop", node=KNEE), r"knee: 0x5441", slow=True),
+    # ---- the path ----
+    Row("rope snapped at the drum", broken(0), SNAPPED, LOADED),
+    Row("rope slips by 8 mm in its clamp", broken(0, 0.008), SNAPPED, LOADED),
+    Row("rope jammed in its sheath", changed(mu1=8.0), r"path|END|START|limit", ("ramp", "peak")),
+    Row("fabric jammed on the knee", changed(mu2=8.0), r"path|END|START|limit", ("ramp", "peak")),
+    Row("fabric twice as stiff", changed(stiffness_scale=0.5), r"rope that slipped|START|limit", ("ramp",)),
+    # ---- nodes and the bus ----
+    Row("servo cut off", wire("cut", node=SERVO), r"inputs too old: servo"),
+    Row("servo without supply", wire("power_off", node=SERVO), r"inputs too old: servo|restarted"),
+    Row("servo hears no targets", wire("deaf", node=SERVO, cob_id=0x201), r"servo"),
+    Row("servo's PDO lost", wire("drop", cob_id=0x181), r"inputs too old: servo"),
+    Row("knee cut off", wire("cut", node=KNEE), r"inputs too old: knee", slow=True),
+    Row("knee without supply", wire("power_off", node=KNEE), r"inputs too old: knee|restarted", slow=True),
+    Row("knee hears no targets", wire("deaf", node=KNEE, cob_id=0x201), r"knee", slow=True),
+    Row("knee's PDO lost", wire("drop", cob_id=0x182), r"inputs too old: knee", slow=True),
+    Row("master cut off", wire("cut", node=127), r"bus failed|SYNC missing|inputs too old"),
+    Row("SYNC lost to all nodes", wire("drop", cob_id=0x080), r"SYNC missing"),
+    Row("SYNC's sender stops", sync_stops, r"SYNC missing"),
+    Row("SYNC doubled", wire("duplicate", cob_id=0x080), r"SYNC twice in a cycle"),
+    Row("SYNC late by 2 ms", wire("late_sync", delay_us=2000.0), r"SYNC|inputs", ("peak",),
+        silent="every cycle is as late as the other: the drives hold their last targets, nothing moves"),
+    Row("targets lost", wire("drop", cob_id=0x201), r"servo|knee"),
+    Row("targets corrupt", wire("corrupt", cob_id=0x201), r"servo|knee", ("ramp", "peak")),
+    Row("targets shortened", wire("shorten", 0.003, cob_id=0x201, size=3), r"0x8210"),
+    Row("targets late by 3 ms", wire("delay", cob_id=0x201, delay_us=3000.0), r"servo|knee|targets", ("ramp",),
+        silent="3 ms of delay let END lag by less than its bound; the misses are counted"),
+    Row("master's heartbeat lost", wire("drop", cob_id=0x77F), r"0x8130", ("peak", "idle"), slow=True),
+    Row("one in ten PDOs of START lost", wire("drop", cob_id=0x183, probability=0.1), r"", ("ramp",),
+        silent="lost inputs are marked and held: by design"),
+    Row("bus disturbed for 3 ms", wire("disturb", 0.003), r"", ("peak",),
+        silent="frames are repeated by their senders: by design"),
+    # ---- others on the bus ----
+    Row("another master's targets", elsewhere, r"targets .* from another master"),
+    Row("another master's targets nearby", near, r"targets .* from another master"),
+    Row("targets replayed stale", stale_targets, r"targets .* from another master", LOADED),
+    Row("another program's targets on this computer", own_socket(0x201, bytes(8)), r"targets .* from another master"),
+    Row("foreign controlword: disable voltage", said(0x301, bytes(4)), r"controlwords .* from another master"),
+    Row("foreign controlword: quick stop", said(0x301, b"\2\0\x0f\0"), r"controlwords .* from another master"),
+    Row("foreign NMT stop", said(0x000, b"\2\1"), r"NMT STOP to servo"),
+    Row("foreign NMT reset", said(0x000, b"\x81\0"), r"NMT RESET NODE to all nodes"),
+    Row("foreign NMT pre-operational", said(0x000, b"\x80\3"), r"NMT ENTER PRE OPERATIONAL to start"),
+    Row("foreign SYNC", repeated(7 * MS, 0x080, lambda n: b""), r"SYNC"),
+    Row("second master's heartbeat", said(0x77F, b"\5"), r"heartbeat of another master", ("peak", "idle")),
+    Row("foreign SDO write of 60B0", said(0x601, sdo(1, 0x60B0, 0, 8000, 4)), r"SDO write of 60B0:00 to servo"),
+    Row("foreign SDO write of the gain × 8", said(0x601, sdo(1, 0x60FB, 1, 1_000_000, 4)),
+        r"SDO write of 60FB:01 to servo"),
+    Row("foreign SDO write of the tension limit", said(0x601, sdo(1, 0x2012, 0, 0, 2)),
+        r"SDO write of 2012:00 to servo", ("peak",)),
+    Row("foreign SDO write to the knee", said(0x602, sdo(2, 0x607D, 2, 90_000, 4)), r"SDO write of 607D:02 to knee",
+        ("peak",)),
+    Row("foreign SDO read", said(0x601, bytes.fromhex("4000100000000000")), r"SDO read of 1000:00 to servo",
+        ("peak",), event=True),
+    Row("a second START", repeated(MS, 0x183, lambda n: struct.pack("<h", 1000)), r"start twice in a cycle|START|start",
+        ("peak", "idle")),
+    Row("a second servo's PDO", repeated(MS, 0x181, lambda n: bytes(8)), r"servo", ("peak",)),
+    Row("unknown identifier, once", said(0x123, b"abc"), r"identifier 123h", ("peak",), event=True),
+    Row("unknown node's heartbeat", said(0x721, b"\5"), r"heartbeat of node 33", ("idle",), event=True),
+    Row("extended frame", said(0x12345, b"\1", extended=True), r"extended frame 12345h", ("idle",), event=True),
+    Row("remote frame", said(0x181, b"", remote=True), r"remote frame 181h", ("idle",), event=True),
+    Row("LSS command", said(0x7E5, bytes(8)), r"LSS command", ("idle",)),
+    Row("babbler of the highest identifier", wire("babble", cob_id=0x001, size=8), r"babbler|identifier 1h"),
+    Row("babbler of the lowest identifier", wire("babble", cob_id=0x7F0, size=8), r"babbler"),
+    Row("babbler of NMT", wire("babble", cob_id=0x000, size=2), r"NMT"),
+    Row("babbler of targets", wire("babble", cob_id=0x201, size=8), r"targets .* from another master|bus failed|servo",
+        ("peak", "idle")),
+    # ---- corrupt values ----
+    Row("one knee frame of 2·10⁹ mdeg", corrupt_once(0x182, struct.pack("<i", 2_000_000_000)),
+        r"knee: .* not taken", ("ramp", "peak", "idle"), event=True),
+    Row("one servo frame 50 mm off", corrupt_once(0x181, struct.pack("<ih", 60_000, 0)), r"servo: .* not taken",
+        ("peak",), event=True),
+    Row("one START frame of 150 N", corrupt_once(0x183, struct.pack("<h", 15_000)), r"start: .* not taken", ("idle",),
+        event=True),
+    Row("one END frame of −200 N", corrupt_once(0x184, struct.pack("<h", -20_000)), r"end: .* not taken", ("peak",),
+        event=True),
+    Row("one target frame 30 mm off", corrupt_once(0x201, struct.pack("<ii", 60_000, -28_000)), r"0x8612", ("peak",)),
+    Row("START's values corrupt, a bit each", wire("corrupt", cob_id=0x183), r"start|START", ("peak", "idle")),
+    # ---- the master itself ----
+    Row("an error inside a cycle", raised(OverflowError("cannot convert float infinity to integer")),
+        r"program failed: OverflowError"),
+    Row("SIGTERM", signalled(signal.SIGTERM), r"interrupted: by SIGTERM", ("peak", "idle")),
+    Row("SIGHUP", signalled(signal.SIGHUP), r"interrupted: by SIGHUP", ("peak",)),
+    Row("SIGQUIT", signalled(signal.SIGQUIT), r"interrupted: by SIGQUIT", ("peak",)),
+    Row("Ctrl-C", signalled(signal.SIGINT), r"interrupted: by the operator", ("ramp", "peak")),
+    # ---- before motion ----
+    Row("calibration: stiffness × 0.5", nothing, r"stretch by .* mm from 10 to 40 N, homing found", ("start",),
+        experiment=calibrated(stiffness_a=0.5, stiffness_b=0.5, cable_compliance=0.5)),
+    Row("calibration: stiffness × 2", nothing, r"stretch by .* mm from 10 to 40 N, homing found", ("start",),
+        experiment=calibrated(stiffness_a=2.0, stiffness_b=2.0, cable_compliance=2.0)),
+    Row("calibration: swing × 2", nothing, r"swing_k", ("start",), experiment=calibrated(swing_k=2.0)),
+    Row("calibration: swing × 0.5", nothing, r"swing_k", ("start",), experiment=calibrated(swing_k=0.5)),
+    Row("START × 0.5 from power-on", sensed(start_n=GAIN(0.5)), r"START|start", ("start",)),
+    Row("END × 0.4 from power-on", sensed(end_n=GAIN(0.4)), r"END|end", ("start",)),
+    Row("servo stage dead from power-on", staged(plants.dead), r"servo", ("start",)),
+    Row("servo stage reversed from power-on", staged(plants.reversed_servo), r"servo", ("start",)),
+    Row("knee stage reversed from power-on", staged(plants.knee_reversed), r"knee", ("start",)),
+    Row("rope snapped before the start", broken(0), r"rope does not tighten", ("start",)),
+    Row("another master from the start", repeated(50 * MS, 0x77F, lambda n: b"\5"), r"another master", ("start",)),
+    Row("somebody's SYNC from the start", repeated(MS, 0x080, lambda n: b""), r"SYNC", ("start",)),
+)

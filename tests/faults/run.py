@@ -1,0 +1,73 @@
+"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--moments …] [--page FILE] [--json FILE] [--jobs N]`.
+
+The rule of this file: it prints every row and says at the end which bounds are not kept; its exit status is their
+number, at most 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import signal
+import sys
+from pathlib import Path
+
+from tests.faults.judge import Verdict, judged
+from tests.faults.page import write
+from tests.faults.rows import ROWS
+from tests.faults.stage import trial
+
+HEAD = f"{'fault':42} {'at':7} {'ms':>6} {'true peaks, N':>14} {'unsaid':>6} {'slack':>6} {'pull':>5}  said"
+
+
+def line(verdict: Verdict) -> str:
+    """One row as it is printed."""
+    return (f"{verdict.name:42} {verdict.moment:7} {verdict.detected_ms:6.1f} {verdict.peak_start_n:6.1f}/"
+            f"{verdict.peak_end_n:6.1f} {verdict.unsaid_n:6.1f} {verdict.slack_ms:6.0f} {verdict.pulled:5.2f}  "
+            f"{'; '.join(verdict.faults) + ': ' if verdict.faults else ''}{verdict.said[:170]}")
+
+
+def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = ()) -> list[Verdict]:
+    """Run every row whose name matches, at its moments."""
+    from dataclasses import replace
+
+    rows = [row for row in ROWS if re.search(pattern, row.name)]
+    if moments:
+        rows = [replace(row, moments=tuple(m for m in row.moments if m in moments)) for row in rows]
+    by_name = {row.name: row for row in rows}
+    found, twin = trial(rows, jobs)
+    if twin.reason is not None:
+        raise SystemExit(f"the twin stopped: {twin.reason}")
+    order = {row.name: i for i, row in enumerate(rows)}
+    found.sort(key=lambda told: order[told.name])
+    return [judged(by_name[told.name], told, twin) for told in found]
+
+
+def main() -> int:
+    """Run, print, write."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--rows", default="")
+    asked.add_argument("--moments", nargs="*", default=())
+    asked.add_argument("--page", type=Path)
+    asked.add_argument("--json", type=Path)
+    asked.add_argument("--jobs", type=int, default=2)
+    given = asked.parse_args()
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
+    found = verdicts(given.rows, given.jobs, tuple(given.moments))
+    print(HEAD)
+    for verdict in found:
+        print(line(verdict))
+    broken = [verdict for verdict in found if verdict.faults]
+    rows = len({verdict.name for verdict in found})
+    print(f"{rows} faults, {len(found)} rows with their moments, {len(broken)} beyond a bound.")
+    if given.json:
+        given.json.write_text(json.dumps([verdict._asdict() for verdict in found], indent=1), encoding="utf-8")
+    if given.page:
+        write(given.page, found)
+    return int(bool(broken))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

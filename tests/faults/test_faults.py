@@ -1,0 +1,48 @@
+"""The matrix in CI: a share of its rows always, every row with `-m faults`; each keeps its bounds and its name."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.faults.rows import ROWS
+
+ROOT = Path(__file__).parents[2]
+QUICK = "|".join(f"^{name}$" for name in (
+    "START stuck at 0", "START × 0.5", "START cut off", "END stuck at 0", "servo encoder frozen", "servo stage dead",
+    "knee encoder sign flipped", "rope snapped at the drum", "rope jammed in its sheath", "another master's targets",
+    "foreign NMT stop", "foreign SDO write of 60B0", "SYNC doubled", "one knee frame of 2·10⁹ mdeg", "SIGTERM",
+    "an error inside a cycle", "calibration: stiffness × 0.5", "calibration: swing × 2"))
+
+
+def matrix(tmp_path: Path, *arguments: str) -> list[dict[str, Any]]:
+    """Run rows in a process of their own, which has one thread and may be forked."""
+    path = tmp_path / "told.json"
+    run = subprocess.run([sys.executable, "-m", "tests.faults.run", "--json", str(path), *arguments], cwd=ROOT,
+                         capture_output=True, text=True, check=False)
+    assert path.exists(), run.stdout + run.stderr
+    told: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    return told
+
+
+def test_the_matrix_has_a_hundred_rows_and_each_its_own_name() -> None:
+    assert len(ROWS) >= 100
+    assert len({row.name for row in ROWS}) == len(ROWS)
+
+
+def test_defects_once_found_are_said_named_and_bounded(tmp_path: Path) -> None:
+    told = matrix(tmp_path, "--rows", QUICK, "--moments", "peak", "start")
+    assert len(told) == QUICK.count("|") + 1
+    assert [(row["name"], row["moment"], row["faults"]) for row in told if row["faults"]] == []
+
+
+@pytest.mark.faults
+def test_every_row_keeps_its_bounds(tmp_path: Path) -> None:
+    told = matrix(tmp_path)
+    assert [(row["name"], row["moment"], row["faults"]) for row in told if row["faults"]] == []
+    assert len(told) >= 250

@@ -1,0 +1,39 @@
+"""The extended controller on a bench of another make: friction, stretch, lags and drive are none of this project's."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from master.identification import identify
+from physics.calibration import nominal
+
+if TYPE_CHECKING:
+    from conftest import Composer
+
+SERIAL = 1
+"""Maxwell slip at an exponent of 0.4, START 2.5 ms late beyond its converter: a serial that was developed with."""
+
+
+@pytest.mark.slow
+def test_a_bench_of_another_make_is_controlled_on_another_day(composer: Composer) -> None:
+    """RMSE, jump and idle by the targets, learning that does not make it worse, the exponent within 3 %."""
+    from tests.plants.draws import draw
+
+    link, tap = composer.link(serial=0, plant=f"tests.plants:bench_{SERIAL}_day_0")
+    outcome, segments = identify.run(link, tap, None, identify.Identification("all"))
+    composer.close()
+    assert outcome.reason is None
+    found = identify.calibrate("all", segments, nominal(), bench="", date="", trial="test")
+    bench = draw(SERIAL)
+    true = bench.exponent * (1.0 + bench.load_slope * (40.0 - bench.load_reference) / 40.0)
+    assert found.cable_exponent + found.fabric_friction * (found.wrap_offset + 0.5 * found.wrap_slope) == pytest.approx(
+        true, rel=0.03)
+    ran = composer.run(peak_n=40.0, period_s=2.0, cycles=4, controller="extended", serial=0,
+                       plant=f"tests.plants:bench_{SERIAL}_day_1", experiment={"calibration": found})
+    first, last = (ran.figures(40.0, cycles, settle=cycles - 1) for cycles in (1, 4))
+    assert last["true_relative_rmse_percent"] < 0.5  # type: ignore[operator]
+    assert last["true_relative_rmse_percent"] < first["true_relative_rmse_percent"] + 0.05  # type: ignore[operator]
+    assert last["true_peak_jump_n"] < 0.02 * 40.0  # type: ignore[operator]
+    assert last["true_max_idle_tension_n"] < 0.5  # type: ignore[operator]

@@ -1,0 +1,238 @@
+"""What the cycle supervises: signals against each other, the bus, the operator's signals, and how it tells of them."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import can
+import numpy as np
+import pytest
+
+from eds.bench import END, KNEE, SERVO, START, Network, wire
+from eds.cia301 import NmtCommand
+from master.cycle import plausibility
+from master.cycle.blame import blamed, suspected
+from master.cycle.plausibility import Finding, Plausibility
+from master.cycle.reception import ENOUGH, Reception
+from master.cycle.run_safely import ENDING, interruption
+from master.cycle.safety import Condition
+from master.motion.experiment import Experiment, run
+from master.network.bus_watch import FLOOD, BusWatch
+from master.settings import Limits
+from parameters import InputError
+from physics.reference import paper_reference
+from trial.record import Recorder
+
+if TYPE_CHECKING:
+    from conftest import Composer, Ran
+
+IN_GAIT_S = 4.35
+LOADED_ROW = 4000
+
+
+def ratios(**broken: float) -> tuple[float, ...]:
+    names = ("servo", "knee", "ratio", "force", "start", "end")
+    return tuple(broken.get(name, 0.1) for name in names) + (0.0,) * (plausibility.RELATIONS - len(names))
+
+
+# ---- signals against each other ----
+
+
+@pytest.mark.parametrize(("broken", "node", "words"), [
+    ({"ratio": 2.0, "force": -1.5, "start": 1.2}, START, "START"),
+    ({"ratio": 2.0, "end": -1.5}, END, "END"),
+    ({"force": 3.0}, SERVO, "the servo's torque"),
+    ({"start": -2.0, "end": -2.0}, 0, "servo position, knee angle, a rope that slipped or snapped"),
+    ({"ratio": 1.4}, 0, "START or END, or a path between them that is jammed"),
+])
+def test_the_pattern_of_relations_names_the_suspect(broken: dict[str, float], node: int, words: str) -> None:
+    relation = ("servo", "knee", "ratio", "force", "start", "end").index(next(iter(broken)))
+    finding = Finding(relation, 5.0, 40.0, ratios(**broken))
+    assert suspected(finding).node == node
+    stop = blamed(finding)
+    assert stop.condition is Condition.IMPLAUSIBLE
+    assert words in str(stop)
+    assert "expected about" in str(stop)
+
+
+def test_a_motion_that_is_not_the_commanded_one_names_its_axis() -> None:
+    for relation, node in ((plausibility.SERVO_TRACK, SERVO), (plausibility.KNEE_TRACK, KNEE),
+                           (plausibility.STILL_SERVO, SERVO), (plausibility.STILL_KNEE, KNEE)):
+        stop = blamed(Finding(relation, 0.1, 0.2, ratios()))
+        assert (stop.condition, stop.node_id) == (Condition.OFF_TARGET, node)
+
+
+def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
+    stop = blamed(Finding(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405))
+    assert "swing_k = 0.0809 m/rad, 0.0405 would fit" in str(stop)
+
+
+def test_a_gap_is_no_finding() -> None:
+    """Cycles without inputs are coasted over: the targets go on, and the first whole cycle is judged by them."""
+    checked = Plausibility(1e-3)
+    for cycle in range(400):
+        target = 1e-4 * cycle
+        if cycle % 3 == 2:
+            checked.coast((target, 0.0))
+        else:
+            late = max(0.0, target - 2e-4 - 0.8e-3)
+            assert checked.check(0.0, (target, 0.0), late, 3.0, 0.0, 0.0, 0.0) is None
+
+
+def test_healthy_trials_raise_nothing(composer: Composer) -> None:
+    for options in ({"serial": 3, "day": 2}, {"serial": 0, "plant": "tests.hidden.plugin:healthy", "seed": 5}):
+        ran = composer.run(peak_n=60.0, **options)
+        assert ran.result.stop_reason is None
+        assert not [event for event in ran.trial.events if event.kind in ("safety", "bus", "miss")]
+
+
+# ---- values that cannot be ----
+
+
+def test_values_that_cannot_be_are_not_taken() -> None:
+    reception = Reception(1e-3, Limits())
+    assert reception.takes(1, (0x27, -0.5), False)
+    for wrong in (-0.6, 0.5, 4.0e4, float("nan"), float("inf")):
+        reception.begin()
+        assert not reception.takes(1, (0x27, wrong), False)
+    assert reception.refused[1] == ENOUGH
+    assert reception.takes(1, (0x27, -0.49), False)
+    assert reception.refused == [0, 0, 0, 0]
+
+
+def test_a_position_that_is_counted_from_elsewhere_is_taken() -> None:
+    reception = Reception(1e-3, Limits())
+    assert reception.takes(0, (0x27, 0.0, 0.0), False)
+    reception.begin()
+    assert not reception.takes(0, (0x27, 0.05, 0.0), False)
+    assert reception.takes(0, (0x27, 0.05, 0.0), True)
+
+
+def test_one_corrupt_frame_is_a_counted_miss_and_no_more(composer: Composer) -> None:
+    ran = composer.run(faults=[{"kind": "corrupt", "cob_id": 0x182, "start_s": IN_GAIT_S, "stop_s": IN_GAIT_S + 0.001}],
+                       seed=4)
+    assert np.isfinite(ran.trial.columns["knee_angle_rad"]).all()
+    assert ran.trial.columns["knee_angle_rad"].min() > -1.7
+
+
+# ---- the bus ----
+
+
+def heard(*frames: tuple[int, bytes], own: bool = False) -> BusWatch:
+    watch = BusWatch(wire(Network()))
+    watch.sent(0x201, bytes(8))
+    for n, (can_id, data) in enumerate(frames):
+        watch.hear(can.Message(1.0 + 1e-4 * n, can_id, False, data=data, is_rx=not own), False)
+    return watch
+
+
+@pytest.mark.parametrize(("can_id", "data", "text", "moves"), [
+    (0x201, b"\1" + bytes(7), "targets (201h) from another master", True),
+    (0x201, bytes(8), "as the master sent it, a second time", False),
+    (0x301, bytes(4), "controlwords (301h) from another master", True),
+    (0x000, bytes((NmtCommand.STOP, 1)), "NMT STOP to servo", True),
+    (0x080, b"", "SYNC from somebody else", True),
+    (0x602, bytes.fromhex("2381600000000000"), "SDO write of 6081:00 to knee", True),
+    (0x602, bytes.fromhex("4081600000000000"), "an SDO read of 6081:00 to knee", False),
+    (0x77F, b"\5", "heartbeat of another master", True),
+    (0x7E5, bytes(8), "LSS", True),
+    (0x709, b"\5", "heartbeat of node 9", False),
+    (0x123, b"", "identifier 123h, which nobody here owns", False),
+])
+def test_what_is_foreign_is_said_once_and_whether_it_moves(can_id: int, data: bytes, text: str, moves: bool) -> None:
+    watch = heard((can_id, data), (can_id, data))
+    assert [(text in stranger.text, stranger.moves) for stranger in watch.found] == [(True, moves)]
+
+
+def test_the_nodes_own_frames_are_nobodys_business() -> None:
+    watch = heard((0x181, bytes(8)), (0x184, bytes(2)), (0x701, b"\5"), (0x083, bytes(8)), (0x582, bytes(8)))
+    assert not watch.found
+    assert not heard((0x080, b""), own=True).found
+
+
+def test_a_babbler_is_said_to_be_one() -> None:
+    watch = heard(*[(0x7F0, b"\x55")] * FLOOD)
+    assert watch.flooded
+    assert watch.found[-1].moves
+    assert "babbler" in watch.found[-1].text
+    assert watch.summary() == [f"7F0h came {FLOOD} times"]
+
+
+# ---- what is told ----
+
+
+def test_equal_misses_are_told_once_with_how_many_they_were(composer: Composer) -> None:
+    ran = composer.run(faults=[{"kind": "drop", "cob_id": 0x184, "start_s": IN_GAIT_S, "stop_s": IN_GAIT_S + 0.007}])
+    assert ran.result.stop_reason is None
+    assert ran.said("miss") == ["no inputs of end.", "no inputs of end, 7 cycles in a row."]
+
+
+def test_a_stop_tells_its_cause_once_and_no_thousand_events(composer: Composer) -> None:
+    ran = composer.run(faults=[{"kind": "cut", "node": 4, "start_s": IN_GAIT_S}])
+    after = [event for event in ran.trial.events if event.time_ns >= IN_GAIT_S * 1e9]
+    assert len(after) < 12
+    assert "inputs too old: end" in str(ran.result.stop_reason)
+
+
+# ---- limits of motion ----
+
+
+def test_a_motion_beyond_the_knees_limits_is_refused_before_a_frame_is_sent(composer: Composer) -> None:
+    link, tap = composer.link()
+    for limits, text in ((Limits(knee_low_rad=-0.5), "knee would move from"), (Limits(knee_rad_s=2.0), "rad/s")):
+        with pytest.raises(InputError, match=text):
+            run(link, tap, None, Experiment(paper_reference(40.0, 1.1), limits=limits))
+    assert link.clock() == 0
+
+
+# ---- signals of the operating system ----
+
+
+class Acting(Recorder):
+    """A recorder beside which something happens at a row of the rope's load."""
+
+    rows = 0
+    act: Callable[[], None]
+
+    def cycle(self, time_ns: int, values: Sequence[float]) -> None:
+        super().cycle(time_ns, values)
+        self.rows += 1
+        if self.rows == LOADED_ROW:
+            self.act()
+
+
+def signalled(composer: Composer, number: int) -> Ran:
+    def wrap(recorder: Recorder) -> Recorder:
+        recorder.__class__ = Acting
+        recorder.act = lambda: signal.raise_signal(number)  # type: ignore[attr-defined]
+        return recorder
+
+    return composer.run(wrap=wrap)
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_a_signal_stops_as_ctrl_c_does(composer: Composer, name: str) -> None:
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    ran = signalled(composer, number)
+    assert ran.result.stop_reason == f"interrupted: by {name}"
+    assert ran.result.signal == number
+    assert ran.truth.columns["true_start_n"][-1] < 5.0
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_that_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interruption() as asked:
+            signal.raise_signal(signal.SIGHUP)
+            assert asked() == 0
+            signal.raise_signal(signal.SIGTERM)
+            assert asked() == signal.SIGTERM
+            signal.raise_signal(signal.SIGQUIT)
+            assert asked() == signal.SIGTERM
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert set(ENDING) >= {signal.SIGINT, signal.SIGTERM}

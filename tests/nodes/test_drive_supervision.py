@@ -1,0 +1,128 @@
+"""What a drive refuses of a master: steps no speed allows, set-points and power without a heartbeat, no motion."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+
+from eds.cia402 import Mode, State, Status
+from tests.nodes.drive_rig import KNEE, SERVO, DriveRig, servo_mass
+
+ENABLED = State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(("node_id", "limit"), [(SERVO, 10_000), (KNEE, 9_000)])
+def test_a_step_beyond_what_the_speed_limit_allows_is_refused(node_id: int, limit: int) -> None:
+    """The bench's set-up allows ten milliseconds of the greatest speed; the last target holds, EMCY 8612h says so."""
+    rig = DriveRig(node_id).enabled()
+    assert rig.read(0x2017) == limit
+    rig.target = 0
+    rig.run(20)
+    rig.target = limit + 500
+    rig.run(50)
+    assert rig.emergencies() == [0x8612]
+    assert abs(rig.read(0x6064)) < 50
+    assert rig.state() is ENABLED
+    rig.target = 200
+    rig.run(200)
+    assert rig.emergencies() == [0]
+    assert rig.read(0x6064) == pytest.approx(200, abs=20)
+
+
+def test_a_step_within_the_limit_is_drawn_out() -> None:
+    rig = DriveRig(SERVO).enabled()
+    rig.target = 9_000
+    rig.run(400)
+    assert rig.emergencies() == []
+    assert rig.read(0x6064) == pytest.approx(9_000, rel=0.01)
+
+
+def test_without_a_step_limit_any_target_is_taken() -> None:
+    rig = DriveRig(SERVO)
+    rig.setup(but=[(0x2017, 0)])
+    rig.run(5)
+    rig.to(ENABLED)
+    rig.target = 50_000
+    rig.run(600)
+    assert rig.emergencies() == []
+    assert rig.read(0x6064) == pytest.approx(50_000, rel=0.01)
+
+
+@pytest.mark.parametrize("node_id", [SERVO, KNEE])
+def test_no_drive_is_enabled_for_a_master_that_was_never_heard(node_id: int) -> None:
+    rig = DriveRig(node_id)
+    rig.master_lives = False
+    rig.setup()
+    rig.run(5)
+    for word in (0x06, 0x07, 0x0F):
+        rig.control(word)
+    assert rig.state() is State.SWITCHED_ON
+    rig.send(0x77F, b"\x05")
+    rig.control(0x0F)
+    assert rig.state() is ENABLED
+
+
+@pytest.mark.parametrize(("mode", "index"), [(Mode.CSP, 0x607A), (Mode.CSV, 0x60FF), (Mode.CST, 0x6071)])
+def test_set_points_are_taken_only_while_the_masters_heartbeat_lives(mode: Mode, index: int) -> None:
+    """With 0x6007 = 0 the drive stays enabled when its master is lost; it moves nothing until the master is back."""
+    rig = DriveRig(SERVO)
+    rig.setup(but=[(0x1400, 5), (0x6007, 0)])
+    rig.write(0x6007, 0, 0)
+    rig.write(0x1029, 1, 1)
+    rig.run(5)
+    rig.write(0x6060, 0, mode)
+    rig.to(ENABLED)
+    rig.master_lives = False
+    rig.run(400)
+    assert rig.emergencies() == [0x8130]
+    rig.write(index, 0, 2000 if mode is not Mode.CST else 100)
+    rig.run(100)
+    assert abs(rig.plant.position) < 1e-4
+    rig.send(0x77F, b"\x05")
+    rig.write(index, 0, 2000 if mode is not Mode.CST else 100)
+    rig.run(100)
+    assert rig.plant.position > 1e-4
+
+
+def test_a_following_error_counts_while_the_tension_bound_acts() -> None:
+    """Far below its limit the bound is no more than a speed limit: a servo that does not move has lost its track."""
+    rig = DriveRig(SERVO, servo_mass(3_000.0, 0.0))
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
+    rig.run(5)
+    rig.to(ENABLED)
+    rig.write(0x6072, 0, 100)
+    rig.write(0x607A, 0, 60_000)
+    rig.run(60)
+    assert rig.statusword() & Status.FOLLOWING_ERROR
+    rig.run(100)
+    assert rig.state() is State.FAULT
+    assert rig.emergencies() == [0x8611]
+
+
+def test_a_rope_at_its_tension_limit_is_no_following_error() -> None:
+    rig = DriveRig(SERVO, servo_mass(3_000.0, 0.0))
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
+    rig.run(5)
+    rig.to(ENABLED)
+    rig.write(0x607A, 0, 60_000)
+    rig.run(1500)
+    assert rig.state() is ENABLED
+    assert rig.plant.tension == pytest.approx(90.0, rel=0.05)
+
+
+def test_the_knee_keeps_its_angle_and_speed_limits() -> None:
+    rig = DriveRig(KNEE)
+    rig.setup(but=[(0x1400, 5), (0x2017, 0)])
+    rig.run(5)
+    rig.to(ENABLED)
+    rig.write(0x6065, 0, 0xFFFFFFFF)
+    speeds = []
+    for target, held in ((90_000, 15_000), (-150_000, -95_000)):
+        rig.send(0x201, struct.pack("<ii", 0, target))
+        rig.write(0x607A, 0, target)
+        for _ in range(800):
+            rig.run(1)
+            speeds.append(abs(rig.plant.velocity))
+        assert rig.read(0x6064) == pytest.approx(held, abs=150)
+    assert max(speeds) < 1.15 * 15.71

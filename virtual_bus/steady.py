@@ -1,0 +1,178 @@
+"""Whole control cycles at once: when they may be, and when the bench's objects hear of them.
+
+The rule of this file: a cycle is computed by `steady_law.cycle` only if all that happens up to its end is known
+beforehand; anything else runs event by event, as ever.  Between two such cycles the numbers live in the arrays alone
+(`warm`); whoever asks the bench for anything has them written back first.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Final, cast
+
+from eds.cia301 import HEARTBEAT_BASE, NmtState
+from nodes import Device, Drive, TensionSensor
+from physics.converter import Converter
+from physics.plant.bench_plant import BowdenPlant
+from virtual_bus import steady_law as law
+from virtual_bus.bench import Bench
+from virtual_bus.host import BowdenMessage
+from virtual_bus.machine import Machine
+from virtual_bus.node_station import NodeStation
+from virtual_bus.periodic import PeriodicTask
+from virtual_bus.steady_arrays import ROW, Arrays, Asked
+from virtual_bus.wire import Wire
+
+SWITCH: Final = "BOWDEN_STEADY"
+"""The environment's variable that turns it off: 0."""
+SPAN_NS: Final = 20_000
+"""What a cycle may take longer than the last one before it is tried at all; it is only ever given up, never wrong."""
+ROOM: Final = 32
+"""Places that the computer's queues need for none of them ever to be full."""
+WAITING: Final = 12
+"""Frames that may wait at the tap when it begins."""
+_NOBODY: Final[frozenset[int]] = frozenset()
+
+Whole = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
+"""One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends, and their
+data; identifier, time and state of each heartbeat heard, for the master's own one when it was sent; the frames that
+the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold until the next call."""
+
+
+def possible(bench: Bench) -> bool:
+    """Say whether a bench can have steady cycles at all: the plant is the compiled one, and they are not turned off."""
+    machine = bench.machine
+    if os.environ.get(SWITCH, "1") == "0" or not isinstance(machine, Machine) or type(machine.plant) is not BowdenPlant:
+        return False
+    axes, gauges = machine.axes, machine.gauges
+    return (len(gauges) == law.GAUGES and len(bench.nodes) == law.NODES and type(bench.wire) is Wire
+            and all(isinstance(axis.drive, Drive) for axis in axes)
+            and all(type(gauge.converter) is Converter and type(gauge.sensor) is TensionSensor for gauge in gauges))
+
+
+class Steady:
+    """The steady cycles of one bench; `cycles` counts them.  `warm`: the arrays know more than the objects do."""
+
+    def __init__(self, bench: Bench) -> None:
+        law.prepare()
+        self.warm = False
+        self.cycles = 0
+        self._bench, self._machine, self._kernel = bench, cast(Machine, bench.machine), bench.kernel
+        self._arrays = Arrays(bench)
+        self._i = self._arrays.i
+        self._foreign_ns = self._span_ns = self._ran = 0
+        self._asked: Asked | None = None
+        self._sync: PeriodicTask | None = None
+
+    def cycle(self, asked: Asked, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+        """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
+
+        `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
+        """
+        i, arrays = self._i, self._arrays
+        if not (self.warm or self._enter(asked)):
+            return None
+        if asked is not self._asked or i[law.SYNC_NS] + self._span_ns >= self._foreign_ns:
+            self.leave()
+            return None
+        arrays.targets[:] = data
+        i[law.LIMIT], i[law.OWN_NS], i[law.AFTER] = self._foreign_ns, beat_ns, after_ns
+        if law.cycle(*arrays.call) != law.DONE:
+            self.leave()
+            return None
+        self._ran += 1
+        self._kernel.now_ns = now_ns = i[law.NOW]
+        sync_ns, first, end = i[law.SYNC_AT], i[law.FIRST_ROW], i[law.SYNC_ROW]
+        self._span_ns = now_ns - sync_ns + SPAN_NS
+        i[law.FIRST_ROW] = end
+        if i[law.TRUTH_ROWS] == law.TRUTHS:
+            arrays.write_truth()
+        beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
+        return (sync_ns, i[law.TARGETS_AT], arrays.ends.tolist(), arrays.data, beats,
+                arrays.rows[ROW * first:ROW * end], end - first)
+
+    def _beats(self) -> tuple[tuple[int, int, int], ...]:
+        """Give the heartbeats of the last cycle."""
+        i, found = self._i, []
+        if i[law.OWN_AT] >= 0:
+            found.append((i[law.OWN_ID], i[law.OWN_AT], i[law.OWN_DATA]))
+        for place in range(law.NODES):
+            ended_ns = i[law.BEAT_NS + 2 * place + 1]
+            if ended_ns >= 0:
+                found.append((i[law.BEAT + 4 * place], ended_ns, i[law.BEAT + 4 * place + 1]))
+        return tuple(found)
+
+    def leave(self) -> None:
+        """Write everything back to the objects, which go on by themselves."""
+        if self.warm and self._asked is not None and self._sync is not None:
+            self.warm = False
+            self.cycles += self._ran
+            self._arrays.hand_back(self._asked, self._sync, self._ran > 0)
+
+    # ---- when ----
+
+    def _enter(self, asked: Asked) -> bool:
+        if not (self._quiet(asked) and self._heard(asked) and self._scan()):
+            return False
+        tables = self._arrays.tables(asked)
+        if tables is None or self._sync is None:
+            return False
+        self._arrays.fill(asked, tables, self._sync)
+        self._asked, self._ran, self._span_ns, self.warm = asked, 0, 0, True
+        return True
+
+    def _quiet(self, asked: Asked) -> bool:
+        """Nothing is on the wire, and every device is at work and undisturbed."""
+        bench, now_ns = self._bench, self._kernel.now_ns
+        return (
+            bench.wire.steady and bench.medium is bench.wire and self._machine.steady
+            and all(station.on and station.due_ns > now_ns and application.steady and _at_work(device, asked)
+                    for station, device, application in self._arrays.members)
+        )
+
+    def _heard(self, asked: Asked) -> bool:
+        """Nobody listens but the nodes, the truth, this master and its tap, and they hear all of it."""
+        bench, truth, tap = self._bench, self._machine.truth, asked.tap
+        host, members = bench.host, self._arrays.members
+        sockets = [asked.socket] if tap is None else [asked.socket, tap]
+        stations = {id(each) for each in (host, truth, *(member.station for member in members)) if each is not None}
+        wanted = (law.SYNC_ID, *asked.inputs, *(HEARTBEAT_BASE + member.device.node_id for member in members))
+        return (
+            len(host.sockets) == len(sockets) and all(socket in host.sockets for socket in sockets)
+            and min(host.limit, *(socket.limit for socket in sockets)) >= ROOM
+            and not asked.socket.queue and not asked.socket.own and all(map(asked.socket.accepts, wanted))
+            and (tap is None or (not tap.filters and len(tap.queue) <= WAITING and all(map(_plain, tap.queue))))
+            and {id(station) for station in bench.wire.stations} == stations
+            and all(station.deaf_to == _NOBODY for station in bench.wire.stations)
+        )
+
+    def _scan(self) -> bool:
+        """Find SYNC's task and the first event that is not for here; False where no SYNC runs, or it comes too late."""
+        bench, sync = self._bench, None
+        foreign_ns = bench.wire.quiet_until(self._kernel.now_ns)
+        stations = [member.station for member in self._arrays.members]
+        for time_ns, _, _, callback in self._kernel.events():
+            owner = getattr(callback, "__self__", None)
+            if owner is self._machine or owner is bench.wire or (isinstance(owner, NodeStation) and owner in stations):
+                continue
+            if isinstance(owner, PeriodicTask):
+                if owner.next_ns != time_ns:
+                    continue
+                if sync is None and owner.sync:
+                    sync = owner
+                    continue
+            foreign_ns = min(foreign_ns, time_ns)
+        self._sync, self._foreign_ns = sync, foreign_ns
+        return sync is not None and sync.next_ns < foreign_ns
+
+
+def _plain(message: BowdenMessage) -> bool:
+    return not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+
+
+def _at_work(device: Device, asked: Asked) -> bool:
+    """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, its master alive and alone."""
+    consumer = device.consumer
+    return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle
+            and device.sync.steady and consumer.all_live()
+            and consumer.watches_only(asked.heartbeat.can_id - HEARTBEAT_BASE))

@@ -1,0 +1,483 @@
+"""One whole control cycle between the master's targets and the last input of the next SYNC, compiled.
+
+The rule of this file: it has the kernel's order of events, (time, priority), and no semantics of its own: plant, drive
+ticks, converters, channels, set-points and stuffing are the functions that the devices and the wire call one by one.
+Whatever it does not know ends it with everything as it was: then the cycle is run the other way.
+
+Everything lives in two flat arrays: `f`, float64, and `i`, int64 (times in ns); `rows` gets the frames, three words
+each, as `trial.mcap_file.cdr.FRAME_ROW` has them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from nodes import axis_law, channel_law, set_point_law
+from physics import converter, drive_loops
+from physics.drive_loops import DRIVE_TICK_NS
+from physics.plant import bench_plant, step, truth_row
+from physics.plant.state_layout import SIZE, SLOT
+from virtual_bus import bits
+from virtual_bus.bits import INTERMISSION_BITS, TRAILER_BITS
+
+AXES: Final = 2
+GAUGES: Final = 2
+NODES: Final = AXES + GAUGES
+"""Two drives, servo and knee, then two tension sensors: their places in the tables."""
+SENDS: Final = 6
+TAKES: Final = 8
+"""How many TPDOs, and RPDOs that a cycle's frames reach, the tables hold."""
+ROWS: Final = 32
+"""How many frames `rows` holds: those left from the cycle before and those of this one."""
+
+# ---- f: what a cycle changes first ----
+_STATE, _SET = axis_law.STATES, axis_law.SETTINGS
+CONVERTER, SENSOR = 5, 11
+"""Numbers of a converter's history, and of its parameters."""
+F_PLANT: Final = 0
+F_STATE: Final = F_PLANT + SIZE
+F_SET: Final = F_STATE + AXES * _STATE
+F_CHANNEL: Final = F_SET + AXES * _SET
+F_CONVERTER: Final = F_CHANNEL + GAUGES * channel_law.SIZE
+F_TORQUE: Final = F_CONVERTER + GAUGES * CONVERTER
+F_KEPT: Final = F_TORQUE + AXES
+"""Up to here a cycle that is given up is undone."""
+F_TRUTH: Final = F_KEPT
+TRUTHS: Final = 128
+"""How many rows of the truth wait before they are written."""
+TRUTH_WIDTH: Final = len(truth_row.NAMES)
+F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
+ACTION_WIDTH: Final = 3
+"""Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
+F_SENSOR: Final = F_ACTION + ACTION_WIDTH * TAKES
+F_RING: Final = F_SENSOR + GAUGES * SENSOR
+F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
+
+# ---- i: what a cycle changes first ----
+NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, \
+    TARGETS_AT, OWN_NS, OWN_AT, BEATS, TRUTH_ROWS, WAITING = 0, 1, 2, 3, *range(3 + GAUGES, 17 + GAUGES)
+"""Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; the
+master's heartbeat: when it is due, when it was sent last; heartbeats heard; rows of the truth; frames that wait.
+`SAMPLE_NS` has `GAUGES` places."""
+TOLD: Final = WAITING + 1
+"""Per node: when it was last told of a frame, or of its heartbeat's time."""
+BEAT_NS: Final = TOLD + NODES
+"""Per node: when its next heartbeat is due; when the last one ended, −1 for none in this cycle."""
+WATCH_NS: Final = BEAT_NS + 2 * NODES
+"""Per node: when it will miss the master's heartbeat."""
+COUNTED: Final = WATCH_NS + NODES
+"""Per axis `axis_law.COUNTS` integers of the last latch."""
+SENT: Final = COUNTED + AXES * axis_law.COUNTS
+"""Per TPDO: when its frame ended, its data."""
+TOOK: Final = SENT + 2 * SENDS
+TOOK_WIDTH: Final = 5
+"""Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
+PENDING: Final = TOOK + TOOK_WIDTH * TAKES
+PENDING_WIDTH: Final = 5
+"""Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
+WAIT: Final = SENDS + 2 * NODES + 6
+I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
+"""Up to here a cycle that is given up is undone."""
+LIMIT, AFTER, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
+    OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 16)
+"""A cycle ends before `LIMIT`, its SYNC after `AFTER`, the rest within `BUDGET` of that; SYNC's period; bit time;
+turnarounds; the master's frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat;
+how the cycle ended."""
+BEAT: Final = RETURNED + 1
+"""Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
+INTERVAL: Final = BEAT + 4 * NODES
+SEED: Final = INTERVAL + GAUGES
+WORDS: Final = SEED + GAUGES
+"""Per axis the statusword for each of 16 flags."""
+SEND_COUNT: Final = WORDS + 16 * AXES
+SEND: Final = SEND_COUNT + 1
+SEND_WIDTH: Final = 4 + 3 * 4
+"""Per TPDO: node, identifier, size, fields; each field its source, bits, signed."""
+TAKE_COUNT: Final = SEND + SENDS * SEND_WIDTH
+TAKE: Final = TAKE_COUNT + 1
+TAKE_WIDTH: Final = 12
+"""Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
+TRUTH_NS: Final = TAKE + TAKES * TAKE_WIDTH
+I_SIZE: Final = TRUTH_NS + TRUTHS
+
+STATUS_SOURCE: Final = axis_law.COUNTS - 1
+"""The statusword's place among an axis' counts, where the flags are."""
+FROM_TARGETS, FROM_SYNC, FROM_OWN, FROM_NODE = -1, -2, -3, -4
+"""Senders: the master's targets, SYNC, the master's heartbeat; from `FROM_NODE` down, nodes' heartbeats."""
+NEVER: Final = 1 << 62
+
+DONE, UNKNOWN, LATE = 1, 0, -1
+"""How a cycle ended: whole; given up for an event it does not know; given up because it would reach its limit."""
+
+SYNC_ID: Final = 0x080
+
+_advance, _axis_step, _axis_counts = step.advance, axis_law.step, axis_law.counts
+_convert, _sample, _process = converter.convert, channel_law.sample, channel_law.process
+_target, _way, _feel, _truth_row = set_point_law.target, set_point_law.way, set_point_law.feel, truth_row.truth_row
+FOLLOWS, FEELS = set_point_law.FOLLOWS, set_point_law.FEELS
+_stuffed_bits = bits._stuffed_bits
+
+
+def digest() -> int:
+    """Return a number of the sources that the compiled cycle is made of, for numba's cache sees its own file alone."""
+    made = (axis_law, channel_law, set_point_law, converter, drive_loops, bits, truth_row, bench_plant)
+    text = b"".join(Path(str(module.__file__)).read_bytes() for module in made)
+    return int.from_bytes(hashlib.sha256(text).digest()[:7], "big") ^ step.digest()
+
+
+@njit
+def act(f: Any, i: Any, now: int) -> bool:
+    """Bring the plant up to `now`, tick the drives, sample the sensors that are due; False where one has an event."""
+    steps = (now - i[PLANT_NS]) // step.STEP_NS
+    i[PLANT_NS] += steps * step.STEP_NS
+    m = f[F_PLANT:F_PLANT + SIZE]
+    if not np.isfinite(f[F_TORQUE] + f[F_TORQUE + 1]):
+        return False
+    _advance(m, steps, f[F_TORQUE], f[F_TORQUE + 1])
+    if i[TICK_NS] == now:
+        i[TICK_NS] = now + DRIVE_TICK_NS
+        for k in range(AXES):
+            s = f[F_STATE + k * _STATE:F_STATE + (k + 1) * _STATE]
+            g = f[F_SET + k * _SET:F_SET + (k + 1) * _SET]
+            felt = SLOT.out_servo_x + 2 * k
+            f[F_TORQUE + k] = _axis_step(s, g, now, m[felt], m[felt + 1])
+            if s[axis_law.EVENTS] != 0.0:
+                return False
+    for k in range(GAUGES):
+        if i[SAMPLE_NS + k] == now:
+            i[SAMPLE_NS + k] = now + i[INTERVAL + k]
+            c = f[F_CHANNEL + k * channel_law.SIZE:F_CHANNEL + (k + 1) * channel_law.SIZE]
+            ring = f[F_RING + k * 2 * converter.RING:F_RING + (k + 1) * 2 * converter.RING].reshape(converter.RING, 2)
+            state = f[F_CONVERTER + k * CONVERTER:F_CONVERTER + (k + 1) * CONVERTER]
+            p = f[F_SENSOR + k * SENSOR:F_SENSOR + (k + 1) * SENSOR]
+            counts = int(_convert(state, ring, p, np.uint64(i[SEED + k]), now, m[SLOT.out_start + k]))
+            if _sample(c, counts, 0) != c[channel_law.VERDICT]:
+                return False
+    return True
+
+
+@njit
+def put(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> None:
+    """Let a frame wait for the wire."""
+    at = PENDING + i[WAITING] * PENDING_WIDTH
+    i[at], i[at + 1], i[at + 2], i[at + 3], i[at + 4] = ready, can_id, size, data, sender
+    i[WAITING] += 1
+
+
+@njit
+def latch(f: Any, i: Any, now: int) -> bool:
+    """Bring every node's values up to date and put its TPDOs; False where a value does not fit its field."""
+    for k in range(AXES):
+        s = f[F_STATE + k * _STATE:F_STATE + (k + 1) * _STATE]
+        g = f[F_SET + k * _SET:F_SET + (k + 1) * _SET]
+        _axis_counts(s, g, i[COUNTED + k * axis_law.COUNTS:COUNTED + (k + 1) * axis_law.COUNTS])
+    for k in range(GAUGES):
+        c = f[F_CHANNEL + k * channel_law.SIZE:F_CHANNEL + (k + 1) * channel_law.SIZE]
+        _process(c)
+    for n in range(i[SEND_COUNT]):
+        at = SEND + n * SEND_WIDTH
+        data, shift = np.uint64(0), 0
+        for field in range(i[at + 3]):
+            source, width = i[at + 4 + 3 * field], i[at + 5 + 3 * field]
+            value = latched(f, i, i[at], source)
+            signed = i[at + 6 + 3 * field]
+            low = -(1 << (width - 1)) if signed else 0
+            if not low <= value < low + (1 << width):
+                return False
+            data |= (np.uint64(value) & np.uint64((1 << width) - 1)) << np.uint64(shift)
+            shift += width
+        i[SENT + 2 * n], i[SENT + 2 * n + 1] = 0, np.int64(data)
+        put(i, now + i[NODE_NS], i[at + 1], i[at + 2], np.int64(data), n)
+    return True
+
+
+@njit
+def latched(f: Any, i: Any, node: int, source: int) -> Any:
+    """Return the raw value that a node latched: one of an axis' counts, or a channel's integer."""
+    if node >= AXES:
+        return int(f[F_CHANNEL + (node - AXES) * channel_law.SIZE + source])
+    value = i[COUNTED + node * axis_law.COUNTS + source]
+    return i[WORDS + 16 * node + value] if source == STATUS_SOURCE else value
+
+
+@njit
+def take(f: Any, i: Any, n: int) -> Any:
+    """Take the data that waits in RPDO `n`; False where more follows from it than a new set-point."""
+    at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
+    data = np.uint64(i[kept + 1])
+    i[kept], i[kept + 2], i[kept + 3] = 0, 1, i[kept + 1]
+    width = i[at + 7]
+    raw: Any = np.int64((data >> np.uint64(i[at + 6])) & np.uint64((1 << width) - 1))
+    if i[at + 8] and raw >> (width - 1):
+        raw -= 1 << width
+    if i[at + 9] and not i[at + 10] <= raw <= i[at + 11]:
+        return False
+    node, action = i[at], i[at + 5]
+    s = f[F_STATE + node * _STATE:F_STATE + (node + 1) * _STATE]
+    unit, origin, most = F_ACTION + ACTION_WIDTH * n, F_ACTION + ACTION_WIDTH * n + 1, F_ACTION + ACTION_WIDTH * n + 2
+    if action == FOLLOWS:
+        if _way(s, f[unit], f[origin], raw) > f[most]:
+            return False
+        _target(s, f[unit], f[origin], raw)
+    elif action == FEELS:
+        return raw != set_point_law.NO_TENSION and _feel(s, raw) <= f[most]
+    return True
+
+
+@njit
+def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
+    """Give a frame to every RPDO that has its identifier; False where more follows from it than a new set-point."""
+    for n in range(i[TAKE_COUNT]):
+        at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
+        if i[at + 1] == can_id:
+            i[TOLD + i[at]] = now
+            i[kept], i[kept + 1] = 1, data
+            if i[at + 4]:
+                i[kept + 4] = now + i[at + 4]
+            if not i[at + 3] and not take(f, i, n):
+                return False
+    return True
+
+
+@njit
+def synchronise(f: Any, i: Any, now: int) -> bool:
+    """Act on a SYNC as every node does: latch, send, take over; False to give up."""
+    for node in range(NODES):
+        i[TOLD + node] = now
+    if not latch(f, i, now):
+        return False
+    for n in range(i[TAKE_COUNT]):
+        if i[TOOK + TOOK_WIDTH * n] and not take(f, i, n):
+            return False
+    if i[TRUTH]:
+        row = F_TRUTH + i[TRUTH_ROWS] * TRUTH_WIDTH
+        i[TRUTH_NS + i[TRUTH_ROWS]] = now
+        _truth_row(f[F_PLANT:F_PLANT + SIZE], f[row:row + TRUTH_WIDTH])
+        i[TRUTH_ROWS] += 1
+    return True
+
+
+@njit
+def beat(i: Any, now: int) -> None:
+    """Let every node whose heartbeat is due send it."""
+    for node in range(NODES):
+        if i[BEAT_NS + 2 * node] == now:
+            at = BEAT + 4 * node
+            i[TOLD + node] = now
+            i[BEAT_NS + 2 * node] = now + i[at + 2]
+            put(i, now + i[NODE_NS], i[at], 1, i[at + 1], FROM_NODE - node)
+
+
+@njit
+def watch(i: Any, now: int) -> None:
+    """Let every node that watches over the master hear its heartbeat."""
+    for node in range(NODES):
+        if i[BEAT + 4 * node + 3]:
+            i[TOLD + node] = now
+            i[WATCH_NS + node] = now + i[BEAT + 4 * node + 3]
+
+
+@njit
+def frame_time(i: Any, at: int) -> Any:
+    """Return how long a waiting frame takes, ns, and count its bits."""
+    size, word = i[at + 2], np.uint64(i[at + 3])
+    payload: Any = np.uint64(0)
+    for _ in range(size):
+        payload = (payload << np.uint64(8)) | (word & np.uint64(0xFF))
+        word >>= np.uint64(8)
+    count = _stuffed_bits(i[at + 1] << 7 | size, 19, payload, 8 * size) + TRAILER_BITS
+    i[BUSY] += count + INTERMISSION_BITS
+    return count * i[BIT_NS]
+
+
+@njit
+def winner(i: Any, now: int) -> int:
+    """Return the place of the frame that wins an arbitration at `now`: of the computer's the oldest one takes part."""
+    best, oldest = -1, -1
+    for n in range(i[WAITING]):
+        at = PENDING + n * PENDING_WIDTH
+        if i[at] > now:
+            continue
+        if FROM_NODE < i[at + 4] < 0:
+            if oldest < 0 or i[at] < i[PENDING + oldest * PENDING_WIDTH]:
+                oldest = n
+        elif best < 0 or i[at + 1] < i[PENDING + best * PENDING_WIDTH + 1]:
+            best = n
+    if best < 0 or (oldest >= 0 and i[PENDING + oldest * PENDING_WIDTH + 1] < i[PENDING + best * PENDING_WIDTH + 1]):
+        return oldest
+    return best
+
+
+@njit
+def earliest(i: Any) -> Any:
+    """Return when the first of the waiting frames is ready."""
+    first = NEVER
+    for n in range(i[WAITING]):
+        first = min(first, i[PENDING + n * PENDING_WIDTH])
+    return first
+
+
+@njit
+def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
+    """Keep a frame for the recorder."""
+    row = i[LAST_ROW]
+    rows[row, 0] = np.uint64(now)
+    sent = np.uint64(1) << np.uint64(56) if FROM_NODE < i[at + 4] < 0 else np.uint64(0)
+    rows[row, 1] = np.uint64(i[at + 1]) | np.uint64(i[at + 2]) << np.uint64(40) | sent
+    rows[row, 2] = np.uint64(data)
+    i[LAST_ROW] = row + 1
+
+
+@njit
+def begin(i: Any, rows: Any) -> Any:
+    """Move the rows that were left to the front, forget what the cycle before found, put the targets.
+
+    False where something is overdue at once.  Deadlines are far beyond a cycle, or else they are its limit.
+    """
+    kept = i[LAST_ROW] - i[FIRST_ROW]
+    for row in range(kept):
+        for word in range(3):
+            rows[row, word] = rows[i[FIRST_ROW] + row, word]
+    i[FIRST_ROW], i[LAST_ROW], i[SYNC_AT], i[TARGETS_AT], i[OWN_AT], i[BEATS] = 0, kept, -1, -1, -1, 0
+    for node in range(NODES):
+        i[BEAT_NS + 2 * node + 1] = -1
+        i[LIMIT] = min(i[LIMIT], i[WATCH_NS + node])
+        if i[BEAT_NS + 2 * node] <= i[NOW]:
+            return False
+    for n in range(i[TAKE_COUNT]):
+        i[LIMIT] = min(i[LIMIT], i[TOOK + TOOK_WIDTH * n + 4])
+    if i[TRUTH_ROWS] == TRUTHS or kept + i[WAITING] + SENDS + NODES + 3 > ROWS or i[WAITING] + SENDS + NODES + 3 > WAIT:
+        return False
+    put(i, i[NOW] + i[MASTER_NS], i[TARGETS_ID], i[TARGETS_SIZE], i[TARGETS_DATA], FROM_TARGETS)
+    if i[OWN_NS] <= i[NOW]:
+        beat_own(i, i[NOW])
+    return True
+
+
+@njit
+def beat_own(i: Any, now: int) -> None:
+    """Send the master's heartbeat, now."""
+    i[OWN_NS], i[OWN_AT] = now + i[OWN_PERIOD], now
+    put(i, now + i[MASTER_NS], i[OWN_ID], 1, i[OWN_DATA], FROM_OWN)
+
+
+@njit
+def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
+    """Give a frame that has ended to everybody; False to give up."""
+    can_id, data, sender = i[at + 1], i[at + 3], i[at + 4]
+    i[FRAMES] += 1
+    if i[HEARD]:
+        write_row(i, rows, now, at, data)
+    if sender == FROM_SYNC and now <= i[AFTER]:
+        return False
+    if sender == FROM_SYNC:
+        i[SYNC_AT], i[SYNC_ROW] = now, i[LAST_ROW]
+        i[LIMIT] = min(i[LIMIT], now + i[BUDGET] + 1)
+        return synchronise(f, i, now)
+    if sender == FROM_OWN:
+        watch(i, now)
+        return True
+    if sender <= FROM_NODE:
+        i[BEAT_NS + 2 * (FROM_NODE - sender) + 1] = now
+        i[BEATS] += 1
+        return True
+    if sender == FROM_TARGETS:
+        i[TARGETS_AT] = now
+    else:
+        i[SENT + 2 * sender] = now
+    return hear(f, i, now, can_id, data)
+
+
+@njit
+def next_beat(i: Any) -> Any:
+    """Return when the first of the nodes' heartbeats is due."""
+    first = NEVER
+    for node in range(NODES):
+        first = min(first, i[BEAT_NS + 2 * node])
+    return first
+
+
+@njit
+def arbitrate(i: Any, now: int, sending: int) -> Any:
+    """Let the winner of an arbitration begin; return when it ends."""
+    place = winner(i, now)
+    for word in range(PENDING_WIDTH):
+        i[sending + word] = i[PENDING + place * PENDING_WIDTH + word]
+    i[WAITING] -= 1
+    for word in range(place * PENDING_WIDTH, i[WAITING] * PENDING_WIDTH):
+        i[PENDING + word] = i[PENDING + word + PENDING_WIDTH]
+    return now + frame_time(i, sending)
+
+
+@njit
+def run(f: Any, i: Any, rows: Any) -> int:
+    """Run events in the kernel's order until every input of the next SYNC has been sent."""
+    if not begin(i, rows):
+        return LATE
+    sending, end, left = PENDING + WAIT * PENDING_WIDTH, NEVER, i[SEND_COUNT]
+    beating = next_beat(i)
+    while True:
+        tick = min(i[TICK_NS], min(i[SAMPLE_NS], i[SAMPLE_NS + 1]))
+        start = max(i[IDLE_NS], earliest(i)) if end == NEVER else NEVER
+        now = min(min(min(tick, end), min(i[SYNC_NS], start)), min(beating, i[OWN_NS]))
+        if now >= i[LIMIT]:
+            return LATE
+        i[NOW] = now
+        if tick == now:
+            if not act(f, i, now):
+                return UNKNOWN
+        elif end == now:
+            end = NEVER
+            i[IDLE_NS] = now + INTERMISSION_BITS * i[BIT_NS]
+            if not deliver(f, i, rows, now, sending):
+                return UNKNOWN
+            if i[sending + 4] >= 0:
+                left -= 1
+                if not left:
+                    return DONE
+        elif i[SYNC_NS] == now:
+            i[SYNC_NS] = now + i[PERIOD]
+            if i[SYNC_AT] >= 0:
+                return UNKNOWN
+            put(i, now, SYNC_ID, 0, 0, FROM_SYNC)
+        elif beating == now:
+            beat(i, now)
+            beating = next_beat(i)
+        elif start == now:
+            end = arbitrate(i, now, sending)
+        else:
+            beat_own(i, now)
+
+
+def _compile(sources: int) -> Any:
+    @njit(cache=True)
+    def cycle(f: Any, i: Any, rows: Any, before_f: Any, before_i: Any) -> int:
+        _ = sources
+        before_f[:] = f[:F_KEPT]
+        before_i[:] = i[:I_KEPT]
+        ended = run(f, i, rows)
+        if ended != DONE:
+            f[:F_KEPT] = before_f
+            i[:I_KEPT] = before_i
+            i[FIRST_ROW], i[LAST_ROW] = 0, before_i[LAST_ROW] - before_i[FIRST_ROW]
+        i[RETURNED] = ended
+        return int(ended)
+
+    return cycle
+
+
+cycle: Any = _compile(digest())
+"""`cycle(f, i, rows, before_f, before_i)` → `DONE`, or why everything is as it was."""
+
+
+def prepare() -> bool:
+    """Compile the cycle, or load it from numba's cache; return whether it had to be compiled."""
+    before = sum(cycle.stats.cache_misses.values())
+    cycle(np.zeros(F_SIZE), np.zeros(I_SIZE, np.int64), np.zeros((ROWS, 3), np.uint64), np.zeros(F_KEPT),
+          np.zeros(I_KEPT, np.int64))
+    return bool(sum(cycle.stats.cache_misses.values()) > before)
