@@ -224,16 +224,11 @@ def _all_nominal(trials: list[Path]) -> bool:
 def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
     from diagnosis.report.headline import headline
 
-    figure = terminal.number
-    if found.simulation is not None:
-        told = found.simulation
-        after = f", {figure(told['after_rms_n'])} N with what was found" if found.causes else ""
-        _say(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
-             f"(on {told['on']}).")
     if unmeasured and found.verdict in ("found", "ambiguous"):
         _say("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
-             "itself cannot be told from what is wrong with it. No cause is named on this footing; --json lists the "
-             "candidates, --calibration or --healthy gives a better one.")
+             "itself cannot be told from what is wrong with it.")
+        _say("No cause is named on this footing; --json lists the candidates, --calibration or --healthy gives a "
+             "better one.")
     else:
         for sentence in headline(found):
             if sentence:

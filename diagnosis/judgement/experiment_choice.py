@@ -96,7 +96,8 @@ def choose(rivals: Sequence[str], found: Found, setting: Setting) -> str | None:
     if not others:
         return None
     named = list(dict.fromkeys(CATALOGUE[name].experiment for name in rivals))
-    pairs = [] if setting.any_rig else [
+    elsewhere = setting.any_rig or (setting.learnt is None and setting.reference.kind == "healthy")
+    pairs = [] if elsewhere else [
         (Pair(found.best, model, setting), Pair(model, found.best, setting))
         for name in others if (model := _rival(found, name)) is not None]
     gained: dict[str, float] = {}
@@ -219,7 +220,7 @@ def _signals(name: str) -> Signals:
     end, knee = (np.interp(time, at, [points[0][place]] * 2 + [p[place] for p in points]) for place in (1, 2))
     knee = np.deg2rad(knee)
     start = end * np.where(np.gradient(end) >= 0.0, 1.25, 0.8)
-    rope = STRETCH_BEND * start**2 + STRETCH_LINEAR * start + LEG.moment_arm_m * knee
+    rope = STRETCH_BEND * start**2 + STRETCH_LINEAR * start + blocks.ROPE_PER_KNEE * knee
     columns = {"time_s": time, "tension_end_n": end, "tension_start_n": start, "knee_angle_rad": knee,
                "knee_target_rad": knee, "servo_position_m": rope, "servo_target_m": rope, "servo_force_n": start}
     return blocks.signals_of(table(name, columns), RATE_HZ)

@@ -17,7 +17,7 @@ from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
 
 AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nominal bench",
-                  "none": "an ideal transmission"}
+                  "healthy": "its healthy trials", "none": "an ideal transmission"}
 UNSEEN: Final = "on cycles that the fit has not seen"
 
 

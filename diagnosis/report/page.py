@@ -64,6 +64,7 @@ def _against(found: Diagnosis) -> str:
     if found.found is None and found.causes:
         return "what a sound wire and converter give"
     return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
+            "healthy": "what healthy trials of this rig taught",
             "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
 
 

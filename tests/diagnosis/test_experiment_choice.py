@@ -27,7 +27,7 @@ def model(name: str, values: Mapping[str, float]) -> Any:
 
 
 def proposed(one: Any, other: Any, *, any_rig: bool = False) -> str | None:
-    setting: Any = SimpleNamespace(any_rig=any_rig, reference=REFERENCE, weights={
+    setting: Any = SimpleNamespace(any_rig=any_rig, learnt=None, reference=REFERENCE, weights={
         name: FLOORS[name] * math.sqrt(5.0) for name in SENSORS})
     found: Any = SimpleNamespace(best=one, models=[one, other])
     return choice.choose([*one.names, *(n for n in other.names if n not in one.names)], found, setting)
