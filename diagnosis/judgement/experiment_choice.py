@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from physics.relations.relation_parameters import LEG
 
 from diagnosis.data.table import table
 from diagnosis.judgement.verdict import LEAST_FALL

@@ -103,7 +103,7 @@ def _guess(sheet: Sheet, name: str, signal: str, si: str) -> Guess | None:
     unit = sheet.unit(name) or unit
     if unit and TO_SI[unit][0] != si and not (unit == "ns" and si == "s"):
         return None
-    words = _tokens(bare)
+    words = _tokens(bare) | ({"force"} if unit and TO_SI[unit][0] == "N" else set())
     wanted = WORDS[signal]
     if _met(words, wanted.never) and name != signal:
         return None
