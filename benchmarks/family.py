@@ -41,14 +41,14 @@ OWN = (1, 3, 5)
 LOADED = 0.2
 """Share of the gait cycle in which a force is desired."""
 AS_FAR = 2e-3
-"""Difference in ln(START/END) that a walk's noise makes of nothing."""
+"""Relative difference of two estimates of END that noise alone makes."""
 TRUE = "true_relative_rmse_percent"
 WINDOW = "true_relative_rmse_window_percent"
 COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
     "cable_exponent": lambda b: b.mu1 * b.theta1 * _at_40(b),
     "fabric exponent, upright": lambda b: b.mu2 * b.wrap * _at_40(b),
     "fabric exponent, slope": lambda b: b.mu2 * b.wrap_slope * _at_40(b),
-    "load_slope": lambda b: b.load_slope * 40.0 / b.load_reference / _at_40(b),
+    "load_slope": lambda b: b.load_slope / _at_40(b),
     "presliding": lambda b: b.presliding, "fabric_presliding": lambda b: b.fabric_presliding,
     "breakaway": lambda b: b.sheath_ratio - 1.0, "fabric_breakaway": lambda b: b.fabric_ratio - 1.0,
     "breakaway_speed": lambda b: b.stribeck_speed, "viscous": lambda b: b.viscous,
@@ -59,7 +59,7 @@ COUNTERPARTS: Mapping[str, Callable[[Any], float]] = {
 
 
 def _at_40(bench: Any) -> float:
-    return float(1.0 + bench.load_slope * (40.0 / bench.load_reference - 1.0))
+    return float(1.0 + bench.load_slope * (40.0 - bench.load_reference) / 40.0)
 
 
 def bench_row(kind: str, serial: int, day: int, **more: Any) -> dict[str, Any]:
@@ -70,10 +70,10 @@ def bench_row(kind: str, serial: int, day: int, **more: Any) -> dict[str, Any]:
 
     given: dict[str, Any] = {"bench.serial": serial, "bench.day": day, "files.calibration": IDENTIFIED, **more}
     if kind == "family":
-        from tests.plants.draws import draw
+        from tests.plants import stack
 
-        given |= {"bench.serial": 0, "bench.day": 0, "bench.plant": f"tests.plants:bench_{serial}_day_{day}",
-                  "servo_drive.position_gain": 5.0 * draw(serial).loop_hz}
+        given |= {"bench.serial": 0, "bench.day": 0, "bench.plant": stack.plant_name(serial, day),
+                  "servo_drive.position_gain": stack.plant_model(serial)["servo_drive"]["position_gain"]}
     return dict(rows.rows(configuration.read(None), given, [])[0])
 
 
@@ -93,7 +93,7 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
     from bowden.sweep import row_trial
 
     sys.path.insert(0, str(ROOT))
-    session.compile_laws(simulated=True, quiet=True)
+    session.compile_laws(simulated=True)
     said: dict[str, Any] = {"kind": kind, "serial": serial, "structure": structure(kind, serial)}
     row = bench_row(kind, serial, 0)
     reason, text = row_trial.identify(row_trial.bench_of(row))
@@ -113,9 +113,19 @@ def measure(kind: str, serial: int) -> dict[str, Any]:
 
 
 def _scalars(text: str) -> dict[str, Any]:
-    import tomllib
+    """Value, interval and R² of every scalar of a calibration's text."""
+    from physics import calibration
 
-    return dict(tomllib.loads(text)["scalars"])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "calibration.toml")
+        path.write_text(text, encoding="utf-8")
+        read_back = calibration.read(path)
+    told: dict[str, Any] = {}
+    for name in calibration.scalars():
+        value, proof = getattr(read_back, name), read_back.evidence.get(name)
+        low, high = (proof.low, proof.high) if proof is not None and math.isfinite(proof.low) else (value, value)
+        told[name] = {"value": value, "interval": [low, high], "r_squared": proof.r_squared if proof else math.nan}
+    return told
 
 
 def _needs(kind: str, serial: int, peak: float) -> float:
@@ -127,7 +137,7 @@ def _needs(kind: str, serial: int, peak: float) -> float:
     b = draw(serial, 1)
     force, parts = peak, 8
     for share in [b.mu2 * (b.wrap + 0.53 * b.wrap_slope) / parts] * parts + [b.mu1 * b.theta1 / parts] * parts:
-        force *= math.exp(share * (1.0 + b.load_slope * (force / b.load_reference - 1.0)))
+        force *= math.exp(share * (1.0 + b.load_slope * (force - b.load_reference) / 40.0))
     return force
 
 
@@ -148,19 +158,19 @@ def _walked(kind: str, serial: int, text: str, controller: str, cycles: int, set
 
 
 def _by_cycle(path: Path, cycles: int, peak_n: float) -> dict[str, Any]:
-    """RMSE by gait cycle, %, and how far ln(START/END) is from the truth in the first and in the last cycle."""
+    """RMSE by gait cycle, %, and how far the estimate of END is off, relative, in the first and in the last cycle."""
     from trial import read
 
     trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
-    true = {name: np.interp(trial.time_ns, truth.time_ns, truth.columns[name])
-            for name in ("true_end_n", "true_start_n")}
-    cycle, desired, ratio = (trial.columns[name] for name in ("cycle", "desired_force_n", "friction_ratio"))
-    error = true["true_end_n"] - desired
+    end = np.interp(trial.time_ns, truth.time_ns, truth.columns["true_end_n"])
+    cycle, desired = trial.columns["cycle"], trial.columns["desired_force_n"]
+    error = end - desired
     rmse = [100.0 * math.sqrt(float(np.mean(error[cycle == k] ** 2))) / peak_n for k in range(cycles)]
     slides = np.abs(trial.columns["rope_direction"]) > 0.9
     told = slides & (np.abs(trial.columns["strain_direction"]) > 0.9) & (desired > 0.3 * peak_n)
-    apart = np.log(ratio) - np.log(np.maximum(true["true_start_n"], 0.1) / np.maximum(true["true_end_n"], 0.1))
-    away = [float(np.median(np.abs(apart[told & (cycle == k)]))) if np.any(told & (cycle == k)) else math.nan
+    estimated = trial.columns["estimated_end_force_n"]
+    apart = np.abs(np.log(np.maximum(estimated, 0.1) / np.maximum(end, 0.1)))
+    away = [float(np.median(apart[told & (cycle == k)])) if np.any(told & (cycle == k)) else math.nan
             for k in (0, cycles - 1)]
     return {"by_cycle": rmse, "homed_away": away[0], "followed_away": away[1]}
 
@@ -198,7 +208,7 @@ def loaded(walk: Mapping[str, Any], of: str = TRUE) -> float:
 
 
 def _no_farther(walk: Mapping[str, Any]) -> bool:
-    """Whether friction as followed is no farther from the truth than as homed; nothing was told where nothing slid."""
+    """Whether END by friction as followed is no farther from the truth than as homed, or nothing slid to tell it."""
     homed, followed = walk["homed_away"], walk["followed_away"]
     return homed is None or followed is None or followed <= homed + AS_FAR
 
@@ -312,7 +322,7 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
             apart.append(abs(value - true) / max(abs(true), 1e-9))
         met = "met" if inside >= 0.9 * len(identified) else "**not met**"
         rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %", met])
-    squares = {name: [b["calibration"][name].get("r_squared", math.nan) for b in identified]
+    squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
                for name in ("stiffness_b", "swing_k")}
     return table(("constant", "within", "median error", "90 % of the benches"), rows) + (
         f"\n\nR² as measured, median and least: (10) {median(squares['stiffness_b']):.3f} and "

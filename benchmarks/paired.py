@@ -21,8 +21,8 @@ Work = Callable[[Turn], None]
 """Sets itself up, then works turn after turn until `turn()` raises `DoneError`."""
 
 
-class DoneError(Exception):
-    """Enough turns were measured."""
+class DoneError(BaseException):
+    """Enough turns were measured; no trial ends safely for it."""
 
 
 class Compared(NamedTuple):

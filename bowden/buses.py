@@ -39,6 +39,13 @@ class BusSettings:
     own_bench: bool = False
 
     @property
+    def told(self) -> str:
+        """Which bus it is, in words that nobody takes a simulation for a bench by."""
+        if self.simulated:
+            return "SIMULATED"
+        return " ".join(str(self.arguments[name]) for name in ("interface", "channel") if self.arguments.get(name))
+
+    @property
     def bench(self) -> str:
         """The bench's name in a calibration; "" where nobody told."""
         return "" if self.serial is None else f"virtual {self.serial}"
@@ -110,6 +117,9 @@ def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     except InputError:
         raise
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        needed = missing_library(str(arguments["interface"]))
+        if needed:
+            raise InputError(f"interface {arguments['interface']}: needs {needed[0]}; say {needed[1]}.") from None
         raise InputError(
             f"interface {arguments['interface']}, channel {arguments['channel']}: cannot be opened ({error}); "
             "check the name, that it is up, and its options.") from None
@@ -118,6 +128,24 @@ def opened_one(chosen: BusSettings, bitrate: int, **more: Any) -> Iterator[Any]:
     finally:
         with suppress(can.CanError, OSError):  # an adapter that is gone cannot be closed; the run has said so
             bus.shutdown()
+
+
+LIBRARIES = {  # of python-can's interfaces: (module, what it is called, what installs it)
+    "slcan": ("serial", "pyserial"), "serial": ("serial", "pyserial"), "robotell": ("serial", "pyserial"),
+    "seeedstudio": ("serial", "pyserial"), "gs_usb": ("gs_usb", "gs_usb"), "udp_multicast": ("msgpack", "msgpack"),
+    "canalystii": ("canalystii", "canalystii"), "cantact": ("cantact", "cantact"), "neovi": ("ics", "python-ics"),
+    "nican": ("nixnet", "nixnet"), "socketcand": ("socket", ""),
+}
+
+
+def missing_library(interface: str) -> tuple[str, str] | None:
+    """Return the library that an interface of python-can needs and lacks here, and what installs it; None if none."""
+    from importlib.util import find_spec
+
+    module, name = LIBRARIES.get(interface, ("", ""))
+    if not name or find_spec(module) is not None:
+        return None
+    return name, f"pip install {name}"
 
 
 def clock_of(bus: Any) -> Callable[[], int]:

@@ -61,6 +61,24 @@ def figures(
     }
 
 
+def refused(
+    experiment: Experiment, result: Result, wall_s: float, *, serial: int | None, simulated: bool
+) -> dict[str, Any]:
+    """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
+    nothing = dict.fromkeys(metrics.figures(
+        {name: np.empty(0) for name in COLUMNS}, peak_n=experiment.gait.peak_n, rate_hz=experiment.network.rate_hz,
+        cycles=experiment.gait.cycles, settle=experiment.gait.settle, true_end_n=None))
+    return {
+        "trial": None, "peak_n": experiment.gait.peak_n, "period_s": experiment.gait.period_s,
+        "cycles": experiment.gait.cycles, "rate_hz": experiment.network.rate_hz, "serial": serial,
+        "controller": experiment.gait.controller, "calibration": experiment.calibration.label, **nothing,
+        "missed_cycles": result.missed_cycles, "stale_inputs": result.stale_inputs, "bus_load_percent": math.nan,
+        "bus_load_bound_percent": bus_load.load_percent(wire(experiment.network)),
+        "simulated_s": result.duration_s if simulated else None, "wall_s": wall_s,
+        "outcome": result.outcome, "stop_reason": result.stop_reason,
+    }
+
+
 def _true_end(
     truth: Path, recorded: read.Trial, progress: Progress
 ) -> np.ndarray[Any, np.dtype[np.float64]] | None:

@@ -62,6 +62,8 @@ def perform(
         except RecordingError as error:
             return Identified(outcome.reason or f"recording failed: {error}", None, segments)
     if outcome.reason is not None:
+        if session.never_ran(recording):
+            recording.unlink(missing_ok=True)
         return Identified(outcome.reason, None, segments)
     with progress.waiting("fitting"):
         return Identified(None, identify.calibrate(

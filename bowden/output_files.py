@@ -1,4 +1,8 @@
-"""Output files: kept when they exist, refused when they cannot be written, before any work is done."""
+"""Output files: kept when they exist, refused when they cannot be written, before any work is done.
+
+The rule of this file: an output is never one of the inputs, by whatever name or link it goes; what its ending says is
+what it holds.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +11,51 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from parameters import InputError
+from parameters.files import refuse_special
 
 
-def refuse(paths: Iterable[Path | None], *, overwrite: bool) -> None:
-    """Raise `InputError` for the first path that exists already (unless `overwrite`) or cannot be written."""
+def refuse(paths: Iterable[Path | None], *, overwrite: bool, inputs: Iterable[Path | None] = ()) -> None:
+    """Raise `InputError` for the first path that exists already (unless `overwrite`) or cannot be written.
+
+    Also for one that is among `inputs`, whatever its name: it would be destroyed while it is read.
+    """
     seen: set[Path] = set()
+    read = {_identity(path): path for path in inputs if path is not None and path.exists()}
     for path in paths:
         if path is None:
             continue
         if path in seen:
             raise InputError(f"{path}: named for two outputs; give each its own file.")
         seen.add(path)
+        if path.exists() and _identity(path) in read:
+            same = read[_identity(path)]
+            raise InputError(f"{path}: is the input {same} itself; give the output another name.")
         if path.is_dir():
             raise InputError(f"{path}: is a directory; give the name of a file in it.")
+        refuse_special(path)
         if path.exists() and not overwrite:
             raise InputError(f"{path}: the file exists; give another name or --overwrite.")
         if not path.parent.is_dir():
             raise InputError(f"{path}: {path.parent} is no directory; make it first.")
         if not os.access(path if path.exists() else path.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written (permission denied); give a writable place.")
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    told = path.stat()
+    return told.st_dev, told.st_ino
+
+
+PICTURES = (".png", ".svg", ".svgz", ".pdf", ".ps", ".eps", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+"""Endings of pictures that can be drawn."""
+
+
+def refuse_picture(path: Path | None) -> None:
+    """Raise `InputError` for a picture of an unknown kind, before anything is run for it."""
+    refuse_ending(path, *PICTURES, what="a picture")
+
+
+def refuse_ending(path: Path | None, *endings: str, what: str) -> None:
+    """Raise `InputError` where a file's ending says that it holds something else than `what`."""
+    if path is not None and path.suffix.lower() not in endings:
+        raise InputError(f"{path}: {what} is written as {' or '.join(endings)}; give a name that ends so.")

@@ -22,7 +22,7 @@ def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, pr
     from bowden.bus_load import frame_bits
     from trial.report import trial_page
 
-    output_files.refuse([path], overwrite=overwrite)
+    output_files.refuse([path], overwrite=overwrite, inputs=[recorded.path])
     with progress.running("report") as update:
         return trial_page.write(
             recorded, path, frame_bits, published=_published(recorded), bound_percent=_bound(recorded),

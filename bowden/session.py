@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bowden import output_files
 from bowden.buses import BusSettings, opened
@@ -23,12 +23,24 @@ from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
     from master.control.effect_correction import Effects
+    from master.cycle.log import Sink
     from master.motion.experiment import Experiment, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.bench_model import BenchModel
     from physics.reference import Reference
     from trial.record import Recorder
+
+
+class Watch(Protocol):
+    """Who sees a trial while it is recorded."""
+
+    def beside(self, recording: Sink) -> Sink:
+        """Return a recorder that records in `recording` and shows what it records."""
+
+    def ended(self, sentence: str) -> None:
+        """Take how the trial ended."""
+
 
 CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
 
@@ -153,9 +165,13 @@ def known_effects(model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT,
+    progress: Progress = SILENT, announce: str = "", watch: Watch | None = None,
 ) -> dict[str, Any]:
-    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys."""
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
+
+    `announce` is remarked when the bus is open, before anything is sent; `watch` sees what is recorded while it is
+    (the live page).
+    """
     from bowden import figures as report
     from bowden import provenance
     from master.network.link import Link
@@ -167,25 +183,46 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
-        recorder = Recorder(output, metadata=provenance.metadata(prepared.experiment, prepared.script),
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+                                              **provenance.metadata(prepared.experiment, prepared.script)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
                             signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
+        if announce:
+            progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
-            sink = Watched(recorder, update, prepared.laps)
+            sink: Sink = Watched(recorder, update, prepared.laps)
+            sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
             result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
+        if watch is not None:
+            watch.ended(result.stop_reason or result.outcome)
+    if result.stop_reason is not None and never_ran(output):
+        for path in (output, truth):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
                              simulated=simulated, kept=kept, progress=progress)
     if picture is not None and kept:
         report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def never_ran(output: Path) -> bool:
+    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    from trial import read
+
+    try:
+        return not len(read.open(output).time_ns)
+    except InputError:
+        return False  # a disk that is full: what is there is kept
 
 
 def closed(recorder: Recorder, result: Result) -> Result:

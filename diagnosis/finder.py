@@ -9,18 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis.data import integrity, table
+from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
+from diagnosis.judgement import simulated as judgement
 from diagnosis.judgement import wire
 from diagnosis.judgement.judge import Judge
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire import Wire
-from diagnosis.problem import problem
+from diagnosis.problem import candidates, problem, rig
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
@@ -48,6 +49,7 @@ class Diagnosis:
     reference: str = "none"
     found: Found | None = field(default=None, repr=False)
     split: bool = False
+    simulation: dict[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return what `bowden diagnose --json` prints: undefined is None."""
@@ -55,7 +57,7 @@ class Diagnosis:
             "verdict": self.verdict, "causes": self.causes, "class": self.rivals, "experiment": self.experiment,
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
-            "lowpass_hz": self.lowpass_hz}
+            "lowpass_hz": self.lowpass_hz, "simulation": self.simulation}
 
 
 Given = str | Path | Table
@@ -92,7 +94,7 @@ class Finder:
     def examine(self, healthy: Sequence[Given]) -> Finder:
         """Read and examine `healthy` as `fit` does, and leave the fit to the first diagnosis; returns itself."""
         self._read = [_read(t) for t in healthy]
-        self._findings = [f for t in self._read for f in integrity.examine(t)]
+        self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
         return self
@@ -113,8 +115,11 @@ class Finder:
         if not trials:
             raise InputError("diagnose: no trial given; name at least one.")
         held = [[_read(t) for t in group] for group in (trials, holdout)]
-        findings = [f for group in held for t in group for f in integrity.examine(t)] + self._findings
-        findings += integrity.between(held[0], held[1], self._read) if not any(f.refuses for f in findings) else []
+        findings = [f for group in held for t in group for f in (*integrity.examine(t), *scales.contradictions(t))]
+        findings += self._findings
+        if not any(f.refuses for f in findings):
+            findings += integrity.between(held[0], held[1], self._read)
+            findings += scales.against_bench([*held[0], *held[1]], self._read, self._known(held[0]))
         warnings = [f.text for f in findings if not f.refuses] + [n for g in (*held, self._read) for t in g
                                                                   for n in t.notes]
         refusals = [f.text for f in findings if f.refuses]
@@ -128,6 +133,8 @@ class Finder:
                 ) -> Diagnosis:
         healthy, known = self._healthy, self._known(trials)
         settled = problem.build_problem(trials, healthy, known)
+        if settled.any_rig and healthy and settled.checked:
+            settled = rig.against_healthy(trials, healthy.tables, lambda s: Judge(s, ()).found.best.fit)
         source = ", ".join(t.source for t in trials)
         if not settled.checked:
             lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
@@ -137,13 +144,18 @@ class Finder:
             return Diagnosis("refused", warnings=[
                 f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
                 *warnings])
-        if carried.told and not settled.any_rig:
+        unfit = _unfit(settled)
+        if unfit:
+            named = ", ".join(h.source for h in healthy)
+            return Diagnosis("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
+        if carried.told and not settled.any_rig and not _other_rig(settled):
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
         return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
-                         warnings + _said(settled, bool(healthy)), judge.limits(), reference=settled.reference.kind,
-                         found=judge.found, split=judge.within is not None)
+                         warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
+                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
+                         simulation=judgement.judged(judge, trials, holdout, healthy))
 
 
 def diagnose(
@@ -170,6 +182,29 @@ def _judge(settled: problem.Setting, trials: Sequence[Table], holdout: Sequence[
     return split if split.found.best.effects else first
 
 
+def _other_rig(settled: problem.Setting) -> bool:
+    """Whether the trials are of a rig of another kind, known by its healthy trials alone."""
+    return settled.learnt is None and settled.reference.kind == "healthy"
+
+
+UNFIT: Final = 0.2
+"""Share of a signal's spread that healthy trials may leave of it before they teach nothing."""
+
+
+def _unfit(settled: problem.Setting) -> list[str]:
+    """Return, as sentences, the relations that the healthy trials do not fit."""
+    if settled.learnt is None:
+        return []
+    told = []
+    for name in ("friction", "elasticity", "kinematics"):
+        left, spread = settled.learnt.plain.get(name, 0.0), settled.learnt.spread.get(name, 0.0)
+        if left > UNFIT * spread:
+            told.append(f"the healthy trials do not fit: {name} leaves {left:.3g} of {spread:.3g} "
+                        f"{RELATIONS[name].unit} ({100.0 * left / spread:.0f} %; expected below "
+                        f"{100.0 * UNFIT:.0f} %); give healthy trials of this bench, recorded as these are, or none.")
+    return told
+
+
 def _of_wire(carried: Wire, warnings: list[str]) -> Diagnosis:
     """Return what is at fault before the bench is: its laws are not asked of values that are late, lost or coarse."""
     names = [t.effect.name for t in carried.told]
@@ -186,11 +221,14 @@ def _said(settled: problem.Setting, healthy: bool) -> list[str]:
         said.append("no calibration fits this rig: offsets, ratios and load-free friction are taken as found, "
                     "and effects that need the bench's geometry are not offered.")
     elif settled.reference.kind == "nominal":
-        said.append("no calibration: compared with the nominal bench and the tolerances of like benches.")
+        said.append("no calibration of this bench: compared with the nominal bench and the tolerances of like "
+                    "benches; run bowden identify first, which measures what is this bench's own.")
     if settled.floors is None:
         said.append("no healthy trial of this bench: the answer `unexplained` is not available.")
-    if healthy and settled.any_rig:
-        said.append("healthy trials were not used: nothing is known of this rig's laws beforehand.")
+    untold = [] if settled.any_rig else candidates.untold(settled.checked)
+    if untold:
+        lacking = sorted({c for lacks in settled.missing.values() for c in lacks})
+        said.append(f"with {', '.join(lacking)} recorded these could be told, too: {', '.join(untold)}.")
     return said + [f"{n} not checked: no {', '.join(c)}." for n, c in settled.missing.items() if c]
 
 

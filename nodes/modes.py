@@ -87,13 +87,15 @@ class ModesOfOperation(StateMachine):
         if value == self.mode:
             return
         self.mode = Mode(value)
-        self.values[MODE_DISPLAY] = value
         if self.state is _ENABLED and self._leaving is None and not self._halted:
-            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)
+            self.brake(Stop.SLOW_DOWN_RAMP, self.begin)  # 0x6061 shows the new mode when it opens, at rest
+        else:
+            self.values[MODE_DISPLAY] = value
 
     def begin(self, now_ns: int) -> None:
-        """Open the mode: hold where the axis is until its first set-point comes."""
+        """Open the mode and show it in 0x6061: hold where the axis is until its first set-point comes."""
         self._halted = False
+        self.values[MODE_DISPLAY] = int(self.mode)
         if self._stepped:
             self._stepped = False
             self.device.recover(Emcy.POSITION_LIMIT)

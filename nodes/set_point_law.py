@@ -33,23 +33,31 @@ class Taker(NamedTuple):
     most: float = math.inf
 
 
-@njit(cache=True)
-def target(s: Any, unit: float, origin: float, raw: int) -> None:
-    """Begin the straight line to a new target: `raw` counts of `unit`, m or rad, from `origin`."""
-    s[TARGET] = raw * unit + origin
-    s[FRESH] = 1.0
+def _compile(slots: int) -> tuple[Any, Any, Any]:
+    @njit(cache=True)
+    def target(s: Any, unit: float, origin: float, raw: int) -> None:
+        _ = slots
+        s[TARGET] = raw * unit + origin
+        s[FRESH] = 1.0
+
+    @njit(cache=True)
+    def way(s: Any, unit: float, origin: float, raw: int) -> float:
+        _ = slots
+        return float(abs(raw * unit + origin - s[TARGET]) / abs(unit))
+
+    @njit(cache=True)
+    def feel(s: Any, raw: int) -> float:
+        _ = slots
+        tension = NEWTON * raw
+        s[TENSION] = tension
+        s[TENSION_AGE_S] = 0.0
+        return tension
+
+    return target, way, feel
 
 
-@njit(cache=True)
-def way(s: Any, unit: float, origin: float, raw: int) -> float:
-    """Return how far a new target is from the last one, counts."""
-    return float(abs(raw * unit + origin - s[TARGET]) / abs(unit))
-
-
-@njit(cache=True)
-def feel(s: Any, raw: int) -> float:
-    """Take a tension, counts of `NEWTON`; return it, N."""
-    tension = NEWTON * raw
-    s[TENSION] = tension
-    s[TENSION_AGE_S] = 0.0
-    return tension
+target, way, feel = _compile(hash((TARGET, FRESH, TENSION, TENSION_AGE_S)))
+"""`target(s, unit, origin, raw)` begins the straight line to a new target, `raw` counts of `unit` (m or rad) from
+`origin`; `way(s, unit, origin, raw)` gives how far that is from the last one, counts; `feel(s, raw)` takes a tension,
+counts of `NEWTON`, and returns it, N.  Where the slots lie is a constant of the compiled functions: numba's cache does
+not see a change in an imported module."""

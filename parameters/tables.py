@@ -12,19 +12,26 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from parameters.declared import InputError, checked, declarations
+from parameters.files import refuse_special
 
+TOML_LIMIT = 16 << 20  # bytes
 T = TypeVar("T")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file; raises `InputError` with the file's name and the line where it stops making sense."""
     try:
+        refuse_special(path)
+        if path.stat().st_size > TOML_LIMIT:
+            raise InputError(f"{path}: is longer than {TOML_LIMIT} bytes; give a TOML file.")
         return tomllib.loads(path.read_text(encoding="utf-8"))
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of an existing TOML file.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); give a readable UTF-8 TOML file.") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, tables in tables without end
         raise InputError(f"{path}: not valid TOML ({error}); mend that line.") from None
 
 

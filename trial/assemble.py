@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from parameters import InputError
+from parameters.files import replaced
 from trial.mcap_file import cdr
-from trial.record import FLUSH_NS, Recorder
+from trial.record import FLUSH_NS, Recorder, RecordingError
 from trial.signals import SIGNALS, Signal
 
 Event = tuple[int, str, str, str]
@@ -48,15 +50,25 @@ def write(
     target: str | Path, content: Content, *, metadata: Mapping[str, str], result: Mapping[str, object],
     attachments: Mapping[str, bytes] | None = None, overwrite: bool = False, progress: Progress = silent,
 ) -> None:
-    """Write a trial; its columns are those of its signals that `content` has.  Raises `InputError` as `Recorder` does.
+    """Write a trial; its columns are those of its signals that `content` has.  Raises `InputError`.
 
-    `progress` is told the share done, 0 … 1.
+    The file appears when it is whole; `progress` is told the share done, 0 … 1.
     """
     signals = [signal for signal in content.signals if signal.name in content.columns]
     columns = [content.columns[signal.name] for signal in signals]
     table = np.array(columns).T if columns else np.empty((len(content.times), 0))
-    recorder = Recorder(target, metadata=metadata, attachments=attachments or {}, threaded=False, overwrite=overwrite,
-                        signals=signals)
+    target = Path(target)
+    with replaced(target, overwrite=overwrite) as part:
+        try:
+            recorder = Recorder(part, metadata=metadata, attachments=attachments or {}, threaded=False, overwrite=True,
+                                signals=signals)
+            _record(recorder, content, table, progress)
+            recorder.close(result)
+        except (RecordingError, InputError) as error:
+            raise InputError(str(error).replace(str(part), str(target))) from None
+
+
+def _record(recorder: Recorder, content: Content, table: NDArray[np.float64], progress: Progress) -> None:
     windows = _windows(content)
     for number, ((frame, cycle, event), (frame_end, cycle_end, event_end)) in enumerate(pairwise(windows), start=1):
         for time_ns, can_id, flags, dlc, channel, sent, data in content.frames[frame:frame_end].tolist():
@@ -67,7 +79,6 @@ def write(
         for row in content.events[event:event_end]:
             recorder.event(*row)
         progress(number / (len(windows) - 1))
-    recorder.close(result)
 
 
 def _windows(content: Content) -> list[tuple[int, ...]]:

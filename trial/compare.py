@@ -162,6 +162,13 @@ def _signal(
                             float(abs(error[worst])), float(a.time_ns[worst] - a.time_ns[0]) / 1e9)
 
 
+def aligned(a: Trial, b: Trial, name: str) -> tuple[str, Floats, Floats, Floats]:
+    """Return how rows are matched, A's abscissa (s, or gait cycles), and a signal of A and of B along it."""
+    matched, (along_a, along_b) = _match(a, b)
+    other = b.columns[name] if matched == "row by row" else _at(along_a, along_b, b.columns[name])
+    return matched, along_a, a.columns[name], other
+
+
 def _at(wanted: Floats, along: Floats, values: Floats) -> Floats:
     """Return `values` at the places `wanted`, NaN outside, where unknown, and next to what is unknown."""
     good = np.isfinite(along)

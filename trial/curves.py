@@ -1,13 +1,12 @@
 """A knee motion or a desired force from a file, checked row by row.
 
 The rule of this file: what a row says is used, bridged and counted, or refused with the row's number; nothing
-is smoothed or closed here (`physics.reference` does that).  Rows are counted as an editor counts them: the
-header is row 1.
+is smoothed or closed here (`physics.reference` does that).  The file is read as every CSV file is, by
+`trial.convert.csv_file`: its delimiter, decimal sign, units row and encoding are detected.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
+from trial.convert import csv_file
+from trial.convert.sheet import Sheet
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +34,7 @@ class Quantity(NamedTuple):
     """A column that may be read: its factor to SI, and the SI values that are believable."""
 
     name: str
+    unit: str
     factor: float
     low: float
     high: float
@@ -41,9 +43,9 @@ class Quantity(NamedTuple):
 
 AXES = {"time_s": Axis("time_s", "s", 0.1), "gait_percent": Axis("gait_percent", "%", 5.0)}
 _KNEE = "flexion is negative, and no knee bends past 160 degrees; mend the sign or the unit"
-KNEE_RAD = Quantity("knee_angle_rad", 1.0, -2.8, 0.35, _KNEE)
-KNEE_DEG = Quantity("knee_angle_deg", math.pi / 180, -2.8, 0.35, _KNEE)
-FORCE = Quantity("desired_force_n", 1.0, 0.0, 1000.0, "a rope only pulls; mend the sign or the unit")
+KNEE_RAD = Quantity("knee_angle_rad", "rad", 1.0, -2.8, 0.35, _KNEE)
+KNEE_DEG = Quantity("knee_angle_deg", "deg", math.pi / 180, -2.8, 0.35, _KNEE)
+FORCE = Quantity("desired_force_n", "N", 1.0, 0.0, 1000.0, "a rope only pulls; mend the sign or the unit")
 ACCEPTED = {  # column asked for: (axis, column) pairs a file may have
     "knee_angle_rad": (("time_s", KNEE_RAD), ("gait_percent", KNEE_DEG), ("gait_percent", KNEE_RAD)),
     "desired_force_n": (("time_s", FORCE), ("gait_percent", FORCE)),
@@ -85,9 +87,9 @@ class Curve:
 def read_curve(path: str | Path, column: str) -> Curve:
     """Read `column` ("knee_angle_rad" or "desired_force_n") from a CSV file; raises `InputError`."""
     path = Path(path)
-    rows = _rows(path)
-    axis, quantity, places = _header(rows[0], path, column)
-    along, values = _numbers(rows, places, quantity, axis, path)
+    sheet = csv_file.read(path)
+    axis, quantity, along_name = _header(sheet, path, column)
+    along, values = _numbers(sheet, along_name, quantity, path)
     along, values, trimmed = _trim(along, values)
     if len(along) < LEAST_ROWS:
         raise InputError(f"{path}: {len(along)} rows with a value, expected {LEAST_ROWS} or more; give one gait cycle.")
@@ -102,68 +104,33 @@ def read_curve(path: str | Path, column: str) -> Curve:
     return Curve(path, column, percent, values[begin:end], strides, stride_s, float(along[begin]), bridged, trimmed)
 
 
-def _rows(path: Path) -> list[list[str]]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of a CSV file.") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a UTF-8 CSV file.") from None
-    while rows and not any(cell.strip() for cell in rows[-1]):
-        rows.pop()
-    if not rows:
-        raise InputError(f"{path}: the file is empty; give a header and one gait cycle.")
-    if len(rows) < 2:
-        raise InputError(f"{path}: a header and no rows; give one gait cycle.")
-    return rows
-
-
-def _header(header: list[str], path: Path, column: str) -> tuple[Axis, Quantity, tuple[int, int]]:
-    names = [name.strip() for name in header]
-    for name in names:
-        if name and names.count(name) > 1:
-            raise InputError(f"{path}: row 1 names the column {name} {names.count(name)} times; keep one.")
+def _header(sheet: Sheet, path: Path, column: str) -> tuple[Axis, Quantity, str]:
     for axis, quantity in ACCEPTED[column]:
-        if axis in names and quantity.name in names:
-            return AXES[axis], quantity, (names.index(axis), names.index(quantity.name))
+        if axis in sheet and quantity.name in sheet:
+            return AXES[axis], quantity, axis
     expected = " or ".join(f"{axis}, {quantity.name}" for axis, quantity in ACCEPTED[column])
-    raise InputError(f"{path}: row 1 is {', '.join(names)}; expected the columns {expected}, name them so.")
+    raise InputError(f"{path}: row {sheet.header_row} is {', '.join(sheet.names[:20])}; expected the columns "
+                     f"{expected}, name them so.")
 
 
-def _numbers(
-    rows: list[list[str]], places: tuple[int, int], quantity: Quantity, axis: Axis, path: Path
-) -> tuple[Floats, Floats]:
-    along, values = np.empty(len(rows) - 1), np.empty(len(rows) - 1)
-    before = -math.inf
-    for number, row in enumerate(rows[1:], start=2):
-        where = f"{path}: row {number}"
-        if len(row) != len(rows[0]):
-            raise InputError(f"{where} has {len(row)} cells, the header {len(rows[0])}; mend that row.")
-        at = _number(row[places[0]], axis.name, where)
-        if not at > before:
-            raise InputError(f"{where}: {axis.name} = {at:g} does not rise, {before:g} came before; sort the rows.")
-        before = along[number - 2] = at
-        cell = row[places[1]].strip()
-        values[number - 2] = _value(cell, quantity, where) if cell else math.nan
+def _numbers(sheet: Sheet, axis: str, quantity: Quantity, path: Path) -> tuple[Floats, Floats]:
+    along, values = sheet.column(axis), sheet.column(quantity.name) * quantity.factor
+    stated = sheet.unit(quantity.name)
+    if stated and stated.replace("°", "deg") != quantity.unit:
+        raise InputError(f"{path}: {quantity.name} is in {stated} by the row of units; rename or convert the column.")
+    unknown = np.flatnonzero(np.isnan(along))
+    if len(unknown):
+        raise InputError(f"{path}: row {sheet.rows[unknown[0]]} has no {axis}; every row needs it.")
+    falls = np.flatnonzero(np.diff(along) <= 0)
+    if len(falls):
+        at = falls[0] + 1
+        raise InputError(f"{path}: row {sheet.rows[at]}: {axis} = {along[at]:g} does not rise, {along[at - 1]:g} came "
+                         "before; sort the rows.")
+    odd = np.flatnonzero((values < quantity.low) | (values > quantity.high))
+    if len(odd):
+        raise InputError(f"{path}: row {sheet.rows[odd[0]]}: {quantity.name} = {values[odd[0]] / quantity.factor:g} is "
+                         f"not believable: {quantity.doubt}.")
     return along, values
-
-
-def _number(cell: str, name: str, where: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        raise InputError(f"{where}: {name} = {cell.strip()!r} is not a number; mend that row.") from None
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {name} = {cell.strip()} is not finite; leave the cell of a lost value empty.")
-    return value
-
-
-def _value(cell: str, quantity: Quantity, where: str) -> float:
-    value = _number(cell, quantity.name, where) * quantity.factor
-    if not quantity.low <= value <= quantity.high:
-        raise InputError(f"{where}: {quantity.name} = {cell} is not believable: {quantity.doubt}.")
-    return value
 
 
 def _trim(along: Floats, values: Floats) -> tuple[Floats, Floats, int]:

@@ -1,7 +1,9 @@
-"""CAN frames to control cycles, by the PDO plans.
+"""CAN frames to control cycles, by the PDO plans: what each mapped object is, and a whole log at once.
 
 The rule of this file: a row is one SYNC; a TPDO belongs to the SYNC before it in the log, a target to the cycle
 it was computed in; what did not come in a cycle is NaN there.  Nothing is held over and nothing guessed.
+`layout` is the one place that says which object is which signal; `cycles` decodes a log by it, and
+`trial.follow.Follower` a bus, frame by frame.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ Floats = NDArray[np.float64]
 
 SYNC, NMT, EMCY_FIRST, EMCY_LAST = 0x080, 0x000, 0x081, 0x0FF
 NO_TENSION = -32768  # what a sensor without a valid value sends as 0x7130
+TENSION = 0x7130
 NMT_WORDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset communication"}
 
 # (node, part that an object of its TPDO plays): signal
@@ -32,12 +35,50 @@ INPUTS = {
 TARGETS = ("servo_target_m", "knee_target_rad")
 
 
+class Place(NamedTuple):
+    """What one mapped object is: its signal, raw × scale / divisor in SI, its field and the bit where it begins.
+
+    `optional`: the least integer says that there is no value.
+    """
+
+    signal: str
+    scale: float
+    divisor: float
+    optional: bool
+    field: Field
+    bit: int
+
+
+class Source(NamedTuple):
+    """What a PDO carries: its plan, a name to count it by, its signals, and the column of its arrival, if any."""
+
+    plan: PdoPlan
+    name: str
+    places: tuple[Place, ...]
+    arrival: str | None
+
+
 class Cycles(NamedTuple):
     """Control cycles: the time of each SYNC (ns, strictly rising), columns by signal name, and what was counted."""
 
     time_ns: NDArray[np.int64]
     columns: dict[str, Floats]
     counts: dict[str, int]
+
+
+def layout(wire: Wire) -> tuple[Source, ...]:
+    """Return what every PDO of a bench carries: the nodes' TPDOs, then the targets."""
+    found = []
+    radius = drum_radius_m(wire.nodes[SERVO].dictionary)
+    for node in (SERVO, KNEE, START, END):
+        plan, signals = wire.tpdo[tpdo_cob_id(node)], inputs_of(wire, node)
+        places = [Place(signals[field.key], field.scale, radius if signals[field.key] == "servo_force_n" else 1.0,
+                        field.key >> 8 == TENSION, field, bit)
+                  for field, bit in offsets(plan) if field.key in signals]
+        found.append(Source(plan, NAMES[node], tuple(places), f"{NAMES[node]}_pdo_arrival_ns"))
+    targets = [Place(signal, field.scale, 1.0, False, field, bit)
+               for (field, bit), signal in zip(offsets(wire.targets), TARGETS, strict=True)]
+    return (*found, Source(wire.targets, "target", tuple(targets), None))
 
 
 def inputs_of(wire: Wire, node: int) -> dict[int, str]:
@@ -58,9 +99,8 @@ def cycles(rows: NDArray[np.void], wire: Wire) -> Cycles:
     sync = np.flatnonzero(rows["can_id"] == SYNC)
     times, coarse = clock.rising(rows["time_ns"][sync])
     found = Cycles(times, {"time_s": (times - times[:1].sum()) / 1e9}, {"cycles": len(sync), "coarse_stamps": coarse})
-    for node in (SERVO, KNEE, START, END):
-        _inputs(found, rows, sync, node, wire)
-    _targets(found, rows, sync, wire.targets)
+    for source in layout(wire):
+        _fill(found, rows, sync, source)
     position = found.columns["servo_position_m"]
     if len(sync) > 1:
         velocity = np.diff(position, prepend=np.nan) / np.diff(found.columns["time_s"], prepend=np.nan)
@@ -84,30 +124,17 @@ def _place(
     return whole, cycle
 
 
-def _inputs(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], node: int, wire: Wire) -> None:
-    plan, name = wire.tpdo[tpdo_cob_id(node)], NAMES[node]
-    place, cycle = _place(found, rows, sync, plan, name)
-    arrival = np.full(len(sync), np.nan)
-    arrival[cycle] = rows["time_ns"][place] - rows["time_ns"][sync][cycle]
-    found.columns[f"{name}_pdo_arrival_ns"] = arrival
-    signals = inputs_of(wire, node)
-    for field, offset in _offsets(plan):
-        signal = signals.get(field.key)
-        if signal is not None:
-            raw = _raw(rows["data"][place], field, offset)
-            values = raw * field.scale
-            if signal == "servo_force_n":
-                values = values / drum_radius_m(wire.nodes[SERVO].dictionary)
-            if field.key >> 8 == 0x7130:
-                values[raw == NO_TENSION] = np.nan
-            found.columns[signal] = _column(len(sync), cycle, values)
-
-
-def _targets(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan) -> None:
-    place, cycle = _place(found, rows, sync, plan, "target")
-    for (field, offset), signal in zip(_offsets(plan), TARGETS, strict=True):
-        values = _raw(rows["data"][place], field, offset) * field.scale
-        found.columns[signal] = _column(len(sync), cycle, values)
+def _fill(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], source: Source) -> None:
+    place, cycle = _place(found, rows, sync, source.plan, source.name)
+    if source.arrival is not None:
+        arrival = rows["time_ns"][place] - rows["time_ns"][sync][cycle]
+        found.columns[source.arrival] = _column(len(sync), cycle, arrival.astype(np.float64))
+    for one in source.places:
+        raw = _raw(rows["data"][place], one.field, one.bit)
+        values = raw * one.scale / one.divisor
+        if one.optional:
+            values[raw == NO_TENSION] = np.nan
+        found.columns[one.signal] = _column(len(sync), cycle, values)
 
 
 def _column(length: int, cycle: NDArray[np.intp], values: Floats) -> Floats:
@@ -116,7 +143,8 @@ def _column(length: int, cycle: NDArray[np.intp], values: Floats) -> Floats:
     return column
 
 
-def _offsets(plan: PdoPlan) -> list[tuple[Field, int]]:
+def offsets(plan: PdoPlan) -> list[tuple[Field, int]]:
+    """Return the mapped objects of a PDO, dummies left out, and the bit where each begins."""
     offset, found = 0, []
     for field in plan.fields:
         if not field.dummy:

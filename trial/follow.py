@@ -1,38 +1,19 @@
 """A running bus to control cycles, frame by frame: what `decode` makes of a log, while it happens.
 
-The rule of this file: the same rows as `decode.cycles` gives for the same frames.  A row is one SYNC and is given
-out when the next SYNC ends it; what did not come is NaN.
+The rule of this file: the rows that `decode.cycles` gives for the same frames, by the same `decode.layout`.  A row is
+one SYNC and is given out when the next SYNC ends it; what did not come is NaN.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
-from eds.bench import NAMES, SERVO, Wire, tpdo_cob_id
-from eds.plan import PdoPlan
-from eds.scales import drum_radius_m
-from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, inputs_of
+from eds.bench import NAMES, Wire
+from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, Source, layout, offsets
 from trial.signals import UNITS
 
-TENSION = 0x7130  # the object whose least integer says that there is no value
-
-
-class _Place(NamedTuple):
-    """Where one mapped object goes: column, SI per count, and whether it can say that it has no value."""
-
-    column: int
-    scale: float
-    optional: bool
-
-
-class _Source(NamedTuple):
-    """What a PDO fills: a place for each mapped object, None for what is no signal, and its arrival's column."""
-
-    plan: PdoPlan
-    places: tuple[_Place | None, ...]
-    arrival: int | None
+Place = tuple[int, int, float, float, bool]  # in the PDO, in the row, scale, divisor, optional
 
 
 class Follower:
@@ -53,14 +34,15 @@ class Follower:
         """Take a base-format data frame; returns the time of the SYNC (ns) and the row that it ended, or None."""
         if can_id == SYNC:
             return self._next(time_ns)
-        source, row = self._sources.get(can_id), self._row
-        if source is None or row is None or len(data) < source.plan.size:
+        known, row = self._sources.get(can_id), self._row
+        if known is None or row is None or len(data) < known[0].plan.size:
             return None
-        for raw, place in zip(source.plan.unpack(data), source.places, strict=True):
-            if place is not None:
-                row[place.column] = math.nan if place.optional and raw == NO_TENSION else raw * place.scale
-        if source.arrival is not None:
-            row[source.arrival] = float(time_ns - self._sync_ns)
+        source, places, arrival = known
+        values = source.plan.unpack(data)
+        for at, column, scale, divisor, optional in places:
+            row[column] = math.nan if optional and values[at] == NO_TENSION else values[at] * scale / divisor
+        if arrival is not None:
+            row[arrival] = float(time_ns - self._sync_ns)
         return None
 
     def _next(self, time_ns: int) -> tuple[int, list[float]] | None:
@@ -81,18 +63,11 @@ class Follower:
         self._before = (seconds, position)
 
 
-def _sources(wire: Wire, columns: Mapping[str, int]) -> dict[int, _Source]:
-    radius = drum_radius_m(wire.nodes[SERVO].dictionary)
+def _sources(wire: Wire, columns: Mapping[str, int]) -> dict[int, tuple[Source, tuple[Place, ...], int | None]]:
     found = {}
-    for node in wire.nodes:
-        plan, signals = wire.tpdo[tpdo_cob_id(node)], inputs_of(wire, node)
-        places: list[_Place | None] = []
-        for field in (field for field in plan.fields if not field.dummy):
-            name = signals.get(field.key)
-            scale = field.scale / radius if name == "servo_force_n" else field.scale
-            places.append(None if name is None else _Place(columns[name], scale, field.key >> 8 == TENSION))
-        found[plan.cob_id] = _Source(plan, tuple(places), columns[f"{NAMES[node]}_pdo_arrival_ns"])
-    fields = [field for field in wire.targets.fields if not field.dummy]
-    targets = tuple(_Place(columns[name], field.scale, False) for name, field in zip(TARGETS, fields, strict=True))
-    found[wire.targets.cob_id] = _Source(wire.targets, targets, None)
+    for source in layout(wire):
+        order = {bit: at for at, (_, bit) in enumerate(offsets(source.plan))}
+        places = tuple((order[one.bit], columns[one.signal], one.scale, one.divisor, one.optional)
+                       for one in source.places)
+        found[source.plan.cob_id] = source, places, None if source.arrival is None else columns[source.arrival]
     return found

@@ -121,7 +121,7 @@ def frames_of(view: records.View, path: str | Path, found: scan.Summary | None =
 def _result(written: Mapping[str, str] | None, path: Path) -> dict[str, object] | None:
     try:
         return None if written is None else {key: json.loads(text) for key, text in written.items()}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: the result is not JSON ({error}); say bowden import {path} -o FILE.") from None
 
 

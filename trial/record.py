@@ -73,6 +73,8 @@ class Recorder:
 
     def _open(self, overwrite: bool) -> None:
         try:
+            if overwrite and self.path.is_symlink():
+                self.path.unlink()  # a link is replaced, never written through
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise InputError(f"{self.path}: the file exists; give another name or --overwrite.") from None

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
+from parameters.files import replaced
 from trial.assemble import Progress, silent
 from trial.mcap_file import cdr, records, salvage, scan
 from trial.mcap_file import container as mcap
@@ -45,24 +46,14 @@ def recover(
     `whole` appears when it is complete; `progress` is told the share done, 0 … 1.
     """
     torn, whole = Path(torn), Path(whole)
-    if whole.exists() and torn.resolve() == whole.resolve():
+    if whole.exists() and torn.exists() and whole.samefile(torn):
         raise InputError(f"{whole}: is the torn file itself; give another name.")
-    if whole.exists() and not overwrite:
-        raise InputError(f"{whole}: the file exists; give another name or --overwrite.")
-    part = whole.with_name(f".part-{whole.name}")
     with records.mapped(torn) as view:
         channels = scan.described(view, torn) or salvage.channels(view)
         if not channels:
             raise InputError(f"{torn}: no topic survived; nothing can be recovered.")
-        try:
-            with open(part, "wb", buffering=0) as file:
-                found = _copy(view, mcap.Container(file, "bowden-bench recover"), channels, progress)
-            part.replace(whole)
-        except OSError as error:
-            raise InputError(f"{whole}: cannot be written ({error.strerror}); give a writable path.") from None
-        finally:
-            part.unlink(missing_ok=True)
-    return found
+        with replaced(whole, overwrite=overwrite) as part, open(part, "wb", buffering=0) as file:
+            return _copy(view, mcap.Container(file, "bowden-bench recover"), channels, progress)
 
 
 def _copy(

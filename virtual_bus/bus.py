@@ -15,6 +15,7 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
 from eds.frame import Frame
+from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.build import build
 from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
@@ -39,6 +40,7 @@ class Shared:
         self.bench = bench
         self.users = 0
         self.lock = threading.RLock()
+        self.turnstile = threading.RLock()
         self.steady = Steady(bench) if possible(bench) else None
 
     def settle(self) -> None:
@@ -47,6 +49,8 @@ class Shared:
             with self.lock:
                 self.steady.leave()
 
+
+LONG_S: Final = 0.1  # a wait so long, s, leaves the bus to other threads in between
 
 _OPEN: dict[str, Shared] = {}
 
@@ -71,7 +75,10 @@ class BowdenBus(can.BusABC):
 
     `given` are the options of `options.Options`; `bench` gives a bench made elsewhere instead. `single_handle`,
     which python-can's own tools pass to every interface, changes nothing. Raises `parameters.InputError` for an
-    option that cannot be used.
+    option that cannot be used, `fd=True` among them: the bench is classical CAN.
+
+    Several threads may use one bus: while one waits in `recv`, others send; a `recv` without time-out lets bus time
+    pass in steps, between which a `send` of another thread goes out.
     """
 
     def __init__(
@@ -83,8 +90,11 @@ class BowdenBus(can.BusABC):
         receive_own_messages: bool = False,
         rx_queue: int = 65_536,
         single_handle: bool = False,
+        fd: bool = False,
         **given: Any,
     ) -> None:
+        if fd:
+            raise InputError(f"channel {channel}: fd = true, but the bench is classical CAN; leave fd out.")
         self._key = str(channel)
         shared = _OPEN.get(self._key)
         if shared is None:
@@ -167,14 +177,31 @@ class BowdenBus(can.BusABC):
         if timeout is not None and timeout <= 0:
             return None
         kernel = self._kernel
-        with self._lock:
-            if not queue:
-                kernel.run(NEVER if timeout is None else kernel.now_ns + round(timeout * 1e9), queue)
+        if timeout is None or timeout > LONG_S:
+            self._wait_long(NEVER if timeout is None else kernel.now_ns + round(timeout * 1e9))
+        else:
+            with self._lock:
+                if not queue:
+                    kernel.run(kernel.now_ns + round(timeout * 1e9), queue)
         if queue:
             return queue.popleft()
         if timeout is None:
             raise can.CanOperationError(f"{self.channel_info}: nothing will ever happen; give a time-out")
         return None
+
+    def _wait_long(self, until_ns: int) -> None:
+        """Let time pass event by event up to `until_ns`, the bus free for other threads in between."""
+        queue, kernel, shared = self._queue, self._kernel, self._shared
+        while not queue and not self._is_shutdown:
+            with shared.turnstile:  # a thread that sends stands here while it waits for the lock
+                pass
+            with self._lock:
+                due_ns = kernel.next_ns()
+                if queue or (due_ns == NEVER and until_ns == NEVER):
+                    return
+                kernel.run(min(due_ns, until_ns), queue)
+                if due_ns > until_ns:
+                    return
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue a message, ready after the stated turnaround; `timeout` waits for room in the queue.
@@ -184,7 +211,7 @@ class BowdenBus(can.BusABC):
         if self._is_shutdown:
             self._refuse()
         frame = frame_of(msg)
-        with self._lock:
+        with self._shared.turnstile, self._lock:
             self._settle()
             host, kernel = self._host, self._kernel
             if host.waiting >= host.limit and timeout:

@@ -144,12 +144,12 @@ class Room:
 
 
 def frame_of(message: can.Message) -> Frame:
-    """Return a message as a frame; raises `ValueError` for one that a classical bus cannot carry."""
+    """Return a message as a frame; raises `can.CanError` for one that a classical bus cannot carry."""
     largest = 0x1FFFFFFF if message.is_extended_id else 0x7FF
     if not 0 <= message.arbitration_id <= largest:
-        raise ValueError(f"identifier {message.arbitration_id:#x} is outside 0 … {largest:#x}")
+        raise can.CanOperationError(f"identifier {message.arbitration_id:#x} is outside 0 … {largest:#x}")
     if message.is_fd or message.is_error_frame or len(message.data) > 8:
-        raise ValueError("only classical data and remote frames of up to 8 bytes can be sent")
+        raise can.CanOperationError("only classical data and remote frames of up to 8 bytes can be sent")
     data = b"" if message.is_remote_frame else bytes(message.data)
     dlc = None if message.dlc == len(data) else message.dlc
     return Frame(message.arbitration_id, data, message.is_remote_frame, message.is_extended_id, False, dlc)

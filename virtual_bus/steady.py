@@ -88,7 +88,7 @@ class Steady:
         if i[law.TRUTH_ROWS] == law.TRUTHS:
             arrays.write_truth()
         beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
-        return (sync_ns, i[law.TARGETS_AT], [i[at] for at in arrays.ends], arrays.data, beats,
+        return (sync_ns, i[law.TARGETS_AT], arrays.ends.tolist(), arrays.data, beats,
                 arrays.rows[ROW * first:ROW * end], end - first)
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:

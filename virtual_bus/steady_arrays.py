@@ -72,7 +72,7 @@ class Tables(NamedTuple):
 class Arrays:
     """Floats `f`, integers `i` and frames `rows` of one bench; `call` is what `steady_law.cycle` takes.
 
-    `ends` are the places in `i` at which the inputs' ends stand, `data` their bytes, `targets` those of the targets.
+    `ends` are the inputs' ends and `data` their bytes, in the order asked for, `targets` the bytes of the targets.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -86,7 +86,7 @@ class Arrays:
         self._bytes: Any = self.i.cast("B")
         self.rows: Any = memoryview(frames).cast("B")
         self._truth = self.f[law.F_TRUTH:law.F_ACTION].reshape(law.TRUTHS, law.TRUTH_WIDTH)
-        self.ends: list[int] = []
+        self.ends: Any = self.i[:0]
         self.data: tuple[Any, ...] = ()
         self.targets = self._bytes[:0]
         self.members = list(_members(machine))
@@ -130,6 +130,7 @@ class Arrays:
             return None
         if sorted(row[1] for row in rows) != sorted(asked.inputs):
             return None
+        rows.sort(key=lambda row: asked.inputs.index(row[1]))
         return Tables(rows, known, [pdo for _, _, pdo in receivers])
 
     def fill(self, asked: Asked, tables: Tables, sync: PeriodicTask) -> None:
@@ -165,9 +166,9 @@ class Arrays:
             _part(self.f, law.F_ACTION, n, law.ACTION_WIDTH)[:] = taken.taker[1:]
             at = law.TOOK + law.TOOK_WIDTH * n
             i[at], i[at + 2], i[at + 4] = 0, 0, pdo.due_ns
-        places = {row[1]: n for n, row in enumerate(tables.sends)}
-        self.ends = [law.SENT + 2 * places[can_id] for can_id in asked.inputs]
-        self.data = tuple([self._bytes[8 * at + 8:8 * at + 16] for at in self.ends])
+        places = range(law.SENT, law.SENT + 2 * len(tables.sends), 2)
+        self.ends = self.i[places.start:places.stop:2]
+        self.data = tuple([self._bytes[8 * at + 8:8 * at + 16] for at in places])
         self.targets = self._bytes[8 * law.TARGETS_DATA:8 * law.TARGETS_DATA + asked.size]
 
     def _fill_nodes(self) -> None:

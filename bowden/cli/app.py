@@ -1,11 +1,12 @@
-"""The Typer application and its exit statuses: 0 done, 1 the answer is bad, 2 bad input, 130 Ctrl-C."""
+"""The Typer application and its exit statuses: 0 done, 1 the answer is bad, 2 bad input, 128 + n ended by signal n."""
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Final, TextIO
+from typing import Annotated, Any, Final, TextIO
 
 import typer
 import typer.exceptions
@@ -15,11 +16,28 @@ from parameters import InputError, Remark
 app = typer.Typer(
     name="bowden",
     help="Drive stack for a Bowden cable–fabric force-transfer bench on CAN.",
-    add_completion=False,
+    add_completion=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 160},
     pretty_exceptions_enable=False,
     no_args_is_help=False,
     rich_markup_mode=None,
 )
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"bowden {version('bowden-bench')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True,
+                                          help="Print the version and end.")] = False,
+) -> None:
+    """Drive stack for a Bowden cable–fabric force-transfer bench on CAN."""
 
 
 _REMARKED: Final[set[str]] = set()
@@ -33,23 +51,67 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; messages are one sentence on stderr, never a box or a traceback."""
-    from bowden.cli import commands
+    from bowden.cli import commands, ending
 
     commands.load()
+    ending.quiet_libraries()
     warnings.showwarning = _remark
+    with ending.as_ctrl_c() as ended:
+        try:
+            return ended.status(_run(arguments))
+        except (KeyboardInterrupt, typer.Abort):
+            print(ended.told(), file=sys.stderr)
+            return ended.status(ending.CTRL_C)
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
-        status = app(list(arguments) or ["--help"], standalone_mode=False)
+        status = app(list(arguments) or ["--help"], standalone_mode=False, prog_name="bowden")
     except InputError as error:
         return _refuse(str(error))
     except typer.exceptions.TyperException as error:
-        return _refuse(_sentence(error))
-    except (KeyboardInterrupt, typer.Abort):
-        print("bowden: interrupted.", file=sys.stderr)
-        return 130
+        return _short_help(error) if _nothing_given(error, arguments) else _refuse(_sentence(error))
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except MemoryError:
+        return _refuse("this computer's memory is too small for that; cut the input.")
+    except RecursionError:
+        return _refuse("the input is nested too deeply to be read; give another.")
+    except Exception as error:  # a plug-in's, or a fault of this program: never a traceback
+        if os.environ.get("BOWDEN_TRACEBACK"):
+            raise
+        return _failed(error)
     return status if isinstance(status, int) else 0
+
+
+def _nothing_given(error: typer.exceptions.TyperException, arguments: Sequence[str]) -> bool:
+    """Say whether a command was named and nothing else, though it needs something."""
+    context = getattr(error, "ctx", None)
+    return context is not None and list(arguments) == context.command_path.split()[1:]
+
+
+def _short_help(error: Any) -> int:
+    """Say what a command does, what it needs and one example."""
+    context = error.ctx
+    told = (context.command.help or "").strip()
+    first, example = told.split("\n\n")[0], told[told.find("Example:"):]
+    needed = " ".join(str(one.metavar or one.name).upper() if one.param_type_name == "argument" else
+                      f"{one.opts[0]} {one.metavar or 'VALUE'}" for one in context.command.params if one.required)
+    print(f"{context.command_path} {needed}\n  {' '.join(first.split())}\n  {' '.join(example.split())}\n"
+          f"{context.command_path} --help lists its options.", file=sys.stderr)
+    return 2
+
+
+def _failed(error: Exception) -> int:
+    """Say where something raised that nobody expected: in a plug-in, or in this program."""
+    import traceback
+
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    said = " ".join(str(error).split())[:300]
+    print(f"bowden: {type(error).__name__} in {last.filename}, line {last.lineno}: {said or 'no text'}; "
+          "BOWDEN_TRACEBACK=1 shows all of it.", file=sys.stderr)
+    return 1
 
 
 def _remark(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,

@@ -13,7 +13,8 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, grouped
 
-Interface = Annotated[str, typer.Option(help="python-can interface, such as socketcan, udp_multicast or virtual.")]
+Interface = Annotated[str, typer.Option(
+    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
 
 
@@ -44,6 +45,7 @@ def bench(
     import can
 
     from bowden import buses, session
+    from bowden.cli import ending
     from eds.bench import Network
     from master.cycle.run_safely import collector_frozen
     from master.network.host_computer import prepared
@@ -59,15 +61,14 @@ def bench(
 
     def end(number: int, frame: object) -> None:
         nonlocal ended
-        ended = True
+        ended = True  # SIGTERM and SIGHUP come here, too: they act as Ctrl-C
 
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**arguments, "bitrate": bitrate or network.bitrate, "rate_hz": rate or network.rate_hz}
         made.pop("interface")
         made["faults"] = injected
         hidden = BowdenBus(**made)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, end)
+        before = signal.signal(signal.SIGINT, end)
         terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
         deadline = None if seconds is None else time.monotonic() + seconds
         try:
@@ -79,7 +80,8 @@ def bench(
             terminal.remark(f"{interface} is gone ({error}); the bench ends.")
             return 1
         finally:
+            signal.signal(signal.SIGINT, before)
             hidden.shutdown()
     result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
     terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
-    return 0
+    return ending.CTRL_C if ended else 0

@@ -88,8 +88,9 @@ def jog(
     from master.motion import commission
 
     unit = math.radians(1.0) if axis == "knee" else 1e-3
-    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit)
-    return _Bench(reached, rate, config).perform(f"jog {axis}", procedure, json=json)
+    bench = _Bench(reached, rate, config)
+    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, bench.sections["limits"])
+    return bench.perform(f"jog {axis}", procedure, json=json)
 
 
 @app.command()
@@ -131,7 +132,11 @@ class _Bench:
         if json:
             terminal.emit(result)
         else:
-            terminal.table(what, ("figure", "value"), [
-                (name, terminal.number(value, 4)) for name, value in found.items()])
-            print(f"{what}: {result['outcome']}" + (f": {outcome.reason}" if outcome.reason else "."))
-        return 0 if outcome.reason is None else 1
+            if found:
+                terminal.table(what, ("figure", "value"), [
+                    (name, terminal.number(value, 4)) for name, value in found.items()])
+            print(f"{what}, {self.chosen.told}: {result['outcome']}"
+                  + (f": {outcome.reason}" if outcome.reason else "."))
+        from bowden.cli import ending
+
+        return ending.status_of(str(result["outcome"]), outcome.reason)

@@ -13,11 +13,15 @@ from bowden.cli.app import app
 if TYPE_CHECKING:
     from trial.compare import Comparison
 
-Source = Annotated[Path, typer.Argument(metavar="FILE", help="csv, csv.gz, candump log, asc, blf, trc or mcap.")]
+Source = Annotated[Path, typer.Argument(
+    metavar="FILE", show_default=False, help="csv, tsv, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
 Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
 B = Annotated[Path, typer.Argument(metavar="B", help="Another one.", show_default=False)]
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
+Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
+Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
+Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Both trials in one HTML page.")]
 
 
 @app.command("import")
@@ -25,24 +29,35 @@ def import_(
     source: Source,
     output: options.Output,
     columns: Map = None,
+    guess: Guess = False,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Make a trial of a table or a CAN log.
 
-    Foreign MCAP files too; every change is counted.
+    Foreign MCAP files too; every change is counted.  How a table is written (encoding, delimiter, decimal sign, units,
+    kind of time) is detected and said.
 
     Example: bowden import candump.log -o trial.mcap
     """
+    from bowden import output_files
+    from parameters import InputError
     from trial.convert.csv_table import read_map
     from trial.convert.imports import import_file
 
+    output_files.refuse([output], overwrite=overwrite, inputs=[source, columns])
+    if guess:
+        if columns is not None:
+            raise InputError("--guess writes a map and --map reads one; leave one of them out.")
+        return _guess(source, output, overwrite=overwrite, json=json)
     mapped = None if columns is None else read_map(columns)
     with terminal.progress(f"importing {source}", shown=not json) as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
     if json:
         terminal.emit({"trial": str(output), **report.as_json()})
         return 0
+    if report.read_as:
+        print(f"{source}: read with {', '.join(report.read_as)}.")
     print(f"Trial: {output}")
     for name, count in report.counts.items():
         if count:
@@ -52,40 +67,74 @@ def import_(
     return 0
 
 
+def _guess(source: Path, output: Path, *, overwrite: bool, json: bool) -> int:
+    from parameters.files import write_whole
+    from trial.convert import guess_map
+    from trial.convert.imports import table_of
+
+    sheet = table_of(source)
+    write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
+    found = guess_map.guesses(sheet)
+    if json:
+        terminal.emit({"map": str(output), "read_as": sheet.said, "signals": {
+            one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale} for one in found}})
+        return 0
+    if sheet.said:
+        print(f"{source}: read with {', '.join(sheet.said)}.")
+    terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+        (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
+    return 0
+
+
 @app.command()
 def export(
-    trial: Trial, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
+    trial: Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
+    json: options.Json = False,
 ) -> int:
     """Write a trial as a table or a CAN log.
 
-    csv, csv.gz and parquet hold its cycles; log, asc, blf and trc its frames.
+    csv, csv.gz, parquet and mat hold its cycles; log, asc, blf and trc its frames.
 
     Example: bowden export trial.mcap -o trial.csv
     """
+    from bowden import output_files
     from trial.convert.export import export as exported
     from trial.read import open as opened
 
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     with terminal.progress(f"exporting {trial}", shown=not json) as update:
-        rows = exported(opened(trial), output, overwrite=overwrite, progress=update)
+        rows = exported(opened(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
     terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
     return 0
 
 
 @app.command()
-def compare(a: A, b: B, json: options.Json = False) -> int:
+def compare(
+    a: A, b: B, report: Page = None, overwrite: options.Overwrite = False, json: options.Json = False
+) -> int:
     """Show what differs between two trials.
 
-    Configuration, calibration, figures and signals.
+    Configuration, calibration, figures and signals; exit status 1 where any channel differs.
 
-    Example: bowden compare a.mcap b.mcap
+    Example: bowden compare a.mcap b.mcap --report compared.html
     """
+    from bowden import output_files
     from trial.compare import compare as compared
     from trial.read import open as opened
 
+    output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
     with terminal.waiting("comparing", shown=not json):
-        found = compared(opened(a), opened(b))
+        one, other = opened(a), opened(b)
+        found = compared(one, other)
+        if report is not None:
+            from trial.report import compare_page
+
+            compare_page.write(one, other, found, report, overwrite=overwrite)
     terminal.emit(found.as_json()) if json else _tell(found)
-    return 0
+    if report is not None and not json:
+        print(f"Page: {report}")
+    return 0 if found.same else 1
 
 
 def _tell(found: Comparison) -> None:

@@ -12,6 +12,7 @@ import typer
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from diagnosis.finder import Diagnosis
@@ -28,7 +29,8 @@ Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page
 Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
     metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
 Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="With --each: processes (default: one a processor).")]
+Workers = Annotated[int | None, typer.Option(
+    metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Planned = Annotated[str | None, typer.Option(
@@ -78,12 +80,18 @@ def diagnose(
     chosen = _trials(trials, asked, given)
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
-    output_files.refuse([output, report], overwrite=overwrite)
+    output_files.refuse([output, report], overwrite=overwrite, inputs=[
+        *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    output_files.refuse_ending(output, ".toml", what="what was found")
     began = time.perf_counter()
     with terminal.waiting("diagnosing", shown=not json):
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
-    terminal.emit(result) if json else _tell(found, result)
+    if json:
+        terminal.emit(result)
+    else:
+        _tell(found, result, unmeasured=calibration is None and not healthy and _all_nominal(chosen))
     return 2 if found.verdict == "refused" else 0
 
 
@@ -147,7 +155,7 @@ def _diagnosed(
     if found.verdict == "refused":
         return found
     if output is not None:
-        output.write_text(extension.text(found, groups[0]), encoding="utf-8")
+        write_whole(output, extension.text(found, groups[0]), overwrite=True)
     if report is not None:
         from diagnosis.report import page
 
@@ -155,16 +163,38 @@ def _diagnosed(
     return found
 
 
-def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
-    print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+def _all_nominal(trials: list[Path]) -> bool:
+    """Say whether every trial ran on the packaged calibration, which was measured on no bench."""
+    from diagnosis.data.table import NOMINAL
+    from trial.read import open as opened
+
+    return all(path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL
+               for path in trials)
+
+
+def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
     figure = terminal.number
+    told = found.simulation
+    if told is not None:
+        after = f", {figure(told['after_rms_n'])} N with what was found" if found.causes else ""
+        print(f"The simulation of this bench misses START and END by {figure(told['before_rms_n'])} N RMS{after} "
+              f"(on {told['on']}).")
+    if unmeasured and found.verdict in ("found", "ambiguous"):
+        print("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
+              "itself cannot be told from what is wrong with it.\nNo cause is named on this footing; --json lists the "
+              "candidates, --calibration or --healthy gives a better one.")
+        result = result | {"causes": []}
+        rivals: tuple[str, ...] = ()
+    else:
+        print(f"Verdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+        rivals = tuple(found.rivals)
     if result["causes"]:
         terminal.table("causes", ("effect", "site", "parameters", "gain (%)"), [
             (cause["effect"], cause["site"], _parameters(cause["parameters"]), figure(cause["gain_percent"], 1))
             for cause in result["causes"]])
-    if found.rivals[1:]:
-        print(f"These data cannot tell {found.rivals[0]} from {', '.join(found.rivals[1:])}.")
-    if found.experiment:
+    if rivals[1:]:
+        print(f"These data cannot tell {rivals[0]} from {', '.join(rivals[1:])}.")
+    if found.experiment and not unmeasured:
         print(f"What would: {found.experiment}")
     terminal.table("relations", RELATION_COLUMNS, [
         (name, row["unit"], *(figure(row[key], 4) for key in RELATION_FIGURES), figure(row["gain_percent"], 1))

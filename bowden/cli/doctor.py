@@ -62,6 +62,11 @@ def _look(network: Network, reached: Bus, seconds: float) -> Iterator[Finding]:
         yield from found
         if not all(finding.good for finding in found if finding.what == "interface"):
             return
+    needed = buses.missing_library(reached.interface or "")
+    if needed is not None:
+        yield computer.Finding("interface", False, f"{reached.interface} needs {needed[0]}, which is not installed",
+                               f"say {needed[1]}")
+        return
     with buses.opened_one(chosen, network.bitrate) as opened:
         try:
             yield from heard(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))

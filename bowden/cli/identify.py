@@ -13,6 +13,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, grouped
 from parameters import InputError
+from parameters.files import write_whole
 
 if TYPE_CHECKING:
     from bowden.identification import Identified
@@ -51,20 +52,26 @@ def identify(
     from bowden import identification, output_files
 
     _drawable(what, picture)
+    output_files.refuse_ending(output, ".toml", what="a calibration")
+    output_files.refuse_picture(picture)
     today = datetime.date.today().isoformat()
     progress = terminal.Terminal(shown=not json)
     if recorded:
         _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
-        output_files.refuse([output, picture], overwrite=overwrite)
+        output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
         found = identification.again(what, recorded, calibration, date=today, progress=progress)
         return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
     sections = reached.sections(config, rate)
     chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
-    output_files.refuse([output, recording, picture], overwrite=overwrite)
+    output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
+        calibration, config, simulated.plant_model])
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
-    return _ended(found, output, str(recording), picture, json)
+    status = _ended(found, output, str(recording), picture, json)
+    if not json:
+        print(f"Bench: {chosen.told}")
+    return status
 
 
 def _drawable(what: str, picture: Path | None) -> None:
@@ -83,13 +90,15 @@ def _ended(found: Identified, output: Path, source: str, picture: Path | None, j
     if found.calibration is not None:
         from physics.calibration import write
 
-        output.write_text(write(found.calibration), encoding="utf-8")
+        write_whole(output, write(found.calibration), overwrite=True)
         if picture is not None:
             from bowden import loops_picture
 
             loops_picture.draw(found.segments, f"{output.name}, measured in {source}", picture)
     terminal.emit(_object(found, output, source)) if json else _tell(found, output, source)
-    return 0 if found.reason is None else 1
+    from bowden.cli import ending
+
+    return ending.status_of("completed" if found.reason is None else "stopped", found.reason)
 
 
 def _rows(found: Calibration) -> dict[str, dict[str, Any]]:

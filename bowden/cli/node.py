@@ -43,16 +43,21 @@ def backup(
     """
     from bowden import output_files
     from master.network import dcf
+    from parameters.files import write_whole
 
     output_files.refuse([output], overwrite=overwrite)
     with _bench(name, reached, config) as (link, entry):
-        values = {**dcf.backup(link, entry), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
-    output.write_text(dcf.as_dcf(entry.dictionary, entry.node_id, values), encoding="utf-8")
+        dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
+        unread: list[str] = []
+        values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
+    write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
     if json:
-        terminal.emit({"node": name, "file": str(output), "parameters": len(values)})
+        terminal.emit({"node": name, "file": str(output), "parameters": len(values), "unread": unread})
     else:
-        print(f"{output}: {len(values)} parameters of {name}.")
-    return 0
+        print(f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.")
+        for one in unread:
+            print(f"  not read: {one}")
+    return 1 if unread else 0
 
 
 @node.command()
@@ -72,6 +77,7 @@ def compare(
 
     given = _read(file)
     with _bench(name, reached, config) as (link, entry):
+        dcf.refuse_other(link, entry, given, str(file))
         found = dcf.compare(link, entry, given)
     return _tell(name, file, found, "differ", json=json)
 
@@ -93,6 +99,7 @@ def restore(
 
     given = _read(file)
     with _bench(name, reached, config) as (link, entry):
+        dcf.refuse_other(link, entry, given, str(file))
         found = dcf.restore(link, entry, given)
     _tell(name, file, found, "restored", json=json)
     return 0

@@ -65,8 +65,12 @@ class Bus(NamedTuple):
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
         return sections
 
-    def chosen(self, simulated: Simulated | None = None) -> BusSettings:
-        """The bus to open; raises `InputError` for what contradicts itself."""
+    def chosen(self, simulated: Simulated | None = None, *, always_simulated: bool = False) -> BusSettings:
+        """The bus to open; raises `InputError` for what contradicts itself.
+
+        A channel or an option without an interface means a real bus that would not be opened: it is refused, but
+        where a command is `always_simulated`.
+        """
         from bowden.buses import BENCH, VIRTUAL, bus
         from bowden.buses import simulated as virtual
         from parameters import InputError
@@ -74,6 +78,12 @@ class Bus(NamedTuple):
         options = dict(_option(text) for text in self.option or ())
         asked: dict[str, Any] = {
             name: value for name, value in (simulated or Simulated())._asdict().items() if value is not None}
+        if self.interface is None and not always_simulated:
+            for name, value in (("--channel", self.channel), ("--option", self.option and self.option[0])):
+                if value:
+                    raise InputError(f"{name} {value}: without --interface nothing but a simulation would run; add "
+                                     f"--interface socketcan (or another), or --interface {VIRTUAL} for the simulated "
+                                     "bench.")
         if self.interface in (None, VIRTUAL):
             return virtual(**{**asked, "channel": self.channel or BENCH, **options})
         for name in asked:

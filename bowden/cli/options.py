@@ -12,8 +12,8 @@ def _file(help: str, *names: str) -> Any:
     return typer.Option(*names, metavar="FILE", help=help)
 
 
-def _given(help: str, *names: str) -> Any:
-    return typer.Option(*names, help=help)
+def _given(help: str, *names: str, metavar: str | None = None) -> Any:
+    return typer.Option(*names, metavar=metavar, help=help)
 
 
 SCRIPTS = ("locked_angles", "two_peaks", "two_speeds", "dither", "amplitude_sweep", "rest_repeat", "hold_return",
@@ -26,14 +26,15 @@ Json = Annotated[bool, _given("One JSON object on stdout, nothing else.", "--jso
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
 Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf).")]
 
-Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).")]
-Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).")]
-Cycles = Annotated[int | None, _given("Gait cycles to run (default 10).")]
-Settle = Annotated[int | None, _given("First cycles left out of every figure (default 1).")]
+Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).", metavar="N")]
+Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
+Cycles = Annotated[int | None, _given("Gait cycles to run (default 10).", metavar="COUNT")]
+Settle = Annotated[int | None, _given("First cycles left out of every figure (default 1).", metavar="COUNT")]
 SoftStart = Annotated[int | None, _given("Gait cycles before the first, over which the peak rises (default 0).",
-                                         "--soft-start")]
-Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).")]
-Controller = Annotated[str | None, _given("paper, none, friction, impedance, extended or module:Class (paper).")]
+                                         "--soft-start", metavar="COUNT")]
+Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).", metavar="HZ")]
+Controller = Annotated[str | None, _given(
+    "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
@@ -42,12 +43,13 @@ Script = Annotated[str | None, typer.Option(
 ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 
-Serial = Annotated[int | None, _given("Simulated bench: its serial number (default 1).")]
-Day = Annotated[int | None, _given("Simulated bench: the day (default 0).")]
-Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).")]
+Serial = Annotated[int | None, _given("Simulated bench: its serial number (default 1).", metavar="NUMBER")]
+Day = Annotated[int | None, _given("Simulated bench: the day (default 0).", metavar="NUMBER")]
+Seed = Annotated[int | None, _given("Simulated bench: seed of the noise (default 0).", metavar="NUMBER")]
 Plant = Annotated[str | None, typer.Option(metavar="NAME", help="Simulated bench: its plant (default bowden).")]
 PlantModel = Annotated[Path | None, _file("Simulated bench: bench model or plant tables, TOML.")]
-Interface = Annotated[str | None, _given("python-can interface of a real bus (default: the virtual bus).")]
-Channel = Annotated[str | None, _given("Channel of that interface, such as can0.")]
-Bitrate = Annotated[int | None, _given("bit/s; default from [network].")]
+Interface = Annotated[str | None, _given(
+    "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
+Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]
+Bitrate = Annotated[int | None, _given("bit/s; default from [network].", metavar="BIT/S")]
 Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]

@@ -31,15 +31,18 @@ TAKES = {
 }
 """Options by what a trial is replayed onto; the others are refused."""
 Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
-Onto = Annotated[str, typer.Option(help="bus, controller or plant.", show_default=False)]
-Speed = Annotated[float, typer.Option(help="bus: recorded by played time.")]
+Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
+Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
 Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: play it exactly so often.")]
 From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there; nodes and PDOs are brought there.")]
 To = Annotated[float | None, typer.Option("--to", metavar="S", help="bus: end there.")]
 Step = Annotated[bool, typer.Option("--step", help="bus: one frame for each line of standard input.")]
-Node = Annotated[list[int] | None, typer.Option(help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
-CobId = Annotated[list[str] | None, typer.Option(help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
-Direction = Annotated[str | None, typer.Option(help="bus: rx (what the recorder heard) or tx (what it sent).")]
+Node = Annotated[list[int] | None, typer.Option(
+    metavar="NODE", help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
+CobId = Annotated[list[str] | None, typer.Option(
+    metavar="ID", help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
+Direction = Annotated[str | None, typer.Option(
+    metavar="WAY", help="bus: rx (what the recorder heard) or tx (what it sent).")]
 Map = Annotated[list[str] | None, typer.Option("--map", metavar="N=CHANNEL", help="bus: recorded channel → channel.")]
 NodesOnly = Annotated[bool, typer.Option("--nodes-only", help="bus: the nodes' frames, answering a live master.")]
 Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="plant: residuals, MCAP.")]
@@ -83,9 +86,10 @@ def replay(
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     given = opened(trial)
+    _refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, json=json)
-    chosen = reached.chosen(simulated)
+    chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
         return _plant(given, chosen, output, overwrite=overwrite, json=json)
     network = recorded.sections(given)["network"]
@@ -105,6 +109,26 @@ def replay(
         return _played(given, playing.played(), json=json)
 
 
+def _refuse_imported(recorded: Trial, onto: str) -> None:
+    """Raise `InputError`, with what can be done instead, for what a log or table of others cannot be replayed onto."""
+    source = recorded.metadata.get("imported_from")
+    if source is None:
+        return
+    said = f"{recorded.path}: was imported from {source}"
+    if not len(recorded.frames):
+        raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
+                         "it, and bowden report shows it.")
+    from eds.bench import Network, wire
+
+    commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
+    others = "--onto bus" + (" or --onto plant" if commands else "")
+    if onto == "controller":
+        raise InputError(f"{said}, which carries neither the calibration nor the configuration that the controller's "
+                         f"steps need; replay it {others}.")
+    if onto == "plant" and not commands:
+        raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")
+
+
 def _controller(recorded: Trial, *, json: bool) -> int:
     from bowden.recorded import experiment
     from bowden.replay import onto_controller
@@ -116,6 +140,10 @@ def _controller(recorded: Trial, *, json: bool) -> int:
         terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()})
         return 0 if found.same else 1
     print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
+    if recorded.recovered is not None:
+        whole = onto_controller.whole_rows(recorded)
+        print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
+              f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
     if found.first is None:
         print("The same, bit for bit.")
         return 0

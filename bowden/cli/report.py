@@ -27,7 +27,8 @@ def report(
     from bowden import reports
     from trial.read import open as opened
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
+    output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}", shown=not json):
         recorded = opened(trial)
     size = reports.write_trial_page(recorded, output, overwrite=overwrite,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,11 +21,12 @@ Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…",
     "Repeatable."))]
 Draw = Annotated[list[str] | None, typer.Option("--draw", metavar="NAME=LOW:HIGH[:log]", help=(
     "A number drawn at random. Repeatable."))]
-Draws = Annotated[int, typer.Option(help="Random draws for each point of the grid.")]
-DrawSeed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Draws = Annotated[int, typer.Option(metavar="COUNT", help="Random draws for each point of the grid.")]
+DrawSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.")]
 Identify = Annotated[bool, typer.Option("--identify", help="Identify each bench on its day 0 first.")]
 Keep = Annotated[Path | None, typer.Option(metavar="DIR", help="Keep the recordings there (default: none is kept).")]
-Workers_ = Annotated[int | None, typer.Option("--workers", help="Processes (default: one a processor).")]
+Workers_ = Annotated[int | None, typer.Option(
+    "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
 Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
 
@@ -73,9 +74,44 @@ def sweep(
         found = [table.found(row) or {} for row in rows]
     failed = sum(row["outcome"] != "completed" for row in found)
     result = {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed}
-    terminal.emit(result) if json else print(
-        f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
+    if json:
+        terminal.emit(result | {"figures": _summary(found)})
+    else:
+        _tell(found)
+        print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
     return 1 if failed else 0
+
+
+FIGURES = {
+    "true_relative_rmse_percent": "relative RMSE, true END (%)", "relative_rmse_percent": "relative RMSE, END (%)",
+    "true_max_idle_tension_n": "largest true END at idle (N)", "true_peak_jump_n": "jump of true END at the peak (N)",
+    "missed_cycles": "missed cycles",
+}
+
+
+def _summary(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Of each figure over the trials that completed: median, least, greatest, and the number of the worst row."""
+    import math
+    import statistics
+
+    told = {}
+    for name in FIGURES:
+        values = {number: float(row[name]) for number, row in enumerate(found, start=1)
+                  if row.get("outcome") == "completed" and row.get(name) not in (None, "")}
+        values = {number: value for number, value in values.items() if math.isfinite(value)}
+        if values:
+            worst = max(values, key=lambda number: values[number])
+            told[name] = {"trials": len(values), "median": statistics.median(values.values()),
+                          "least": min(values.values()), "greatest": values[worst], "worst_row": worst}
+    return told
+
+
+def _tell(found: Sequence[Mapping[str, Any]]) -> None:
+    told = _summary(found)
+    if told:
+        terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
+            (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
+             str(one["worst_row"])) for name, one in told.items()])
 
 
 def _fixed(identify: bool, calibration: Path | None, knee: Path | None, desired: Path | None) -> dict[str, Any]:

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
+
+if TYPE_CHECKING:
+    from bowden.buses import BusSettings
+
+Web = Annotated[str | None, typer.Option(
+    metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
 
 
 @app.command()
@@ -27,15 +36,23 @@ def trial(
     reached: Bus,
     config: options.Config = None,
     picture: options.Picture = None,
+    web: Web = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Run one experiment and record it.
 
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.
+
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden import provenance, session
+    from bowden import output_files, provenance, session
+    from bowden.cli import ending
 
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    output_files.refuse_picture(picture)
+    inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
+    output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
     reference, sections["gait"], notes = session.reference(
         walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
@@ -45,9 +62,34 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    result = session.perform(prepared, output, picture, overwrite=overwrite, progress=terminal.Terminal(shown=not json))
-    terminal.emit(result) if json else _show(result, output, picture)
-    return 0 if result["outcome"] == "completed" else 1
+    with _page(web, output.name, sections["network"]) as watch:
+        result = session.perform(
+            prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
+            progress=terminal.Terminal(shown=not json), watch=watch)
+    if json:
+        terminal.emit(result)
+    elif result["trial"] is None:
+        print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
+    else:
+        _show(result, output, picture, chosen.told, dry_run=dry_run)
+    return ending.status_of(result["outcome"], result["stop_reason"])
+
+
+def _where(chosen: BusSettings) -> str:
+    """Say before anything moves whether anything real will."""
+    if chosen.simulated:
+        told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
+        return f"SIMULATED bench, {told}; --interface names a real bus."
+    return f"bench on {chosen.told}."
+
+
+def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Any]:
+    """The live page of the trial, None where none was asked for."""
+    if web is None:
+        return nullcontext()
+    from bowden.live import feeds
+
+    return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
 
 
 FORCE_FIGURES = (
@@ -58,11 +100,13 @@ FORCE_FIGURES = (
 )
 
 
-def _show(result: dict[str, Any], output: Path, picture: Path | None) -> None:
+def _show(result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool) -> None:
     from bowden.reports import PAPER_RMSE_PERCENT
 
     figure = terminal.number
     paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
+    if dry_run:
+        paper = {}
     title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
@@ -77,4 +121,4 @@ def _show(result: dict[str, Any], output: Path, picture: Path | None) -> None:
     ])
     if result["stop_reason"]:
         print(f"Stopped: {result['stop_reason']}")
-    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else ""))
+    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else "") + f"   {bus}")

@@ -53,16 +53,21 @@ def verify(
         peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
     files = {name: output.with_name(f"{output.stem}-{name}{output.suffix}") for name in ("before", "after")}
-    output_files.refuse(files.values(), overwrite=overwrite)
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    output_files.refuse(files.values(), overwrite=overwrite, inputs=[
+        model, calibration, config, simulated.plant_model])
     prepared = {
         name: session.prepare(sections, reference, calibration, chosen, dry_run=False,
                               controller_model=model if name == "after" else None) for name in files}
     progress = terminal.Terminal(shown=not json)
-    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress)
+    figures = {name: session.perform(prepared[name], path, overwrite=overwrite, progress=progress,
+                                     announce="" if json else f"{name}, bench on {chosen.told}.")
                for name, path in files.items()}
     result = _compared(model, prepared["after"].experiment.known, figures)
     terminal.emit(result) if json else _tell(result, figures)
-    return 0 if all(one["outcome"] == "completed" for one in figures.values()) else 1
+    from bowden.cli import ending
+
+    return max(ending.status_of(one["outcome"], one["stop_reason"]) for one in figures.values())
 
 
 def _compared(model: Path, known: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from bowden.live.feeds import PagedViewer
 from bowden.live.viewer import Asked, Viewer
 from trial.player_tape import Playback, Tape, player
 from trial.read import Trial
@@ -31,7 +32,7 @@ class TrialPlayback:
                 self._clock(), asked.command, speed=asked.speed, seek_ns=asked.seek_ns)
             return self._player
 
-    def look(self, viewer: Viewer) -> None:
+    def look(self, viewer: Viewer | PagedViewer) -> None:
         """Send what is due, to new subscriptions and after a seek the last message before it too, and a new status.
 
         A player that is READY begins when the subscriptions are the same at two looks: clients subscribe one by one.

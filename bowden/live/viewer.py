@@ -16,6 +16,16 @@ from trial.player_tape import Command, Playback, Status
 BACKLOG = 1 << 16  # messages a client may be behind; at ten times real time a span of 16 ms has 1 200
 
 
+def installed() -> bool:
+    """Whether foxglove-sdk is installed."""
+    import importlib.util
+
+    try:
+        return importlib.util.find_spec("foxglove") is not None
+    except ValueError:  # a module that was taken away while this process ran
+        return False
+
+
 class Asked(NamedTuple):
     """What a viewer's player controls ask for."""
 
@@ -57,6 +67,7 @@ class Viewer:
                 (cdr.FRAMES, cdr.FRAME_SCHEMA_NAME, cdr.FRAME_SCHEMA, {}),
                 (cdr.EVENTS, cdr.EVENT_SCHEMA_NAME, cdr.EVENT_SCHEMA, {}))}
         self.port: int = self._server.port
+        self.loopback = host in ("localhost", "::1") or host.startswith("127.")
         self.url = f"ws://{host}:{self.port}"
         self.app_url = str(self._server.app_url())
 

@@ -144,12 +144,20 @@ def walked(recorded: Trial) -> range:
         raise InputError(f"{recorded.path}: has no column {lacking[0]}, which the controller's steps need; "
                          "give a trial that bowden trial recorded.")
     rows = np.flatnonzero(~np.isnan(recorded.columns["gait_percent"]))
+    rows = rows[rows < whole_rows(recorded)]
     if not len(rows):
         raise InputError(f"{recorded.path}: the controller made no step in it; give a trial that reached its gait.")
     if recorded.lost_cycles or len(rows) != rows[-1] + 1 - rows[0]:
         raise InputError(f"{recorded.path}: control cycles are missing, and a controller remembers them; "
                          "give a whole trial.")
     return range(int(rows[0]), int(rows[-1]) + 1)
+
+
+def whole_rows(recorded: Trial) -> int:
+    """Return how many rows are whole: of a recovered trial those whose frames survived up to the next SYNC."""
+    if recorded.recovered is None or not len(recorded.frames):
+        return len(recorded.time_ns)
+    return int(np.searchsorted(recorded.time_ns, recorded.frames["time_ns"].max(), side="right")) - 1
 
 
 def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:

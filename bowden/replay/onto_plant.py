@@ -30,7 +30,7 @@ def replay(
     from bowden.replay.plant_residuals import residuals
     from eds.bench import wire
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite, inputs=[recorded.path])
     described = wire(sections(recorded)["network"])
     session.compile_laws(simulated=True, progress=progress)
     found = residuals(recorded, simulate(recorded, chosen, described, progress), described)

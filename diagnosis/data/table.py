@@ -1,14 +1,14 @@
 """Measured data in memory: columns by their names of the signal table, read once, filtered alike.
 
-The rule of this file: it is the only place of the diagnosis that knows where numbers come from (CSV,
-gzipped CSV, MCAP); a missing column is missing knowledge, never zeros; nothing is repaired silently.
+The rule of this file: it is the only place of the diagnosis that knows where numbers come from (trials, and the
+tables that `trial.convert.sheets` reads); a missing column is missing knowledge, never zeros; nothing is repaired
+silently.
 """
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,18 +17,19 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
+from parameters.files import refuse_special
 from physics.laws import Array
+from trial.convert.csv_table import offer
+from trial.convert.sheets import ENDINGS, sheet_of
+from trial.signals import MOTION_AND_FORCE
 
-UNITS: Final[Mapping[str, str]] = {
-    "time_s": "s", "gait_percent": "%", "cycle": "",
-    "servo_target_m": "m", "servo_position_m": "m", "servo_velocity_m_s": "m/s", "servo_force_n": "N",
-    "knee_target_rad": "rad", "knee_angle_rad": "rad",
-    "tension_start_n": "N", "tension_end_n": "N", "desired_force_n": "N", "estimated_end_force_n": "N",
-}
+UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
 """The signals that CSV headers, the channel /cycle and report axes share."""
 
 COUNTERS: Final = ("time_s", "gait_percent", "cycle")
 AGE_SUFFIX: Final = "_age_ns"
+NOMINAL: Final = "nominal"
+"""What a trial's metadata call the packaged calibration, which was measured on no bench."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
 
 
@@ -54,15 +55,38 @@ class Table:
 
 
 def read(path: str | Path) -> Table:
-    """Read a trial (.mcap) or a CSV (plain or .gz) with a subset of the canonical headers.
+    """Read a trial (.mcap) or a table (CSV, .gz, Parquet, .mat, .mf4) with a subset of the canonical headers.
 
     Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.
     """
     path = Path(path)
-    if path.suffix == ".mcap":
+    refuse_special(path)
+    if path.suffix.lower() == ".mcap":
         return _read_mcap(path)
-    header, values = _read_csv(path)
-    return table(str(path), {name: values[:, i] for i, name in enumerate(header)})
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    if not set(suffixes) & {*ENDINGS, ""} and suffixes:
+        raise InputError(f"{path}: is neither a trial nor a table; say bowden import {path} -o trial.mcap first.")
+    return _read_sheet(path)
+
+
+def _read_sheet(path: Path) -> Table:
+    sheet = sheet_of(path)
+    known = [name for name in sheet.names if name in UNITS or name.endswith(AGE_SUFFIX) or name == DEGREE_ALIAS]
+    if "time_s" not in known or not _signals(known):
+        lacks = "no column time_s" if "time_s" not in known else "no signal among its columns"
+        raise InputError(f"{path}: {lacks}; {offer(path)}.")
+    for name in known:
+        stated, unit = sheet.unit(name), "deg" if name == DEGREE_ALIAS else UNITS.get(name, "ns")
+        if stated and stated.replace("°", "deg") != unit:
+            raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
+    made = table(str(path), {name: sheet.column(name) for name in known})
+    ignored = sorted(set(sheet.names) - set(known))
+    notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
+    return replace(made, notes=(*made.notes, *notes, *((f"read with {', '.join(sheet.said)}",) if sheet.said else ())))
+
+
+def _signals(names: Iterable[str]) -> list[str]:
+    return [name for name in names if name not in COUNTERS and not name.endswith(AGE_SUFFIX)]
 
 
 def table(
@@ -77,7 +101,7 @@ def table(
             known[name] = np.ascontiguousarray(values, dtype=np.float64)
     if "time_s" not in known:
         raise InputError(f"{source}: no column time_s; name the time column time_s, in seconds.")
-    if not any(name not in COUNTERS and not name.endswith(AGE_SUFFIX) for name in known):
+    if not _signals(known):
         raise InputError(f"{source}: no signal among its columns; expected some of {', '.join(UNITS)}.")
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
@@ -106,45 +130,6 @@ def _digest(columns: Mapping[str, Array]) -> str:
     return digest.hexdigest()
 
 
-def _read_csv(path: Path) -> tuple[list[str], Array]:
-    opener: Any = gzip.open if path.suffix == ".gz" else open
-    try:
-        with opener(path, "rt", encoding="utf-8-sig") as stream:
-            header = [name.strip() for name in stream.readline().split(",")]
-            rows = stream.read()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of a trial (.mcap, .csv, .csv.gz).") from None
-    except (OSError, UnicodeDecodeError, EOFError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a readable .mcap, .csv or .csv.gz.") from None
-    repeated = {name for name in header if header.count(name) > 1}
-    if repeated:
-        raise InputError(f"{path}: column {sorted(repeated)[0]} appears twice; keep one.")
-    return header, _parse(path, len(header), rows)
-
-
-def _parse(path: Path, width: int, rows: str) -> Array:
-    lines = rows.splitlines()
-    if not any(line.strip() for line in lines):
-        raise InputError(f"{path}: no row below the header; give a recorded trial.")
-    try:
-        values = np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64, converters=None, comments=None)
-    except ValueError:
-        values = np.array([_row(path, width, i, line) for i, line in enumerate(lines, 2) if line.strip()])
-    if values.shape[1] != width:
-        raise InputError(f"{path}: row 2 has {values.shape[1]} cells, its header {width}; give every row the same.")
-    return values
-
-
-def _row(path: Path, width: int, number: int, line: str) -> list[float]:
-    cells = line.split(",")
-    if len(cells) != width:
-        raise InputError(f"{path}: row {number} has {len(cells)} cells, its header {width}; give every row the same.")
-    try:
-        return [float(cell) if cell.strip() else float("nan") for cell in cells]
-    except ValueError as error:
-        raise InputError(f"{path}: row {number}: {error}; every cell is a number, empty where unknown.") from None
-
-
 def _read_mcap(path: Path) -> Table:
     from trial import read as reader
 
@@ -155,10 +140,21 @@ def _read_mcap(path: Path) -> Table:
 
 
 def _carried_calibration(trial: Any) -> Mapping[str, Any] | None:
+    """The bench's own calibration that a trial carries; the packaged nominal one is no bench's own."""
     import tomllib
 
+    if trial.metadata.get("calibration") == NOMINAL:
+        return None
     raw = trial.attachments.get("calibration.toml")
-    return None if raw is None else tomllib.loads(bytes(raw).decode("utf-8"))
+    try:
+        return None if raw is None else tomllib.loads(bytes(raw).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{trial.path}: the attached calibration.toml is damaged ({_first_line(error)}); give the "
+                         "calibration with --calibration and a trial without it.") from None
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
 
 
 def low_passed(given: Table, cutoff_hz: float) -> Table:

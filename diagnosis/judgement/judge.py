@@ -56,17 +56,47 @@ class Judge:
         healthy = sum(self._expected(n) for n in self.setting.checked)
         if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
             return False
+        if self.setting.any_rig:
+            return self._likelier(lesser, model)
         if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+            return False
+        if any(model.by_relation[n] - lesser.by_relation[n] > self._noise(n, lesser) for n in self.setting.checked):
             return False
         cuts, base = verdict.cut(lesser, model), self.search.baseline
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
+    def _likelier(self, lesser: Model, model: Model) -> bool:
+        """Whether a model pays on a rig of which no scatter is known: by the ratio of likelihoods, n·ln(χ²₀/χ²₁).
+
+        n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
+        """
+        base = self.search.baseline
+        for n, share in verdict.cut(lesser, model).items():
+            left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
+            least = verdict.MISMATCH_ELSEWHERE * base.by_relation[n]
+            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < least:
+                continue
+            if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
+                return True
+        return False
+
+    def _noise(self, relation: str, model: Model) -> float:
+        """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
+        expected = self._expected(relation) or model.by_relation[relation]
+        return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
+
     def _unlike(self, effect: Candidate, model: Model) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
+        if not any(abs(model.fit.values[f.name] - self.search.start[f.name])
+                   > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
+            return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         banded = [bands[f.name] for f in effect.frees if f.name in bands]
-        return not banded or any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+        if banded:
+            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
+                                           for f in effect.frees)
 
     def can_improve(self, model: Model) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says)."""
@@ -157,6 +187,7 @@ class Judge:
         lacking = blocks.allowed(self.holdout) if self.holdout else {}
         ahead = blocks.blocks_of(
             self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut) if lacking else []
+        ahead = self.setting.learnt.corrected(ahead) if self.setting.learnt is not None else ahead
         return {name: self._figures(name, ahead) for name in RELATIONS}
 
     def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:
@@ -173,12 +204,29 @@ class Judge:
 
     def limits(self) -> dict[str, Mapping[str, Any]] | None:
         """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
-        if self.setting.any_rig:
+        if self.setting.any_rig or (self.setting.learnt is None and self.setting.reference.kind == "healthy"):
             return None
         from diagnosis.judgement.plan import sight
 
-        return {limit.effect: {"parameter": limit.parameter, "value": limit.size, "unit": limit.unit}
-                for limit in sight(self.setting, self.found.baseline.fit)}
+        named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
+                 for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
+        # what was named is not smaller than what could have been
+        told: dict[str, Mapping[str, Any]] = {}
+        for limit in sight(self.setting, self.found.baseline.fit):
+            size = limit.size
+            if size is not None and limit.parameter in named:
+                size = min(size, named[limit.parameter])
+            told[limit.effect] = {"parameter": limit.parameter, "value": size, "unit": limit.unit}
+        return told
+
+    def on_bounds(self) -> list[str]:
+        """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""
+        if self._strange():
+            return []
+        values = self.found.best.fit.values
+        return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}; it is not measured."
+                for c in self.found.best.effects for f in c.frees
+                if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * (f.high - f.low)]
 
 
 def _inside(value: float, low: float, high: float) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 
 from diagnosis.problem.cross_validation import CycleSquares
 from diagnosis.search.search import Found, Model
+from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
@@ -24,6 +25,11 @@ STRUCTURE: Final = 0.04
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
 MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
+LEAST_RATIO: Final = 80.0
+"""n·ln(χ²₀/χ²₁) on unseen cycles that an effect must reach on a rig that nothing is known of."""
+LEAST_GAIN_ELSEWHERE: Final = 0.03
+MISMATCH_ELSEWHERE: Final = 0.004
+"""Shares of RMSE, and of the baseline's whole χ², that it must take away there."""
 LAW: Final = 0.06
 """1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
 RIVAL_RMSE: Final = 0.10
@@ -44,6 +50,11 @@ STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
 OPEN: Final = 0.1
 """Excess of a relation over its healthy χ², in that, from which a further effect is looked for."""
+CERTAIN: Final = 2.0
+"""Departure from the healthy value, in 1σ of the fit, below which a value says nothing."""
+MATERIAL: Final = 0.5
+"""Departure from absence that is a find, of the least that the catalogue expects (of a tenth of its largest, where
+absence lies among what is expected)."""
 DRAWS: Final = 400
 
 
@@ -100,6 +111,16 @@ def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVA
             if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
                 others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
+
+
+def material(effect: Effect, name: str, value: float) -> bool:
+    """Whether a value departs from absence by a share of where the catalogue expects it."""
+    parameter = next((p for p in effect.parameters if p.name == name), None)
+    if parameter is None or parameter.neutral is None:
+        return False
+    low, high = (end - parameter.neutral for end in parameter.likely)
+    nearest = min(abs(low), abs(high)) if low * high > 0.0 else 0.1 * max(abs(low), abs(high))
+    return abs(value - parameter.neutral) >= MATERIAL * nearest
 
 
 def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, likeness: float, change: float) -> float:

@@ -1,7 +1,7 @@
 """What wire and converter did to the values, before any law of the bench is asked: their ages and their grid.
 
 The rule of this file: values as they were recorded, never filtered, each column against itself and against healthy
-trials; ages where the recorder says them, else repeats, less those that healthy values show by chance.
+trials; ages where the recorder says them, else repeats, less those that the trial's own noise and grid give by chance.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -28,6 +28,12 @@ LEAST_SHARE: Final = 0.005
 """Share of stale values from which the wire is at fault: the least that the catalogue expects."""
 UNLIKE: Final = 0.2
 """The same, of the repeats that healthy values show."""
+SURE: Final = 6.0
+"""The same, in 1σ of what chance gives."""
+LEAST_MOVED: Final = 200
+"""Samples that differ from their neighbour from which their steps say how often chance repeats one."""
+LEAST_SPREAD: Final = 1.5
+"""Spread of the steps, in grids, from which the chance of none is that of one."""
 LEAST_STEP: Final = 0.1
 """Grid of a sensor, N, below which it is fine enough."""
 COARSER: Final = 2.0
@@ -56,11 +62,15 @@ class Told:
 
 @dataclass(frozen=True)
 class Seen:
-    """Counts of each age in cycles, the cycle time, s, and the chance of a repeat on healthy data (None: true ages)."""
+    """Counts of each age in cycles, the cycle time, s, and the chance of a repeat by noise and grid (None: true ages).
+
+    `sigma`: 1σ of that chance.
+    """
 
     counts: Array
     cycle_s: float
     chance: float | None
+    sigma: float = 0.0
 
     @property
     def share(self) -> float:
@@ -74,19 +84,56 @@ class Seen:
         return self.cycle_s * math.sqrt(float(self.counts @ np.arange(COUNTED + 1) ** 2.0) / self.counts.sum())
 
 
-def ages(trials: Sequence[Table], healthy: Sequence[Table]) -> Seen | None:
-    """Return the values' ages on `trials`; None where neither the recorder nor healthy trials tell."""
+def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
+    """Return the values' ages on `trials`; None where neither the recorder nor their own noise tells.
+
+    Values that sit on no grid repeat by chance as often as those of `healthy` trials.
+    """
     cycle_s = float(np.median(np.diff(trials[0]["time_s"])))
     known = [values for t in trials for name, values in t.columns.items() if name.endswith(AGE_SUFFIX)]
     if known:
         held = np.concatenate([values[np.isfinite(values)] for values in known])
         return Seen(_counted(np.rint(held * 1e-9 / cycle_s)), cycle_s, None)
-    runs = [_runs(t, name) for name in SENSORS.values() for t in trials if name in t]
-    rest = [_runs(t, name) for name in SENSORS.values() for t in healthy if name in t]
-    if not runs or not rest:
+    read = [(t, name) for name in SENSORS.values() for t in trials if name in t]
+    chances = [_chance(t, name) for t, name in read]
+    for i, (given, name) in enumerate(read):
+        rest = [_runs(h, name) > 0 for h in healthy if name in h and step(given, name) == step(h, name) == 0.0]
+        if rest:
+            share = float(np.mean(np.concatenate(rest)))
+            chances[i] = Chance(share, 1.0 + share * len(given))
+    told = [(_runs(t, name), chance) for (t, name), chance in zip(read, chances, strict=True) if chance is not None]
+    if not told:
         return None
-    chance = float(np.mean(np.concatenate(rest) > 0))
-    return Seen(_counted(np.concatenate(runs)), cycle_s, min(chance, 0.9))
+    runs = np.concatenate([r for r, _ in told])
+    chance = float(np.average([c.share for _, c in told], weights=[r.size for r, _ in told]))
+    return Seen(_counted(runs), cycle_s, min(chance, 0.9), math.sqrt(sum(c.variance for _, c in told)) / runs.size)
+
+
+class Chance(NamedTuple):
+    """The share of samples that repeat their neighbour by chance, and the variance of their count."""
+
+    share: float
+    variance: float
+
+
+def _chance(given: Table, name: str) -> Chance | None:
+    """Return the chance of a repeat from the column's own steps: as often as one grid step up or down, a little more.
+
+    None where the noise is less than the grid: then nearly every value repeats, and nothing is to be learnt from it.
+    """
+    values = given[name][np.isfinite(given[name])]
+    grid = step(given, name)
+    if grid == 0.0:
+        return Chance(0.0, 1.0)
+    moved = np.rint(np.diff(values) / grid)
+    near, away = float(np.sum(np.abs(moved) == 1.0)) / 2.0, moved[moved != 0.0]
+    if away.size < LEAST_MOVED:
+        return None
+    spread = float(np.median(np.abs(away))) / 0.6745
+    if spread < LEAST_SPREAD:
+        return None
+    expected = near * math.exp(0.5 / spread**2)
+    return Chance(expected / max(values.size - 1, 1), expected + expected**2 / max(2.0 * near, 1.0))
 
 
 def _counted(ages: Array) -> Array:
@@ -102,7 +149,7 @@ def _runs(given: Table, name: str) -> Array:
 
 def stale(seen: Seen) -> list[Told]:
     """Return the effects that could have made the values stale, the best first; none where they are fresh."""
-    if seen.share < max(LEAST_SHARE, UNLIKE * (seen.chance or 0.0)):
+    if seen.share < max(LEAST_SHARE, UNLIKE * (seen.chance or 0.0), SURE * seen.sigma):
         return []
     told = [_aged(effect, seen) for effect in CATALOGUE.values() if effect.stale is not None]
     best = min(t.misfit for t in told)

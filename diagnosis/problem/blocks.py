@@ -180,6 +180,10 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
     keep = (time >= time[0] + SETTLE_S) & (time <= time[-1] - SETTLE_S)
     for name in (*relation.columns, relation.output):
         keep &= np.isfinite(signals[name])
+    if taut_n is None and signals.has("rope_m"):
+        # what friction remembers from before the trial is forgotten once the rope has gone half its way
+        gone = np.cumsum(np.abs(np.diff(signals["rope_m"], prepend=signals["rope_m"][0])))
+        keep &= gone >= 0.5 * float(np.ptp(signals["rope_m"]))
     if relation.unit == "rad" and taut_n is not None:
         for name in ("tension_end_n", "tension_start_n"):
             if signals.has(name):

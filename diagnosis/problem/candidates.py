@@ -32,6 +32,7 @@ class Candidate:
     frees: tuple[Free, ...]
     starts: tuple[Mapping[str, float], ...]
     likely: Mapping[str, tuple[float, float]]
+    level: tuple[str, ...] = ()
 
     def unlikely(self, values: Mapping[str, float]) -> int:
         """Return how many of its parameters are outside of where they are expected."""
@@ -48,8 +49,10 @@ def candidates(
 ) -> list[Candidate]:
     """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
 
+    An effect is offered where the relation that shows it first can be checked.
     `any_rig`: bounds are those for rigs of any size, and what reads this bench's geometry is left out.
     """
+    checked = tuple(checked)
     visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))
     swallowed = {f.name for f in nuisance if math.isinf(f.sigma)}
     found = []
@@ -58,10 +61,25 @@ def candidates(
             continue
         frees = [_free(p, reference, any_rig) for p in effect.parameters
                  if p.name in visible and p.name not in swallowed]
+        if effect.relations[0] not in checked and not any_rig and not _drives_alone(effect, checked):
+            continue
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
             likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}
-            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely))
+            found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely,
+                                   effect.level))
     return found
+
+
+def _drives_alone(effect: Any, checked: Iterable[str]) -> bool:
+    """Whether an effect of the drive is seen in its force, where its target is not recorded."""
+    return effect.relations[0] == "servo" and len(effect.relations) > 1 and effect.relations[1] in checked
+
+
+def untold(checked: Iterable[str]) -> list[str]:
+    """Return the effects that no name is given to because the relation that shows them first cannot be checked."""
+    known = set(checked)
+    return [e.name for e in CATALOGUE.values() if e.relations[0] in RELATIONS and e.relations[0] not in known
+            and not _drives_alone(e, known) and known & set(e.relations)]
 
 
 def _moves(parameter: Any, effect: Any) -> bool:

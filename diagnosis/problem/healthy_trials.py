@@ -1,29 +1,33 @@
-"""Healthy trials and what is fitted to them, once for all the diagnoses that use them.
+"""Healthy trials and what is learnt from them, once for all the diagnoses that use them.
 
-The rule of this file: a fit depends on the healthy trials, the relations that are checked and the reference alone, so
-that one fit serves every trial in question that has the same columns.
+The rule of this file: what is learnt depends on the healthy trials, the relations that are checked and the reference
+alone, so that it serves every trial in question that has the same columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks
-from diagnosis.problem.candidates import candidates
+from diagnosis.problem import blocks, simulated
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
-from diagnosis.problem.healthy_fit import HealthyFit, fit_healthy
-from diagnosis.problem.reference import Reference
+from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
+from diagnosis.problem.reference import Reference, of_bench
+from physics.parameters import RELATION_PARAMETERS
 
-Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...], tuple[object, ...]]
+SECONDS: Final = 5.0
+"""Length of all trials together that the simulation is fitted on, s."""
+Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
 
 
 class HealthyTrials:
-    """Trials of this or a like bench with nothing wrong, as they are fitted: usable samples, filtered alike."""
+    """Trials of this or a like bench with nothing wrong: usable samples, filtered alike."""
 
     def __init__(self, tables: Sequence[Table] = ()) -> None:
         self.tables = tuple(tables)
-        self._fits: dict[Key, HealthyFit] = {}
+        self._fits: dict[Key, Learnt] = {}
+        self._simulated: dict[int, dict[str, float]] = {}
 
     def __len__(self) -> int:
         return len(self.tables)
@@ -31,13 +35,29 @@ class HealthyTrials:
     def __iter__(self) -> Iterator[Table]:
         return iter(self.tables)
 
-    def fit(self, checked: Sequence[str], reference: Reference) -> HealthyFit:
-        """Return what these trials say of the relations `checked`, about `reference`; computed once for each pair."""
-        key = tuple(checked), tuple(sorted(reference.values.items())), tuple(reference.nuisance)
+    def fit(self, checked: Sequence[str], known: Reference) -> Learnt:
+        """Return what these trials say of the relations `checked`; `known` is one point to start from."""
+        key = tuple(checked), tuple(sorted(known.values.items()))
         if key not in self._fits:
-            taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N)
-                      for t in self.tables]
-            self._fits[key] = fit_healthy(
-                taught, reference, candidates(tuple(checked), reference.values, reference.nuisance),
-                {n: FLOORS[n] for n in checked}, {n: CORRELATION_LENGTH[n] for n in checked})
+            self._fits[key] = self._learn(tuple(checked), known)
         return self._fits[key]
+
+    def simulated(self, learnt: Learnt) -> dict[str, float]:
+        """Return what was learnt, moved to where the simulation fits these trials; computed once."""
+        if id(learnt) not in self._simulated:
+            values = {n: v for n, v in learnt.reference.values.items() if n in RELATION_PARAMETERS}
+            self._simulated[id(learnt)] = simulated.fitted(
+                self.tables, values, learnt.sigma, learnt.reference.nuisance, SECONDS / max(len(self.tables), 1))
+        return self._simulated[id(learnt)]
+
+    def _learn(self, checked: tuple[str, ...], known: Reference) -> Learnt:
+        own = of_bench(None)
+        taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N)
+                  for t in self.tables]
+        columns = [t.columns for t in self.tables]
+        near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
+        start = own.values if near is None else of_geometry(own.values, near)
+        others = [known.values] if known.kind == "calibration" else []
+        others += [of_geometry(own.values, closed)] if closed is not None else []
+        return learn(taught, Reference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
+                     {n: CORRELATION_LENGTH[n] for n in checked}, others)

@@ -21,6 +21,7 @@ from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
 from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.problem.learning import Learnt
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
 from physics.relations.relation import RELATIONS
 
@@ -44,6 +45,7 @@ class Setting:
     weights: Mapping[str, float]
     floors: Mapping[str, float] | None
     offered: list[Candidate]
+    learnt: Learnt | None = None
 
     @property
     def problem(self) -> Problem:
@@ -55,6 +57,11 @@ class Setting:
 
     def samples(self, relation: str) -> int:
         return sum(b.keep.size for b in self.blocks if b.relation.name == relation)
+
+    def independent(self, relation: str) -> float:
+        """Return how many samples of a relation count as independent on a rig that nothing is known of."""
+        step = float(np.median(np.diff(self.blocks[0].signals["time_s"])))
+        return self.samples(relation) * min(1.0, step / CORRELATED_S)
 
     def rmse(self, relation: str, chi_square: float) -> float:
         """Turn a relation's χ² into its RMSE."""
@@ -78,18 +85,22 @@ def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: 
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
            folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
     reference = of_bench(calibration)
-    declared = reference.values
-    floors, correlation_length = {n: FLOORS[n] for n in checked}, {n: CORRELATION_LENGTH[n] for n in checked}
-    measured = None
     if healthy:
-        healthy_fit = healthy.fit(checked, reference)
-        reference = healthy_fit.reference
-        measured = {n: max(healthy_fit.floors[n], LEAST_FLOOR[n]) if n in healthy_fit.floors else floors[n]
-                    for n in checked}
-        floors, correlation_length = measured, {**correlation_length, **healthy_fit.correlation_length}
-    weights = {n: floors[n] * math.sqrt(max(correlation_length[n], LEAST_CORRELATION_LENGTH)) for n in checked}
-    return Setting(False, missing, checked, blocks, folds, reference, declared, weights, measured,
+        return _learnt(missing, checked, blocks, folds, healthy.fit(checked, reference))
+    floors = {n: FLOORS[n] for n in checked}
+    weights = {n: floors[n] * math.sqrt(CORRELATION_LENGTH[n]) for n in checked}
+    return Setting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
                    candidates(checked, reference.values, reference.nuisance))
+
+
+def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
+            folds: list[frozenset[int]], learnt: Learnt) -> Setting:
+    floors = {n: max(learnt.floor(n) if n in learnt.floors else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
+    lengths = {n: learnt.correlation_length.get(n, CORRELATION_LENGTH[n]) for n in checked}
+    weights = {n: floors[n] * math.sqrt(max(lengths[n], LEAST_CORRELATION_LENGTH)) for n in checked}
+    values, nuisance = learnt.reference.values, learnt.reference.nuisance
+    return Setting(False, missing, checked, learnt.corrected(blocks), folds, learnt.reference, values, weights, floors,
+                   candidates(checked, values, nuisance), learnt)
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],

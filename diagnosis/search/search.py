@@ -25,6 +25,8 @@ PARAMETER: Final = 0.01
 UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
+LEVEL: Final = 4.0
+"""How much wider than among like benches the level of a law is when the law is an effect."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,12 @@ class Model:
 
     @property
     def score(self) -> float:
-        return sum(self.by_relation.values())
+        return sum(self.by_relation.values()) + self.prior_penalty
+
+    @property
+    def prior_penalty(self) -> float:
+        """Return what the nuisance pays for standing away from what is known of it."""
+        return sum(f.pull(self.fit.values[f.name]) ** 2 for f in self.fit.free)
 
     @property
     def complexity_penalty(self) -> float:
@@ -97,6 +104,7 @@ class Search:
                  folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, wanting: Open, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.pays, self.leaves, self.wanting, self.near = pays, leaves, wanting, near
+        self.start = dict(start)
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.baseline = self.model((), start)
@@ -104,7 +112,9 @@ class Search:
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
         """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
         own = {f.name: f for c in effects for f in c.frees}
-        return tuple(f for f in self.nuisance if f.name not in own) + tuple(own.values())
+        level = {name for c in effects for name in c.level}
+        return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
+            own.values())
 
     def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None) -> Model:
         """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
@@ -136,7 +146,11 @@ class Search:
         if step not in self.grown:
             self.grown.add(step)
             begun = candidate.starts[start] if start >= 0 else {}
-            self.model((*model.effects, candidate), {**model.fit.values, **begun}, model)
+            effects = (*model.effects, candidate)
+            self.model(effects, {**model.fit.values, **begun}, model)
+            # what the nuisance did in the effect's place is a way into another minimum
+            kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
+            self.model(effects, {**self.start, **kept, **begun}, model)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: Model) -> Model:
@@ -195,6 +209,12 @@ class Search:
             self.grow(self.without(best, out), FIRST_REFITS)
         best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
         return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
+
+
+def _released(f: Free) -> Free:
+    """Return a band made wide for the level of a law that is said about another load, bend or time."""
+    wide = LEVEL * f.sigma
+    return replace(f, low=max(min(f.low, 0.0), f.mean - 3.0 * wide), high=f.mean + 3.0 * wide, sigma=wide)
 
 
 def _foremost(models: Iterable[Model]) -> list[Model]:

@@ -7,7 +7,7 @@ targets, records, and checks what safety checks.  An input that this SYNC did no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
@@ -183,16 +183,15 @@ class Exchange:
         sync_ns, target_ns, ends, data, beats, rows, count = whole
         if beats:
             self.link.heed(beats)
-        arrived = zip(ends, data, strict=True)
         try:
             if self.log.taps:
                 self.log.take(rows, count, sync_ns, target_ns)
             self._record(sync_ns, True, annotations)
         except StopError:  # the recorder failed; the cycle was run all the same
             with suppress(StopError):
-                self._latch(sync_ns, arrived)
+                self._latch(sync_ns, ends, data)
             raise
-        return self._latch(sync_ns, arrived)
+        return self._latch(sync_ns, ends, data)
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
         """Record the cycle that a SYNC has ended."""
@@ -242,25 +241,45 @@ class Exchange:
     def _take(self, message: can.Message, sync_ns: int) -> int:
         """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
         i, size = self._slots[message.arbitration_id]
-        return 0 if len(message.data) < size else self._keep(i, bytes(message.data), stamp_ns(message), sync_ns)
-
-    def _keep(self, i: int, data: Any, stamp: int, sync_ns: int) -> int:
-        values = self._unpack[i](data)
+        if len(message.data) < size:
+            return 0
+        values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
         if not self._reception.takes(i, values, self.rehoming):
-            self.log.event(stamp, "miss", "master",
-                           f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+            self._tell_refused(i, stamp_ns(message))
             return 0
         self._values[i] = values
         self._latched_ns[i] = sync_ns
-        self._arrival_ns[i] = stamp - sync_ns
+        self._arrival_ns[i] = stamp_ns(message) - sync_ns
         return 1 << i
 
-    def _latch(self, sync_ns: int, arrived: Iterable[tuple[int, Any]] = ()) -> Inputs:
+    def _keep_all(self, sync_ns: int, ends: Sequence[int], data: Sequence[Any]) -> int:
+        """Keep the TPDOs of `ORDER` that ended at `ends`; the bits of those that are not taken."""
+        values = [unpack(each) for unpack, each in zip(self._unpack, data, strict=True)]
+        missing, takes, rehoming, lowest = 0, self._reception.takes, self.rehoming, self._no_value
+        for i, each in enumerate(values):
+            if each[0] <= lowest[i] or not takes(i, each, rehoming):
+                missing |= 1 << i
+        if not missing:
+            self._values, self._latched_ns = values, [sync_ns] * 4
+            self._arrival_ns = [end - sync_ns for end in ends]
+            return 0
+        for i, each in enumerate(values):
+            if not missing >> i & 1:
+                self._values[i], self._latched_ns[i], self._arrival_ns[i] = each, sync_ns, ends[i] - sync_ns
+            elif each[0] > lowest[i]:
+                self._tell_refused(i, ends[i])
+        return missing
+
+    def _tell_refused(self, i: int, stamp: int) -> None:
+        self.log.event(stamp, "miss", "master",
+                       f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+
+    def _latch(self, sync_ns: int, ends: Sequence[int] = (), data: Sequence[Any] = ()) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
 
-        `arrived` are time stamps and data, in `ORDER`, of those that are there already.
+        `ends` and `data` are time stamps and data, in `ORDER`, where all of them are there already.
         """
         self._arrival_ns = [NAN, NAN, NAN, NAN]
         self._told = False
@@ -268,8 +287,8 @@ class Exchange:
         receive, slots, missing = self.link.receive, self._slots, 0b1111
         self._doubled_sync = False
         self._reception.begin()
-        for i, (stamp, data) in enumerate(arrived):
-            missing &= ~self._keep(i, data, stamp, sync_ns)
+        if ends:
+            missing = self._keep_all(sync_ns, ends, data)
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:

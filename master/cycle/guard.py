@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from master.cycle.plausibility import Plausibility
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
+_REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
 WATCH_NS = 10_000_000
 LIMITED_NS = 300_000_000
 """Time for which a drive may say that an internal limit holds it back (statusword bit 11)."""
@@ -93,7 +94,7 @@ class Guard:
     def _supervise(self, inputs: Inputs, targets: tuple[float, float], rehoming: bool) -> None:
         """Limits of the knee, the drives' own words about their motion, and every signal against the others."""
         words = inputs.servo_status | inputs.knee_status
-        if words & (Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT) or any(self._limited_ns):
+        if words & _REPORTED or any(self._limited_ns):
             self._refuse_reported(inputs, rehoming)
         limits, knee = self.limits, inputs.knee_angle_rad
         if not limits.knee_low_rad <= knee <= limits.knee_high_rad:

@@ -25,6 +25,7 @@ from master.cycle.guard import Guard
 from master.cycle.log import Log, Sink
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
+from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
 from master.network.link import Link, LinkError
@@ -88,7 +89,7 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
     try:
         bringup.bring_up(link, described, exchange.log)
         link.emergencies.clear()
-        link.watch = BusWatch(described)
+        link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:
         return StopError(Condition.REFUSED, str(error))
     except (bringup.RefusedError, SdoError, StopError) as error:
@@ -169,11 +170,12 @@ def interruption() -> Iterator[Callable[[], int]]:
     """Ctrl-C and its like as a question asked every few cycles, so that none tears one.
 
     What is yielded gives the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts at once.
+    A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is.
     A signal that this process was told to ignore (nohup) stays ignored.
     """
     asked = 0
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: 0
+        yield requested
         return
 
     def press(number: int, frame: object) -> None:
@@ -187,7 +189,7 @@ def interruption() -> Iterator[Callable[[], int]]:
     for number in taken:
         signal.signal(number, press)
     try:
-        yield lambda: asked
+        yield lambda: asked or requested()
     finally:
         for number in taken:
             signal.signal(number, before[number])

@@ -67,28 +67,70 @@ def tare(sensor: str) -> Procedure:
     return procedure
 
 
-def jog(axis: str, distance: float, speed: float) -> Procedure:
+TRAVEL: Final = {SERVO: (-math.inf, math.inf), KNEE: (math.radians(-100.0), math.radians(10.0))}
+"""Positions that an axis may be sent to, m or rad; the rope's zero is anywhere until it is homed. Assumed."""
+FURTHEST: Final = {SERVO: 0.15, KNEE: math.radians(110.0)}
+"""The longest way that one jog may go."""
+JOG_START_N: Final = 20.0
+"""START tension at which a jog stops: a rope that is being tightened unseen."""
+BEHIND: Final = {SERVO: 2e-3, KNEE: math.radians(2.0)}
+"""How far from its target an axis may come to rest."""
+
+
+def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) -> Procedure:
     """Move one axis alone by `distance` at no more than `speed`, m or rad; the other drive stays off.
 
-    Raises `InputError` for an unknown axis or a speed that is none.
+    It stops, and says where, when START reaches the lesser of `JOG_START_N` above what it was and half the limit that
+    `limits` sets, when the drive refuses to go on, or before it moves where the target lies beyond the axis' travel.
+    Raises `InputError` for an unknown axis, a speed that is none and a way that no axis has.
     """
     node = _one_of(axis, AXES, "axis")
     if not (speed > 0.0 and math.isfinite(distance)):
         raise InputError(f"jog {axis}: {distance:g} at {speed:g} a second is no motion; give a distance and a speed "
                          "above 0.")
+    if abs(distance) > FURTHEST[node]:
+        raise InputError(f"jog {axis} --by {_shown(node, distance)}: is further than the axis can go, "
+                         f"{_shown(node, FURTHEST[node])}; give a shorter way.")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
+        _refuse_beyond_travel(_position(exchange.inputs, node) + distance, node, axis)
+        begun_n = exchange.inputs.start_n
         drives.enable_alone(exchange, node)
         start = exchange.targets[ORDER.index(node)]
+        stop_n = min(begun_n + JOG_START_N, 0.5 * (limits or Limits()).start_n)
         steps = max(1, round(moves.PEAK_TO_MEAN * abs(distance) / speed * 1e9 / exchange.wire.period_ns))
         for step in range(1, steps + 1):
             _lead(exchange, node, start + distance * moves.smooth(step / steps))
+            if exchange.inputs.start_n > max(stop_n, begun_n + 1.0):
+                raise RefusedError(f"START reached {exchange.inputs.start_n:.1f} N with {axis} at "
+                                   f"{_shown(node, _position(exchange.inputs, node))}, "
+                                   f"{_shown(node, abs(distance * moves.smooth(step / steps)))} of "
+                                   f"{_shown(node, abs(distance))} done; release the rope, or go the other way")
         moves.settle(exchange, REST_S)
         inputs = exchange.inputs
+        if abs(_position(inputs, node) - exchange.targets[ORDER.index(node)]) > BEHIND[node]:
+            raise RefusedError(f"{axis} stopped at {_shown(node, _position(inputs, node))} and not at "
+                               f"{_shown(node, start + distance)}: START {inputs.start_n:.1f} N; its drive held a "
+                               "limit")
         return {"servo_position_m": inputs.servo_position_m, "knee_angle_rad": inputs.knee_angle_rad,
                 "tension_start_n": inputs.start_n, "tension_end_n": inputs.end_n}
 
     return procedure
+
+
+def _position(inputs: Inputs, node: int) -> float:
+    return inputs.servo_position_m if node == SERVO else inputs.knee_angle_rad
+
+
+def _shown(node: int, value: float) -> str:
+    return f"{value * 1e3:.1f} mm" if node == SERVO else f"{math.degrees(value):.1f} degrees"
+
+
+def _refuse_beyond_travel(target: float, node: int, axis: str) -> None:
+    low, high = TRAVEL[node]
+    if not low <= target <= high:
+        raise RefusedError(f"{axis} would go to {_shown(node, target)}, beyond its travel of {_shown(node, low)} to "
+                           f"{_shown(node, high)}; nothing was moved, give a shorter way")
 
 
 def release(homing: Homing, limits: Limits) -> Procedure:

@@ -1,7 +1,9 @@
 """Who else speaks on the bench's bus: frames that the master did not send and that are no node's own.
 
-The rule of this file: the master's socket never hears what the master itself sent, so a command heard there is somebody
-else's, also where another program on this computer sent it; each kind is told once, with how often it came meanwhile.
+The rule of this file: on most interfaces the master's socket never hears what the master itself sent, so a command
+heard there is somebody else's, also where another program on this computer sent it.  Some interfaces (UDP multicast)
+return every frame to its sender: there a frame that equals one of those sent last counts as the master's own, and SYNC
+and the master's heartbeat cannot be told from a stranger's.  Each kind is told once, with how often it came meanwhile.
 Nothing here reacts: whether a stranger can move anything is said with it (`moves`).
 """
 
@@ -32,6 +34,8 @@ FLOOD: Final = 20
 DOUBLED: Final = 3
 """Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` from which on it is no chance."""
 DOUBLED_WITHIN: Final = 20
+RETURNED: Final = 64
+"""Frames sent last among which a returned one is looked for: what a bring-up sends in a burst, and more."""
 _WRITES: Final = {0: "a segment of an SDO write", 1: "an SDO write", 6: "an SDO block write", 4: "an SDO abort"}
 _DIRECTIONS: Final[Mapping[int, str]] = {int(command): command.name.replace("_", " ") for command in NmtCommand}
 
@@ -48,11 +52,13 @@ class Stranger(NamedTuple):
 class BusWatch:
     """Takes what the link hears beyond its own nodes' frames; `found` holds what was not told yet.
 
-    `own` are the COB-IDs of frames that only the master sends, with the payload that it sent last, so that a frame that
-    the wire doubled is not taken for another master's.
+    `returned`: the interface returns the master's own frames to it.  `own` are the COB-IDs of frames that only the
+    master sends, with the payload that it sent last, so that a frame that the wire doubled is not taken for another
+    master's.
     """
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire: Wire, returned: bool = False) -> None:
+        self._returned: deque[tuple[int, bytes]] | None = deque(maxlen=RETURNED) if returned else None
         self.found: deque[Stranger] = deque()
         self.own: dict[int, bytes] = {wire.targets.cob_id: b"", wire.controlwords.cob_id: b""}
         self.flooded = False
@@ -67,6 +73,8 @@ class BusWatch:
 
     def sent(self, can_id: int, data: bytes) -> None:
         """Keep what the master is about to send."""
+        if self._returned is not None:
+            self._returned.append((can_id, bytes(data)))
         if can_id in self.own:
             self.own[can_id] = data
 
@@ -81,7 +89,7 @@ class BusWatch:
             kind = "remote" if message.is_remote_frame else "extended"
             self._tell(time_ns, can_id, f"{kind} frame {can_id:X}h, which nobody here owns", moves=False)
             return
-        if can_id in self._nodes:
+        if can_id in self._nodes or (self._returned is not None and self._is_own(can_id, bytes(message.data))):
             return
         if can_id == SYNC_COB_ID:
             if message.is_rx or paced:
@@ -92,6 +100,13 @@ class BusWatch:
             self._commanded(time_ns, can_id, bytes(message.data))
         else:
             self._tell(time_ns, can_id, *self._described(can_id, bytes(message.data)))
+
+    def _is_own(self, can_id: int, data: bytes) -> bool:
+        """Whether a frame on an interface that returns the master's frames is, or may be, the master's own."""
+        if can_id in (SYNC_COB_ID, HEARTBEAT_BASE + MASTER):
+            return True
+        assert self._returned is not None
+        return (can_id, data) in self._returned
 
     def doubled(self, time_ns: int, cycle: int, what: str) -> None:
         """Note a SYNC or an input that came twice in a cycle: an event, and a stop where it goes on."""

@@ -49,13 +49,15 @@ def parameters(dictionary: Dictionary) -> Iterator[Entry]:
             yield entry
 
 
-def backup(link: Link, node: NodeEntry) -> dict[int, Value]:
-    """Read every parameter of a node, by key; what the node refuses to tell is left out."""
+def backup(link: Link, node: NodeEntry, unread: list[str] | None = None) -> dict[int, Value]:
+    """Read every parameter of a node, by key; what the node does not tell is left out and named in `unread`."""
     found: dict[int, Value] = {}
     for entry in parameters(node.dictionary):
         value = _value(link, node.node_id, entry)
         if value is not None:
             found[entry.key] = value
+        elif unread is not None:
+            unread.append(f"{entry.index:04X}h:{entry.subindex:02X} {entry.name}")
     return found
 
 
@@ -64,6 +66,27 @@ def _value(link: Link, node_id: int, entry: Entry) -> Value | None:
         return decode(entry.data_type, link.sdo_read(node_id, entry.index, entry.subindex))
     except (SdoError, ValueError):
         return None
+
+
+IDENTITY: Final = ((0x1000, 0, "device type"), (0x1018, 1, "vendor"), (0x1018, 2, "product code"))
+
+
+def refuse_other(link: Link, node: NodeEntry, dictionary: Dictionary, what: str) -> None:
+    """Raise `InputError` where the node on the bus is another device than the one that `dictionary` describes.
+
+    Compares device type (0x1000), vendor and product (0x1018); what the dictionary leaves open is not asked.
+    """
+    for index, subindex, name in IDENTITY:
+        entry = dictionary.entries.get(key(index, subindex))
+        expected = None if entry is None else entry.default if entry.value is None else entry.value
+        if entry is None or not isinstance(expected, int) or not expected:
+            continue
+        found = _value(link, node.node_id, entry)
+        if found != expected:
+            told = f"says {found:#x}" if isinstance(found, int) else "does not tell it"
+            raise InputError(f"{what}: is of another device than {node.name} (node {node.node_id}): its {name} "
+                             f"({index:04X}h:{subindex:02X}) is {expected:#x}, the node {told}; "
+                             "nothing was written.")
 
 
 def as_dcf(dictionary: Dictionary, node_id: int, values: Mapping[int, Value]) -> str:

@@ -67,6 +67,7 @@ class Link:
 
     `beats` holds every node's last heartbeat, `emergencies` what EMCYs came and were not taken yet, `boots` the
     nodes that booted meanwhile, `errors` the error frames seen, `rivals` the time stamps of another master's NMT.
+    `returned`: the interface returns the master's own frames to it, as seen during bring-up.
     `watch`, where there is one, hears of every frame that a running bench has no use for.
     `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
     `pump(deadline_ns)` is how an SDO waits: by receiving, or by whole control cycles once they run.
@@ -86,6 +87,8 @@ class Link:
         self.errors = 0
         self.send_failures = 0
         self.watch: BusWatch | None = None
+        self.returned = False
+        self._last_sent: tuple[int, bytes] | None = None
         self._heartbeat = can.Message(
             arbitration_id=HEARTBEAT_BASE + node_id, data=b"\x05", is_extended_id=False
         )
@@ -120,6 +123,8 @@ class Link:
                 if self.watch is not None:
                     self.watch.hear(message, self._pace_ns > 0)
                 if not (message.is_extended_id or message.is_remote_frame):
+                    if self.watch is None and self._last_sent is not None:
+                        self._notice_return(message)
                     self._notice(message)
                     return message
 
@@ -195,6 +200,8 @@ class Link:
         """Send a frame, waiting for a full queue by receiving; raises `LinkError` when the bus takes none."""
         if self.watch is not None:
             self.watch.sent(can_id, data)
+        elif not self.returned:
+            self._last_sent = can_id, bytes(data)
         message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
         for _attempt in range(SEND_RETRIES):
             try:
@@ -211,6 +218,11 @@ class Link:
         deadline = self.clock() + duration_ns
         while self.receive(deadline) is not None:
             pass
+
+    def _notice_return(self, message: can.Message) -> None:
+        """Learn, before the bus is watched, that the interface returns the master's own frames."""
+        if message.is_rx and (message.arbitration_id, bytes(message.data)) == self._last_sent:
+            self.returned, self._last_sent = True, None
 
     def listen(self, duration_ns: int) -> Iterator[can.Message]:
         """Every data frame for a while, without a word sent, not even a heartbeat."""

@@ -90,6 +90,7 @@ class Effect:
     `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for
     an effect that the laws of `physics.relations` do not read themselves. `stale`: of an effect of the wire, what it
     does to the values' ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
+    `level`: parameters whose value is at a load, a bend or a time that this law chooses by convention.
     """
 
     name: str
@@ -107,6 +108,7 @@ class Effect:
     measured: Mapping[str, Measured] = field(default_factory=dict)
     stale: Callable[[Values, float], Staleness] | None = None
     grid: Law | None = None
+    level: tuple[str, ...] = ()
 
 
 def takes(name: str) -> Law:

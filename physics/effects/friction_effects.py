@@ -85,7 +85,7 @@ EFFECTS: Final = (
         relations=("friction", "elasticity", "kinematics"),
         signature="the friction loop widens as the knee flexes",
         words="The fabric wraps round the knee more, or less, with flexion than the calibration says.",
-        rivals=("fabric_friction", "cable_bend"), experiment="locked_angles",
+        rivals=("fabric_friction", "cable_bend"), level=("mu2",), experiment="locked_angles",
     ),
     Effect(
         name="cable_bend", site="cable", law="θ1 = θ10·(1 + κb·|θk|)", source="capstan law at a moving bend",
@@ -93,7 +93,7 @@ EFFECTS: Final = (
         forward={"plant.cable_bend": takes("cable_bend")}, inverse=_bend, relations=("friction", "elasticity"),
         signature="the loop's width follows the knee angle, with the rope's direction",
         words="The leg bends the sheath as it swings, so that its friction changes with the knee angle.",
-        rivals=("cable_friction", "fabric_wrap"), experiment="locked_angles",
+        rivals=("cable_friction", "fabric_wrap"), level=("mu1",), experiment="locked_angles",
     ),
     Effect(
         name="load_dependent_friction", site="cable and fabric", law="μ(T) = μ·(1 + λ·(T/40 N − 1))",
@@ -103,7 +103,7 @@ EFFECTS: Final = (
         relations=("friction", "elasticity", "kinematics"),
         signature="the loop is not proportional to the tension",
         words="The friction coefficient itself changes with the load.",
-        rivals=("stribeck", "cable_friction", "fabric_friction"), experiment="two_peaks",
+        rivals=("stribeck", "cable_friction", "fabric_friction"), level=("mu1", "mu2"), experiment="two_peaks",
     ),
     Effect(
         name="viscous_friction", site="cable", law="F = b·v", source="Newtonian grease film",
@@ -124,7 +124,7 @@ EFFECTS: Final = (
         inverse=_stribeck, relations=("friction", "elasticity", "kinematics"),
         signature="a peak of friction after each reversal and at the start of loading",
         words="The rope breaks away: it rubs more at rest and at creep than when it slides.",
-        rivals=("cable_friction", "presliding", "load_dependent_friction"), experiment="dither",
+        rivals=("cable_friction", "presliding", "load_dependent_friction"), level=("mu1", "mu2"), experiment="dither",
     ),
     Effect(
         name="presliding", site="cable and fabric", law="ds/dx = (1 − s·sgn v)/δ", source="Dahl; Palli et al.",
@@ -147,6 +147,6 @@ EFFECTS: Final = (
         inverse=_drift, relations=("friction", "elasticity", "kinematics"),
         signature="the friction loop's width trends from cycle to cycle",
         words="Friction changes during the trial, as with heat or wear.",
-        rivals=("cable_friction", "start_drift", "end_drift"), experiment="rest_repeat",
+        rivals=("cable_friction", "start_drift", "end_drift"), level=("mu1", "mu2"), experiment="rest_repeat",
     ),
 )

@@ -28,6 +28,8 @@ class ServoParameters:
     servo_inertia_kg: float = declared("drive_inertia")
     servo_coulomb_n: float = declared("drive_coulomb")
     servo_viscous: float = declared("drive_viscous")
+    servo_viscous_asymmetry: float = declared("drive_viscous_asymmetry")
+    demand_gain: float = declared("demand_gain")
     servo_offset_n: float = declared("drive_offset")
     servo_asymmetry: float = declared("drive_asymmetry")
     servo_presliding_m: float = declared("drive_presliding")

@@ -38,10 +38,11 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
         current, m[SLOT.integral], demand_a, back_emf, bus,
         m[SLOT.winding_ohm], m[SLOT.winding_h], m[SLOT.bandwidth], STEP_S,
     )
-    force = m[SLOT.current] * constant / radius
+    force = m[SLOT.demand_gain] * m[SLOT.current] * constant / radius
     s = m[SLOT.servo_s]
     coulomb = m[SLOT.servo_coulomb_n] * s * (1.0 + m[SLOT.servo_asymmetry] * s)
-    loss = coulomb + m[SLOT.servo_viscous] * speed + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
+    drag = m[SLOT.servo_viscous] * (speed + m[SLOT.servo_viscous_asymmetry] * abs(speed))
+    loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
     m[SLOT.servo_v] += STEP_S / m[SLOT.servo_inertia_kg] * (force - loss)
     m[SLOT.servo_x] += STEP_S * m[SLOT.servo_v]
     m[SLOT.servo_s] = presliding_step(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])

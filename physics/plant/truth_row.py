@@ -1,6 +1,7 @@
 """What no device feels, from the plant's array: one row of the truth file.
 
-The rule of this file: one law for whoever asks by name and for whoever writes rows in bulk.
+The rule of this file: one law for whoever asks by name and for whoever writes rows in bulk.  As in `plant.step`, the
+sources' digest is a constant of the compiled function.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from typing import Any, Final
 
 from numba import njit
 
+from physics.plant import step
 from physics.plant.state_layout import CABLE_NODES, FABRIC_NODES, NODES, SLOT
 
 NAMES: Final = (
@@ -18,16 +20,23 @@ NAMES: Final = (
 )
 
 
-@njit(cache=True)
-def truth_row(m: Any, row: Any) -> None:
-    """Write the values of `NAMES` into `row`."""
-    cable = fabric = 0.0
-    for i in range(CABLE_NODES):
-        cable += m[SLOT.s + 1 + i]
-    for i in range(FABRIC_NODES):
-        fabric += m[SLOT.s + CABLE_NODES + 1 + i]
-    row[0], row[1], row[2] = m[SLOT.tension], m[SLOT.tension + CABLE_NODES], m[SLOT.tension + NODES]
-    row[3], row[4], row[5] = m[SLOT.leg_q], m[SLOT.leg_w], m[SLOT.motor_q]
-    row[6], row[7] = m[SLOT.servo_x] + m[SLOT.encoder_zero_m], m[SLOT.servo_v]
-    row[8], row[9] = m[SLOT.current], m[SLOT.bus_v]
-    row[10], row[11], row[12] = cable / CABLE_NODES, fabric / FABRIC_NODES, m[SLOT.creep]
+def _compile(sources: int) -> Any:
+    @njit(cache=True)
+    def truth_row(m: Any, row: Any) -> None:
+        _ = sources
+        cable = fabric = 0.0
+        for i in range(CABLE_NODES):
+            cable += m[SLOT.s + 1 + i]
+        for i in range(FABRIC_NODES):
+            fabric += m[SLOT.s + CABLE_NODES + 1 + i]
+        row[0], row[1], row[2] = m[SLOT.tension], m[SLOT.tension + CABLE_NODES], m[SLOT.tension + NODES]
+        row[3], row[4], row[5] = m[SLOT.leg_q], m[SLOT.leg_w], m[SLOT.motor_q]
+        row[6], row[7] = m[SLOT.servo_x] + m[SLOT.encoder_zero_m], m[SLOT.servo_v]
+        row[8], row[9] = m[SLOT.current], m[SLOT.bus_v]
+        row[10], row[11], row[12] = cable / CABLE_NODES, fabric / FABRIC_NODES, m[SLOT.creep]
+
+    return truth_row
+
+
+truth_row: Final[Any] = _compile(step.digest())
+"""truth_row(memory, row): write the values of `NAMES` into `row`."""

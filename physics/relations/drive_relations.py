@@ -29,10 +29,12 @@ def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
     slip, square = signals.remember(_turned, p)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
-    force = force + p["drive_viscous"] * signals["rope_m_s"] + p["drive_inertia"] * signals["rope_m_s2"]
+    speed = signals["rope_m_s"]
+    drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
+    force = force + p["drive_viscous"] * drag + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):
         force = force + signals.later(start_tension(signals, p), p["timestamp_skew"])
-    return np.asarray(force)
+    return np.asarray(force / p["demand_gain"])
 
 
 def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:

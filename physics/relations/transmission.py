@@ -174,7 +174,7 @@ def anchored(p: Values, angle: Array) -> Array:
 def elasticity(signals: Signals, p: Values) -> Array:
     """Predict START tension, N, from rope and knee position: (10) and (11) inverted, then friction."""
     start = signals.remember(_from_motion, p)
-    return start_reading(signals, p, _with_drag(signals, p, start))
+    return start_reading(signals, p, _undecided(signals, p, start, _with_drag(signals, p, start)))
 
 
 def _from_motion(signals: Signals, p: Values) -> Array:

@@ -15,6 +15,7 @@ import pytest
 
 from bowden.cli.app import run
 from diagnosis.finder import Diagnosis, diagnose
+from physics.parameters import PARAMETERS
 from trial import read
 
 SEED = 4
@@ -60,8 +61,8 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[Hidden, Diagnosis]:
     found = {}
     for i, hidden in enumerate(HIDDEN):
         path = record(folder / f"{i}.mcap", hidden.plant, hidden.wire)
-        # every trial carries the calibration, which has a scalar of that name
-        assert not any(name.encode() in path.read_bytes() for name in hidden.names - {"presliding"})
+        # every trial carries the calibration, which has parameters of these names
+        assert not any(name.encode() in path.read_bytes() for name in hidden.names - {"presliding", *PARAMETERS})
         found[hidden] = diagnose([path], healthy=[healthy])
     return found
 

@@ -297,8 +297,9 @@ def test_a_change_of_mode_brakes_and_begins_at_rest() -> None:
     rig.run(100)
     rig.write(0x607A, 0, 0)
     rig.write(0x6060, 0, Mode.CSP)
-    assert rig.read(0x6061) == Mode.CSP
+    assert rig.read(0x6061) == Mode.CSV  # it brakes; the new mode is not open
     rig.run(300)
+    assert rig.read(0x6061) == Mode.CSP
     assert rig.state() is ENABLED
     assert rig.plant.velocity == pytest.approx(0.0, abs=1e-4)
     where = rig.read(0x6064)
@@ -346,3 +347,20 @@ def test_both_drives_take_their_own_half_of_the_targets() -> None:
     rig.target = -4500
     rig.run(500)
     assert rig.plant.position / MDEG == pytest.approx(-4500, rel=TAIL)
+
+
+def test_a_new_mode_is_shown_when_it_is_open_and_its_set_point_is_then_followed() -> None:
+    rig = in_mode(Mode.CSV)
+    rig.write(0x60FF, 0, 100_000)
+    rig.run(200)
+    rig.write(0x6060, 0, Mode.CSP)
+    waited = 0
+    while rig.read(0x6061) != Mode.CSP:
+        rig.run(1)
+        waited += 1
+        assert waited < 1000
+    assert waited > 0
+    where = rig.read(0x6064)
+    rig.write(0x607A, 0, where + 500)
+    rig.run(200)
+    assert rig.read(0x6064) == pytest.approx(where + 500, abs=500 * TAIL + 5)

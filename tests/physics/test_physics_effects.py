@@ -28,7 +28,8 @@ FIRST_EDITION = (
     "cable_friction fabric_friction fabric_wrap cable_bend load_dependent_friction viscous_friction stribeck "
     "presliding friction_drift stiffness fabric_creep slack knee_backlash moment_arm drum_eccentricity end_mass "
     "end_gain start_gain end_offset start_offset end_drift start_drift end_delay end_filter timestamp_skew late_pdo "
-    "lost_pdo quantisation drive_coulomb drive_viscous drive_offset drive_asymmetry drive_inertia saturation supply_sag"
+    "lost_pdo quantisation drive_coulomb drive_viscous drive_offset drive_asymmetry drive_inertia saturation "
+    "supply_sag drive_viscous_asymmetry drive_presliding demand_gain"
 )
 RELATIONS = {
     "friction", "elasticity", "kinematics", "servo", "drive_force", "knee", "start_sensor", "end_sensor", "bus"}

@@ -42,7 +42,8 @@ def test_frames_are_played_with_filters_speed_and_loop(
     recorded: Callable[..., Trial], bowden: Callable[..., Any], listened: Callable[[], tuple[str, Heard]]
 ) -> None:
     trial, (channel, heard) = recorded(), listened()
-    told = bowden("replay", trial.path, "--onto", "bus", "--channel", channel, "--direction", "tx", "--node", 1,
+    told = bowden("replay", trial.path, "--onto", "bus", "--interface", "bowden", "--channel", channel,
+                  "--direction", "tx", "--node", 1,
                   "--cob-id", "0x201", "--from", 5, "--to", 5.1, "--speed", 0.5, "--loop", 3, "--json")
     assert told.status == 0, told
     result = json.loads(told.stdout)
@@ -58,7 +59,8 @@ def test_the_bus_is_restored_where_playing_begins_later(
     recorded: Callable[..., Trial], bowden: Callable[..., Any], listened: Callable[[], tuple[str, Heard]]
 ) -> None:
     trial, (channel, heard) = recorded(), listened()
-    told = bowden("replay", trial.path, "--onto", "bus", "--channel", channel, "--from", 3, "--to", 3.01, "--json")
+    told = bowden("replay", trial.path, "--onto", "bus", "--interface", "bowden", "--channel", channel,
+                  "--from", 3, "--to", 3.01, "--json")
     restored = json.loads(told.stdout)["restored_frames"]
     assert [frame.data.hex() for _, frame in heard[:4]] == ["0101", "0102", "0103", "0104"]
     assert sorted(frame.can_id for _, frame in heard[4:restored]) == [0x181, 0x182, 0x183, 0x184, 0x201, 0x301]
@@ -91,7 +93,8 @@ def test_steps_are_lines_of_standard_input(
 ) -> None:
     trial, (channel, heard) = recorded(), listened()
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\n0.3\n\npause\n\n"))
-    told = bowden("replay", trial.path, "--onto", "bus", "--channel", channel, "--cob-id", "0x701", "--cob-id", "0x702",
+    told = bowden("replay", trial.path, "--onto", "bus", "--interface", "bowden", "--channel", channel,
+                  "--cob-id", "0x701", "--cob-id", "0x702",
                   "--step")
     assert told.status == 0, told
     assert [line.split()[2] for line in told.stdout.splitlines()[:3]] == ["701", "702", "701"]

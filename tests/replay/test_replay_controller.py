@@ -88,7 +88,7 @@ def test_inputs_that_were_not_there_are_held_again(recorded: Callable[..., Trial
     faults.write_text("".join(
         f'[[fault]]\nkind = "drop"\ncob_id = {0x183}\nstart_s = {at}\nstop_s = {at + 0.002}\n'
         for at in (5.6, 6.2, 6.9)))
-    trial = recorded("--option", f"faults={faults}")
+    trial = recorded("--interface", "bowden", "--option", f"faults={faults}")
     assert trial.columns["held"].sum() >= 3
     assert replay(trial, experiment(trial)).same
 

@@ -131,6 +131,16 @@ def pause(exchange: Exchange) -> None:
     exchange.hold()
 
 
+def leap(exchange: Exchange) -> None:
+    """Ask the servo for a step that it refuses."""
+    exchange.advance(exchange.targets[0] + 0.05, exchange.targets[1])
+
+
+def silence(exchange: Exchange) -> None:
+    """Let the master's heartbeat fail for a while."""
+    exchange.link.heed([(exchange.link.heartbeat[0], exchange.inputs.sync_ns + 400_000_000, 5)])
+
+
 def odd_send(exchange: Exchange) -> None:
     """Send a frame that nobody wants, then one that is late."""
     exchange.link.send(0x555, b"\1\2\3")
@@ -177,5 +187,7 @@ CASES: dict[str, Case] = {
         *fault("drop", 1.7, 1.702, cob_id=0x183), *fault("power_off", 1.9003, 1.93, node=END))),
     "stop while the knee moves": Case(rate_hz=1000, script={}, cycles=900, faults=fault(
         "emergency_stop", 0.9012345, 0.95, node=KNEE)),
+    "a step that the servo refuses": Case(script={150: leap}),
+    "a master that falls silent": Case(script={100: silence}, cycles=400),
     "babble": Case(script={}, cycles=400, faults=fault("babble", 1.9, 1.95, cob_id=0x123, size=8, period_us=900.0)),
 }

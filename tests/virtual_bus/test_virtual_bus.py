@@ -194,7 +194,7 @@ def test_a_full_receive_queue_loses_the_newest_and_counts(open_bus: Open, echo: 
     can.Message(arbitration_id=0x100, is_extended_id=False, data=bytes(9)),
 ])
 def test_what_a_classical_bus_cannot_carry_is_refused(open_bus: Open, wrong: can.Message) -> None:
-    with pytest.raises(ValueError, match=r"outside|only"):
+    with pytest.raises(can.CanError, match=r"outside|only"):
         open_bus(Bench()).send(wrong)
 
 

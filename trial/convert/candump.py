@@ -2,7 +2,8 @@
 
 The rule of this file: stamps stay integers; a line that is none is counted, and only a file that is mostly
 such lines is refused.  Format: `candump -L` of can-utils; a remote frame carries its DLC, `R` or `T` behind a
-frame its direction.
+frame its direction, `_9` … `_F` behind its data a DLC above 8.  What candump shows on the screen
+(`(0.000123)  can0  181   [8]  37 06 10 27 00 00 0A 00`) is read where it was told to stamp its lines.
 """
 
 from __future__ import annotations
@@ -14,33 +15,90 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from parameters import InputError
 from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
 from trial.mcap_file import cdr
 
 _LINE = re.compile(
-    r"\((-?\d+)\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})(?: ([RT]))?$")
+    r"\((-?\d+)\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})"
+    r"(?:_([9A-Fa-f]))?(?: ([RT]))?$")
+_SCREEN = re.compile(
+    r"(?:\((-?\d+)\.(\d{1,9})\)\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
+    r"(?:\s+remote request|((?:\s+[0-9A-Fa-f]{2}){0,64}))(?:\s.*)?$")
+LONGEST = 400  # characters that candump writes for a frame of 64 bytes, at most
+REMEDY = "record it with candump -L"
 _FD_LINE = re.compile(r"\(-?\d+\.\d+\) \S+ [0-9A-Fa-f]+##")
 ERROR_BIT, EXTENDED_MASK = 0x20000000, 0x1FFFFFFF
 
 
+def is_log(line: str) -> bool:
+    """Say whether a line is candump's, of its log or of its screen."""
+    return bool(_LINE.match(line.strip()) or _FD_LINE.match(line) or _SCREEN.match(line.strip()))
+
+
 def read(lines: Iterable[str]) -> Frames:
-    """Read a candump log; `counts` tells malformed lines and CAN FD frames, which a trial cannot hold."""
+    """Read a candump log; `counts` tells malformed lines, CAN FD frames, which a trial cannot hold, and DLC above 8.
+
+    Raises `InputError` for what candump showed on a screen without a time, or with the time since the line before.
+    """
     rows = Gathered()
     channels = ChannelNumbers()
-    malformed = fd_frames = 0
+    counts = {"malformed_lines": 0, "fd_frames": 0, "dlc_above_8": 0, "unstamped_lines": 0}
     for line in lines:
-        found = _LINE.match(line.strip())
-        if found is None:
-            fd_frames += bool(_FD_LINE.match(line))
-            malformed += not _FD_LINE.match(line) and bool(line.strip())
+        text = line.strip()
+        if len(text) > LONGEST:
+            counts["malformed_lines"] += 1
             continue
-        rows.add(_row(found, channels))
-    counts = {"malformed_lines": malformed, "fd_frames": fd_frames}
+        found = _LINE.match(text)
+        row = _row(found, channels, counts) if found is not None else _shown(text, channels, counts)
+        if row is not None:
+            rows.add(row)
+    _refuse_screen(rows, counts)
     return Frames(rows.rows(), channels.names, counts)
 
 
-def _row(found: re.Match[str], channels: ChannelNumbers) -> Row:
-    seconds, fraction, channel, identifier, data, direction = found.groups()
+def _refuse_screen(rows: Gathered, counts: dict[str, int]) -> None:
+    unstamped, shown = counts.pop("unstamped_lines"), counts.pop("_shown", 0)
+    if unstamped > len(rows):
+        raise InputError(f"{unstamped} lines are as candump shows them on a screen, without a time; {REMEDY}.")
+    if shown:
+        times = rows.rows()["time_ns"]
+        if np.count_nonzero(np.diff(times) < 0) > 0.1 * len(times):
+            raise InputError(f"the times are since the line before, as candump -td shows them; {REMEDY}.")
+    if unstamped:
+        counts["unstamped_lines"] = unstamped
+
+
+def _row(found: re.Match[str], channels: ChannelNumbers, counts: dict[str, int]) -> Row:
+    seconds, fraction, channel, identifier, data, long, direction = found.groups()
+    counts["dlc_above_8"] += long is not None
+    return _made((seconds, fraction), channel, identifier, data, direction == "T", channels)
+
+
+def _shown(text: str, channels: ChannelNumbers, counts: dict[str, int]) -> Row | None:
+    """Read a line of candump's screen; counts what is none."""
+    found = _SCREEN.match(text)
+    if found is None:
+        fd_frame = bool(_FD_LINE.match(text))
+        counts["fd_frames"] += fd_frame
+        counts["malformed_lines"] += not fd_frame and bool(text)
+        return None
+    seconds, fraction, channel, direction, identifier, length, data = found.groups()
+    if len(length) > 1 or int(length) > 8:  # of a CAN FD frame it has two digits
+        counts["fd_frames"] += 1
+        return None
+    if seconds is None:
+        counts["unstamped_lines"] += 1
+        return None
+    counts["_shown"] = counts.get("_shown", 0) + 1
+    body = f"R{length}" if data is None else "".join(data.split())[:2 * int(length)]
+    return _made((seconds, fraction), channel, identifier, body, direction == "T", channels)
+
+
+def _made(
+    stamp: tuple[str, str], channel: str, identifier: str, data: str, sent: bool, channels: ChannelNumbers
+) -> Row:
+    seconds, fraction = stamp
     time_ns = int(seconds) * 1_000_000_000 + int(fraction.ljust(9, "0")) * (-1 if seconds.startswith("-") else 1)
     can_id, flags = int(identifier, 16), cdr.EXTENDED if len(identifier) == 8 else 0
     if flags and can_id & ERROR_BIT:
@@ -51,7 +109,7 @@ def _row(found: re.Match[str], channels: ChannelNumbers) -> Row:
     else:
         payload = bytes.fromhex(data)
         dlc = len(payload)
-    return time_ns, can_id, flags, dlc, channels.number(channel), direction == "T", payload
+    return time_ns, can_id, flags, dlc, channels.number(channel), sent, payload
 
 
 def lines(rows: NDArray[np.void]) -> Iterator[str]:

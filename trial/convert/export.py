@@ -1,4 +1,4 @@
-"""A trial written for other programs: `/cycle` as CSV or Parquet, `/can/frames` as a CAN log.
+"""A trial written for other programs: `/cycle` as CSV, Parquet or for MATLAB, `/can/frames` as a CAN log.
 
 The rule of this file: a file appears under its name only when it is whole; a column that is unknown throughout is
 left out, an unknown value is an empty cell, and every number reads back as the same float.
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from parameters import InputError
+from parameters.files import replaced
 from trial.assemble import Progress, silent
 from trial.convert import candump
 from trial.read import Trial
@@ -22,37 +23,35 @@ Writer = Callable[[Trial, Path, Progress], int]
 PYTHON_CAN = (".asc", ".blf", ".trc")
 
 
-def export(trial: Trial, target: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> int:
+def export(
+    trial: Trial, target: str | Path, *, mat73: bool = False, overwrite: bool = False, progress: Progress = silent
+) -> int:
     """Write `trial` in the format that the ending of `target` names; returns the rows or frames written.
 
-    .csv, .csv.gz and .parquet hold cycles; .log (candump), .asc, .blf and .trc frames; `progress` is told the share
-    done, 0 … 1.  Raises `InputError`.
+    .csv, .csv.gz, .parquet and .mat (v5; v7.3 with `mat73`) hold cycles; .log (candump), .asc, .blf and .trc frames;
+    `progress` is told the share done, 0 … 1.  Raises `InputError`.
     """
     target = Path(target)
     write = _writer(target)
-    if target.exists() and not overwrite:
-        raise InputError(f"{target}: the file exists; give another name or --overwrite.")
-    part = target.with_name(f".part-{target.name}")
-    try:
-        count = write(trial, part, progress)
-        part.replace(target)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written ({error.strerror}); give a writable path.") from None
-    finally:
-        part.unlink(missing_ok=True)
-    return count
+    if mat73:
+        if write is not _matlab5:
+            raise InputError(f"{target}: --mat73 belongs to a .mat file; leave it out.")
+        write = _matlab73
+    with replaced(target, overwrite=overwrite) as part:
+        return write(trial, part, progress)
 
 
 def _writer(target: Path) -> Writer:
     name = target.name.lower()
     for endings, write in (
-        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".log",), _candump),
+        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".mat",), _matlab5),
+        ((".log",), _candump),
         (PYTHON_CAN, _can_log),
     ):
         if name.endswith(endings):
             return write
     raise InputError(f"{target}: the ending {target.suffix or 'is missing and'} names no format; expected .csv, "
-                     f".csv.gz, .parquet, .log, {', '.join(PYTHON_CAN)}.")
+                     f".csv.gz, .parquet, .mat, .log, {', '.join(PYTHON_CAN)}.")
 
 
 def known_columns(trial: Trial) -> list[str]:
@@ -103,6 +102,47 @@ def _parquet(trial: Trial, part: Path, progress: Progress) -> int:
         arrays.append(pa.array(trial.columns[name], from_pandas=True))  # an unknown value becomes null
     parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), part)
     progress(1.0)
+    return len(trial.time_ns)
+
+
+V5_LIMIT = (1 << 31) - 1024  # bytes of one variable of a MATLAB v5 file
+
+
+def _matlab5(trial: Trial, part: Path, progress: Progress) -> int:
+    """Write column vectors by name, and the structure `units`; an unknown value is NaN."""
+    from scipy.io import savemat
+
+    names = known_columns(trial)
+    if 8 * len(trial.time_ns) > V5_LIMIT:
+        raise InputError(f"{trial.path}: is too long for a MATLAB v5 file; say --mat73.")
+    with part.open("wb") as file:
+        savemat(file, {**{name: trial.columns[name] for name in names}, "units": {
+            name: trial.units[name] for name in names}}, oned_as="column", long_field_names=True)
+    progress(1.0)
+    return len(trial.time_ns)
+
+
+def _matlab73(trial: Trial, part: Path, progress: Progress) -> int:
+    """Write HDF5 as MATLAB v7.3 reads it: a user block of 512 bytes that says so, and classes as attributes."""
+    try:
+        import h5py
+    except ImportError:
+        raise InputError(f"{trial.path}: MATLAB v7.3 needs h5py; say pip install bowden-bench[mat73].") from None
+    names = known_columns(trial)
+    with h5py.File(part, "w", userblock_size=512) as file:
+        for done, name in enumerate(names, start=1):
+            made = file.create_dataset(name, data=trial.columns[name][np.newaxis, :], compression="gzip")
+            made.attrs["MATLAB_class"] = np.bytes_(b"double")
+            progress(done / len(names))
+        units = file.create_group("units")
+        units.attrs["MATLAB_class"] = np.bytes_(b"struct")
+        for name in names:
+            text = np.array([[ord(letter)] for letter in trial.units[name]], np.uint16)
+            made = units.create_dataset(name, data=text)
+            made.attrs["MATLAB_class"] = np.bytes_(b"char")
+            made.attrs["MATLAB_int_decode"] = np.int32(2)
+    with part.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(124) + b"\x00\x02IM")
     return len(trial.time_ns)
 
 

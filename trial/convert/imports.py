@@ -18,16 +18,19 @@ from numpy.typing import NDArray
 from eds.bench import Network, Wire
 from eds.bench import wire as wire_of
 from parameters import InputError
+from parameters.files import refuse_special, unpacked_limit
 from trial import assemble, decode
 from trial.assemble import Content, Progress, silent
-from trial.convert import candump, clock, csv_table, foreign_mcap
-from trial.convert.csv_table import UNPACKED_FLOOR, UNPACKED_RATIO, Source
+from trial.convert import candump, clock, csv_table, foreign_mcap, sheets
+from trial.convert.csv_table import Source
 from trial.convert.frames import Frames, oddities
+from trial.convert.sheet import Sheet
 from trial.mcap_file import cdr
 from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
-PYTHON_CAN = (".asc", ".blf", ".trc")
+PYTHON_CAN = (".asc", ".blf", ".trc", ".db")
+TABLES = (".csv", ".tsv", ".dat", ".parquet", ".mat", ".mf4", ".mdf")
 LONGEST_LINE = 1 << 16  # characters; what is longer is no line of a log
 LINES_TOLD = 1 << 14  # between two words of progress
 READING = 0.7  # of the share: of a CAN log the reading takes longer than the writing
@@ -35,18 +38,19 @@ READING = 0.7  # of the share: of a CAN log the reading takes longer than the wr
 
 @dataclass
 class Imported:
-    """What an import made of a file: counts by name (zeros left out), and what was left out, by name."""
+    """What an import made of a file: counts by name (zeros left out), what was left out, how it was read."""
 
     source: Path
     counts: dict[str, int] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
     channels: dict[str, int] = field(default_factory=dict)
+    read_as: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, object]:
         """Return the report as the trial's result keeps it."""
         counts = {name: count for name, count in self.counts.items() if count}
         return {"imported_from": self.source.name, "counts": counts, "left_out": self.left_out,
-                "channels": self.channels}
+                "channels": self.channels, "read_as": self.read_as}
 
 
 class Asked(NamedTuple):
@@ -61,15 +65,16 @@ def import_file(
     source: str | Path, target: str | Path, *, mapped: Mapping[str, Source] | None = None, wire: Wire | None = None,
     overwrite: bool = False, progress: Progress = silent,
 ) -> Imported:
-    """Make a trial of `source`: .csv, .csv.gz, candump .log, .asc, .blf, .trc or .mcap; raises `InputError`.
+    """Make a trial of `source`, a table, a CAN log or an MCAP file (`FORMATS`); raises `InputError`.
 
     `mapped` (see `csv_table.read_map`) names columns of tables; `wire` decodes CAN frames, this bench's by default;
     `progress` is told the share done, 0 … 1.
     """
     source = Path(source)
     report = Imported(source)
+    refuse_special(source)
     reader = _reader(source)
-    if mapped is not None and reader is not _from_csv and reader is not _from_mcap:
+    if mapped is not None and reader is not _from_table and reader is not _from_mcap:
         raise InputError(f"{source}: is a CAN log, which a map does not apply to; leave out --map.")
     asked = Asked(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
     content = reader(source, report, asked)
@@ -81,35 +86,91 @@ def import_file(
 Reader = Callable[[Path, Imported, Asked], Content]
 
 
+FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .parquet, .mat, .mf4, .asc, .blf, .trc, .db or .mcap"
+
+
 def _reader(source: Path) -> Reader:
     suffixes = [suffix.lower() for suffix in source.suffixes]
     ending = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else "".join(suffixes[-1:])
-    if ending == ".csv":
-        return _from_csv
-    if ending == ".log":
-        return _from_candump
-    if ending in PYTHON_CAN and suffixes[-1] != ".gz":
-        return _from_python_can
     if ending == ".mcap":
         return _from_mcap
-    raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected .csv or .log "
-                     f"(also .gz), {', '.join(PYTHON_CAN)} or .mcap.")
+    if ending == ".txt":
+        return _from_candump if any(map(candump.is_log, first_lines(source))) else _from_table
+    if ending == ".csv" and _is_python_cans(source):
+        return _from_python_can
+    if ending == ".mf4" and sheets.has_can_frames(source):
+        return _from_python_can
+    if ending in TABLES:
+        return _from_table
+    if ending == ".log":
+        return _from_candump
+    if ending in PYTHON_CAN:
+        return _from_python_can
+    raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
 
 
-def _from_csv(source: Path, report: Imported, asked: Asked) -> Content:
+def table_of(source: Path) -> Sheet:
+    """Return the table in a file; raises `InputError` where it holds CAN frames or is a trial."""
+    refuse_special(source)
+    if not source.exists():
+        raise InputError(f"{source}: no such file; give the path of a table.")
+    if _reader(source) is not _from_table:
+        raise InputError(f"{source}: holds no table but CAN frames or topics, which need no map; say bowden import "
+                         f"{source} -o trial.mcap.")
+    return sheets.sheet_of(source)
+
+
+def raw_content(source: Path) -> Frames | Sheet:
+    """Return the frames or the table in a file as they are; raises `InputError`, also for MCAP."""
+    reader = _reader(source)
+    if reader is _from_table:
+        return sheets.sheet_of(source)
+    if reader is _from_candump:
+        return _candump_frames(source, silent)
+    if reader is _from_python_can:
+        from trial.convert.python_can import read_log
+
+        return read_log(source)
+    raise InputError(f"{source}: is an MCAP file; it is read as one.")
+
+
+def first_lines(source: Path, count: int = 20) -> list[str]:
+    """Return the first lines of a text, few and short; none of a file that is not there."""
+    import gzip
+
+    refuse_special(source)
+    try:
+        with (gzip.open if source.suffix.lower() == ".gz" else open)(source, "rb") as file:
+            return file.read(1 << 14).decode("utf-8", "replace").splitlines()[:count]
+    except (OSError, EOFError):
+        return []
+
+
+def _is_python_cans(source: Path) -> bool:
+    from trial.convert.python_can import CSV_HEADER
+
+    return first_lines(source, 1)[:1] == [CSV_HEADER]
+
+
+def _from_table(source: Path, report: Imported, asked: Asked) -> Content:
     table = csv_table.read(source, asked.mapped)
     report.counts |= table.counts
-    report.left_out = table.left_out
-    times, columns = _ordered(source, table.columns, report)
+    report.left_out, report.read_as = table.left_out, table.said
+    times, columns = _ordered(source, table, report)
+    if table.begins_ns is not None and table.begins_ns >= 0:
+        times = times + table.begins_ns
     return Content(times, columns, np.empty(0, cdr.FRAME_ROW), [])
 
 
-def _ordered(source: Path, columns: dict[str, Floats], report: Imported) -> tuple[NDArray[np.int64], dict[str, Floats]]:
+def _ordered(
+    source: Path, table: csv_table.Columns, report: Imported
+) -> tuple[NDArray[np.int64], dict[str, Floats]]:
     """Return times ≥ 0 and the columns, rows that repeat the one before left out; time that falls is refused."""
+    columns = table.columns
     seconds = columns["time_s"]
     unknown = np.flatnonzero(np.isnan(seconds))
     if len(unknown):
-        raise InputError(f"{source}: row {unknown[0] + 2} has no time; every row needs its time_s.")
+        raise InputError(f"{source}: row {table.rows[unknown[0]]} has no time; every row needs its time_s.")
     if np.abs(seconds).max() > 9e9:
         raise InputError(f"{source}: time_s reaches {np.abs(seconds).max():g} s; is it in another unit? Give --map.")
     rows = np.array(list(columns.values()))
@@ -119,7 +180,8 @@ def _ordered(source: Path, columns: dict[str, Floats], report: Imported) -> tupl
     falls = np.flatnonzero(np.diff(seconds[kept]) <= 0)
     if len(falls):
         row = kept[falls[0] + 1]
-        raise InputError(f"{source}: row {row + 2}: time_s = {seconds[row]:g} does not rise; sort or cut the file.")
+        raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} does not rise; "
+                         "sort or cut the file.")
     times = np.rint(seconds[kept] * 1e9).astype(np.int64)
     mended = clock.mend(times)
     report.counts["shifted_ns"] = mended.shift_ns
@@ -127,6 +189,10 @@ def _ordered(source: Path, columns: dict[str, Floats], report: Imported) -> tupl
 
 
 def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
+    return _from_log(source, _candump_frames(source, asked.progress), report, asked.wire)
+
+
+def _candump_frames(source: Path, progress: Progress) -> Frames:
     import gzip
     import io
 
@@ -134,25 +200,27 @@ def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
         with source.open("rb") as raw:
             unpacked = gzip.GzipFile(fileobj=raw) if source.suffix == ".gz" else raw
             lines = io.TextIOWrapper(unpacked, encoding="ascii", errors="replace")
-            frames = candump.read(_followed(lines, raw, source, asked.progress))
+            frames = candump.read(_followed(lines, raw, source, progress))
     except FileNotFoundError:
         raise InputError(f"{source}: no such file; give the path of a CAN log.") from None
-    except InputError:
-        raise
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(str(source)) else f"{source}: {error}") from None
     except (OSError, EOFError, ValueError) as error:
         raise InputError(f"{source}: cannot be read ({error}); give a candump -L log.") from None
     if frames.counts["malformed_lines"] > len(frames.rows):
         raise InputError(f"{source}: {frames.counts['malformed_lines']} lines are not as candump -L writes them; "
                          "give such a log.")
-    return _from_log(source, frames, report, asked.wire)
+    return frames
 
 
 def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) -> Iterator[str]:
     """Yield `lines`, cut where they are endless, and tell how much of the file `raw` that took."""
     size, unpacked = os.fstat(raw.fileno()).st_size, 0
-    limit = max(UNPACKED_FLOOR, UNPACKED_RATIO * size)
+    limit = unpacked_limit(source)
     for number, line in enumerate(iter(lambda: lines.readline(LONGEST_LINE), ""), start=1):
         unpacked += len(line)
+        if len(line) == LONGEST_LINE:
+            raise InputError(f"{source}: line {number} is longer than {LONGEST_LINE} characters; it is no log.")
         if unpacked > limit:
             raise InputError(f"{source}: unpacks to more than {limit} bytes; it is no measured log, do not open it.")
         if not number % LINES_TOLD:
@@ -162,6 +230,10 @@ def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) ->
 
 def _from_log(source: Path, frames: Frames, report: Imported, wire: Wire) -> Content:
     if not len(frames.rows):
+        fd_frames = frames.counts.get("fd_frames", 0)
+        if fd_frames:
+            raise InputError(f"{source}: holds {fd_frames} CAN FD frame{'s' if fd_frames > 1 else ''} and no classical "
+                             "one; a bench and its trials are of classical CAN, give such a log.")
         raise InputError(f"{source}: holds no CAN frame; give a log in the format that its ending names.")
     return _from_frames(frames, report, wire)
 

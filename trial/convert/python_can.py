@@ -7,11 +7,16 @@ message read from a trial carries `time_ns` beside python-can's seconds.
 
 from __future__ import annotations
 
+import gzip
+import io
 import math
 import os
+import shutil
 import struct
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,6 +28,7 @@ from can.io.player import MESSAGE_READERS
 from numpy.typing import NDArray
 
 from parameters import InputError
+from parameters.files import LONGEST_LINE, READ_LIMIT, refuse_special, unpacked_limit
 from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
 from trial.mcap_file import cdr
 from trial.read import frames_of
@@ -91,13 +97,21 @@ class McapReader(BinaryIOMessageReader):
 class McapWriter(SizedMessageWriter):
     """Writes CAN messages as a trial without cycles, from a thread of its own; an existing file is replaced.
 
+    A file object opened for writing bytes gets the whole file when the writer stops; it stays open.
+
     CAN FD frames do not fit `can_msgs/msg/Frame` and are left out, counted in the result as `fd_frames`.
     """
 
-    def __init__(self, file: str | os.PathLike[str], append: bool = False, **_options: Any) -> None:
+    def __init__(self, file: str | os.PathLike[str] | BinaryIO, append: bool = False, **_options: Any) -> None:
+        name = getattr(file, "name", file)
         if append:
-            raise InputError(f"{file}: a trial cannot be appended to; give a new name.")
-        self._path = Path(file)
+            raise InputError(f"{name}: a trial cannot be appended to; give a new name.")
+        self._handed: Any = file if hasattr(file, "write") else None
+        if self._handed is None:
+            self._path = Path(str(file))
+        else:  # a recording needs a file of its own while it grows; the object gets it whole
+            self._folder = tempfile.TemporaryDirectory(prefix="bowden-")
+            self._path = Path(self._folder.name) / "recording.mcap"
         self._recorder = Recorder(self._path, metadata={"source": "python-can"}, attachments={}, overwrite=True,
                                   signals=())
         self._channels = ChannelNumbers()
@@ -114,6 +128,10 @@ class McapWriter(SizedMessageWriter):
     def stop(self) -> None:
         """Write what is waiting and close the file."""
         self._recorder.close({"fd_frames": self._fd_frames, "channels": self._channels.names})
+        if self._handed is not None and self._path.exists():
+            with self._path.open("rb") as whole:
+                shutil.copyfileobj(whole, self._handed)
+            self._folder.cleanup()
 
     def file_size(self) -> int:
         """Return the size of the file now, in bytes."""
@@ -137,39 +155,121 @@ def _refuse_bomb(path: Path) -> None:
                                      "it is no measured log, do not open it.")
 
 
-def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> Frames:
-    """Read a log that python-can knows (.asc, .blf, .trc …); raises `InputError` where it makes no sense.
+READERS = (".asc", ".blf", ".trc", ".csv", ".db", ".mf4")
+CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
-    `counts` tells CAN FD frames, which a trial cannot hold, and frames that are none; `progress` is told the share
-    read, 0 … 1.
+
+class Bounded(io.RawIOBase):
+    """A file, unpacked where it is packed, that ends with an error where it is endless; `lines` bounds each line."""
+
+    def __init__(self, path: Path, *, lines: bool) -> None:
+        self._file = path.open("rb")
+        packed = path.suffix.lower() == ".gz"
+        self._source: Any = gzip.GzipFile(fileobj=self._file) if packed else self._file
+        self._path, self._limit, self._lines = path, unpacked_limit(path) if packed else READ_LIMIT, lines
+        self._taken = self._line = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, room: Any) -> int:
+        data = self._source.read(len(room))
+        room[:len(data)] = data
+        self._taken += len(data)
+        end = data.rfind(b"\n")
+        self._line = self._line + len(data) if end < 0 else len(data) - end
+        if self._taken > self._limit:
+            raise InputError(f"{self._path}: unpacks to more than {self._limit} bytes; it is no measured log, "
+                             "do not open it.")
+        if self._lines and self._line > LONGEST_LINE:
+            raise InputError(f"{self._path}: a line is longer than {LONGEST_LINE} bytes; it is no log.")
+        return len(data)
+
+    def told(self) -> int:
+        """Return how far into the file on disk it is."""
+        return self._file.tell()
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+@contextmanager
+def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
+    """Yield an iterator over a log's messages, and what tells how many of its bytes have been read."""
+    ending = _ending(path)
+    if ending == ".db":
+        yield _sqlite(path), lambda: 0
+        return
+    if ending == ".blf" and path.suffix.lower() == ".blf":
+        _refuse_bomb(path)
+    reader_type: Any = MESSAGE_READERS[ending]
+    text = issubclass(reader_type, TextIOMessageReader)
+    if ending == ".mf4":
+        with reader_type(path) as reader:
+            yield reader, lambda: 0
+        return
+    with Bounded(path, lines=text) as raw:
+        whole: Any = io.BufferedReader(raw, 1 << 16)
+        file = io.TextIOWrapper(whole, encoding="utf-8", errors="replace") if text else whole
+        with reader_type(file) as reader:
+            yield reader, raw.told
+
+
+def _ending(path: Path) -> str:
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    return suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else "".join(suffixes[-1:])
+
+
+def _sqlite(path: Path) -> Iterator[can.Message]:
+    """Yield the messages of python-can's SQLite log, opened for reading only."""
+    import sqlite3
+
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as found:
+        for timestamp, can_id, extended, remote, error, dlc, data in found.execute(
+                "SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages"):
+            yield can.Message(timestamp=timestamp, arbitration_id=can_id, is_extended_id=bool(extended),
+                              is_remote_frame=bool(remote), is_error_frame=bool(error), dlc=dlc, data=data,
+                              is_fd=len(data or b"") > 8)
+
+
+def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> Frames:
+    """Read a log that python-can knows (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
+
+    `counts` tells CAN FD frames, which a trial cannot hold, DLC above 8 of classical ones, and frames that are none;
+    `progress` is told the share read, 0 … 1.  Raises `InputError` where the file makes no sense.
     """
+    refuse_special(path)
     rows = Gathered()
     channels = ChannelNumbers()
-    counts = {"fd_frames": 0, "malformed_frames": 0}
+    counts = {"fd_frames": 0, "malformed_frames": 0, "dlc_above_8": 0}
     try:
-        if path.suffix.lower() == ".blf":
-            _refuse_bomb(path)
-        reader_type: Any = MESSAGE_READERS[path.suffix.lower()]
-        text = issubclass(reader_type, TextIOMessageReader)
-        with path.open("r" if text else "rb", encoding="utf-8" if text else None) as file, reader_type(file) as reader:
-            raw: Any = getattr(file, "buffer", file)
+        size = path.stat().st_size
+        with _messages(path) as (reader, told):
             for number, message in enumerate(reader, start=1):
                 if number % ROWS_AT_ONCE == 0:
-                    progress(min(1.0, raw.tell() / path.stat().st_size))
-                if message.is_fd:
-                    counts["fd_frames"] += 1
-                elif len(payload_of(message)) > 8 or not math.isfinite(message.timestamp):
-                    counts["malformed_frames"] += 1
-                else:
-                    rows.add(_row(message, channels))
+                    progress(min(1.0, told() / size))
+                _take(message, rows, channels, counts)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a CAN log.") from None
     except InputError:
         raise
+    except MemoryError:
+        raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
     except Exception as error:  # python-can's readers raise whatever their parsing meets
-        reason = str(error) or type(error).__name__
+        reason = (str(error) or type(error).__name__)[:200]
         raise InputError(f"{path}: after {len(rows)} frames: {reason}; mend the file or cut it there.") from None
     return Frames(rows.rows(), channels.names, counts)
+
+
+def _take(message: can.Message, rows: Gathered, channels: ChannelNumbers, counts: dict[str, int]) -> None:
+    if message.is_fd or len(message.data or b"") > 8:
+        counts["fd_frames"] += 1
+    elif not math.isfinite(message.timestamp):
+        counts["malformed_frames"] += 1
+    else:
+        counts["dlc_above_8"] += message.dlc > 8
+        rows.add(_row(message, channels))
 
 
 def _row(message: can.Message, channels: ChannelNumbers) -> Row:

@@ -19,6 +19,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from parameters import InputError
+from parameters.files import refuse_special
 from trial.mcap_file import container as mcap
 from trial.mcap_file.cdr import MESSAGE_HEAD
 
@@ -84,6 +85,7 @@ class Cursor:
 @contextmanager
 def mapped(path: str | Path) -> Iterator[mmap.mmap]:
     """Map a file that begins as an MCAP file does."""
+    refuse_special(path)
     try:
         with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
             magic(view, path)

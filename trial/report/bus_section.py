@@ -33,8 +33,11 @@ KINDS = (
 )
 
 
-def timing(page: Page, trial: Trial, setting: Setting) -> None:
-    """Add age and arrival of the PDOs, SYNC, misses and the step's duration."""
+def timing(page: Page, trial: Trial, setting: Setting, *, on_bus: bool = True) -> None:
+    """Add age and arrival of the PDOs, SYNC, misses and the step's duration; of a table the steps of its time."""
+    if not on_bus and not _timed(trial):
+        _sampling(page, trial)
+        return
     page.section("Timing")
     rows = [_spread(name, trial.columns[name]) for name in _timed(trial)]
     sync = _sync(trial, setting)
@@ -50,6 +53,17 @@ def timing(page: Page, trial: Trial, setting: Setting) -> None:
         over_time(page, trial, "SYNC against its nominal time", dict([sync]), "ns")
     if known(trial, "step_duration_ns") is not None:
         over_time(page, trial, "Duration of the controller's step", chosen(trial, ["step_duration_ns"]), "ns")
+
+
+def _sampling(page: Page, trial: Trial) -> None:
+    """Say how evenly the rows of a table lie."""
+    if len(trial.time_ns) < 3:
+        return
+    page.section("Sampling")
+    steps = np.diff(trial.time_ns) / 1e9
+    middle = float(np.median(steps))
+    page.facts({"rate (Hz)": 1.0 / middle, "median step (s)": middle, "least step (s)": float(steps.min()),
+                "greatest step (s)": float(steps.max()), "steps above 2.5 medians": int((steps > 2.5 * middle).sum())})
 
 
 def _timing_plot(page: Page, trial: Trial, title: str, colours: dict[str, str]) -> None:
@@ -89,7 +103,9 @@ def _misses(trial: Trial) -> dict[str, Cell]:
 
 
 def load(page: Page, trial: Trial, frame_bits: FrameBits, bound_percent: float | None) -> None:
-    """Add the bus load in steps of 100 ms, by kind of frame."""
+    """Add the bus load in steps of 100 ms, by kind of frame; nothing where no bus was recorded."""
+    if not len(trial.frames):
+        return
     page.section("Bus load")
     frames = trial.frames[trial.frames["flags"] & cdr.ERROR == 0]
     if not len(frames):

@@ -80,7 +80,9 @@ def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
 
 
 def force(page: Page, trial: Trial, setting: Setting) -> None:
-    """Add force over time, per gait cycle, and its error."""
+    """Add force over time, per gait cycle, and its error; nothing where no force is known."""
+    if not chosen(trial, FORCE):
+        return
     page.section("Force")
     troubles = _troubles(trial)
     over_time(page, trial, "Force over time", chosen(trial, FORCE), "N", height=320, marks=troubles[:MOST_MARKS],
@@ -119,7 +121,9 @@ def _troubles(trial: Trial) -> list[float]:
 
 
 def motion(page: Page, trial: Trial) -> None:
-    """Add rope, knee and controller over time."""
+    """Add rope, knee and controller over time; nothing where none of them is known."""
+    if not any(chosen(trial, names) for _, names, _ in MOTION):
+        return
     page.section("Motion")
     for title, names, unit in MOTION:
         columns = chosen(trial, names)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from parameters import InputError
+from parameters.files import write_whole
 from trial.report.packing import Pool
 
 Cell = str | int | float | None
@@ -169,19 +169,7 @@ class Page:
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> int:
         """Write the page and return its bytes; the file appears whole or not at all.  Raises `InputError`."""
-        path = Path(path)
-        if path.exists() and not overwrite:
-            raise InputError(f"{path}: the file exists; give another name or --overwrite.")
-        content = self.html().encode(errors="backslashreplace")
-        part = path.with_name(f".part-{path.name}")
-        try:
-            part.write_bytes(content)
-            part.replace(path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror}); give a writable path.") from None
-        finally:
-            part.unlink(missing_ok=True)
-        return len(content)
+        return write_whole(Path(path), self.html(), overwrite=overwrite)
 
 
 def asset(name: str) -> str:

@@ -43,14 +43,14 @@ def build(
     trial: Trial, frame_bits: FrameBits, published: Mapping[str, str], bound_percent: float | None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Page:
-    """Return the page of a trial."""
+    """Return the page of a trial; of a table that was imported, without what only a bus can show."""
     judged = setting(trial)
     page = _head(trial)
     parts: tuple[Callable[[], None], ...] = (
         lambda: _summary(page, trial, judged, published),
         lambda: force_section.force(page, trial, judged),
         lambda: force_section.motion(page, trial),
-        lambda: bus_section.timing(page, trial, judged),
+        lambda: bus_section.timing(page, trial, judged, on_bus=bool(len(trial.frames))),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial),
         lambda: _carried(page, trial),
@@ -65,7 +65,9 @@ def build(
 def _head(trial: Trial) -> Page:
     told, result = trial.metadata, trial.result
     title = " ".join(("Trial", trial.path.name))
-    parts = [told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
+    bus = told.get("bus", "")
+    where = "SIMULATED bench" if bus == "SIMULATED" else f"bus {bus}" if bus else ""
+    parts = [where, told.get("experiment", ""), _of(told, "peak_n", "N"), _of(told, "period_s", "s"),
              _of(told, "cycles", "gait cycles"), _of(told, "rate_hz", "Hz"),
              f"controller {told['controller']}" if "controller" in told else "",
              f"calibration {told['calibration']}" if "calibration" in told else "",
@@ -95,14 +97,24 @@ def _summary(page: Page, trial: Trial, judged: Setting, published: Mapping[str, 
     page.facts({
         **trial.metadata,
         **{name: _told(value) for name, value in result.items() if name not in SAID and value is not None},
-        "control cycles": len(trial.time_ns), "recorded time (s)": seconds, "CAN frames": len(trial.frames),
-        "events": len(trial.events)})
+        **_counted(trial), "recorded time (s)": seconds})
     missing = unknown(trial)
     if missing:
         page.text(f"Not in this trial: {', '.join(missing)}.", "note")
 
 
+def _counted(trial: Trial) -> dict[str, Cell]:
+    """Count what there is: rows of a table, or cycles, frames and events of a bus."""
+    if not len(trial.frames):
+        return {"rows": len(trial.time_ns)}
+    return {"control cycles": len(trial.time_ns), "CAN frames": len(trial.frames), "events": len(trial.events)}
+
+
 def _told(value: object) -> Cell:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(name).replace('_', ' ')} {_told(one)}" for name, one in value.items()) or "none"
+    if isinstance(value, list) and not value:
+        return "none"
     if isinstance(value, list):
         return ", ".join(number(one) if isinstance(one, float) else str(one) for one in value)
     return value if isinstance(value, str | int | float | None) else str(value)
@@ -125,6 +137,8 @@ def _figures(page: Page, trial: Trial, judged: Setting, published: Mapping[str, 
 
 
 def _events(page: Page, trial: Trial) -> None:
+    if not trial.events and not len(trial.frames):
+        return
     page.section("Events")
     if not trial.events:
         page.text("No events were recorded.", "note")
@@ -136,6 +150,8 @@ def _events(page: Page, trial: Trial) -> None:
 
 
 def _carried(page: Page, trial: Trial) -> None:
+    if not trial.attachments and not trial.metadata.get("commit"):
+        return
     page.section("Configuration, calibration, software")
     if trial.metadata.get("commit"):
         page.facts({"commit": trial.metadata["commit"]})

@@ -1,0 +1,80 @@
+"""`bowden simulate`: what START and END would have been under a trial's motion, beside what they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+
+if TYPE_CHECKING:
+    from diagnosis.bench_fit import FittedBench
+    from diagnosis.data.table import Table
+    from diagnosis.simulation import Simulated
+
+Trial = Annotated[Path, typer.Argument(
+    metavar="TRIAL", help="MCAP, or CSV (.gz) with rope position and knee angle (none: locked).", show_default=False)]
+Model = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="model.toml of bowden fit, or extended.toml (default: the nominal bench).")]
+Output = Annotated[Path | None, typer.Option(
+    "-o", "--output", metavar="FILE", help="CSV of measured and simulated tensions.")]
+
+
+@app.command()
+def simulate(
+    trial: Trial,
+    model: Model = None,
+    output: Output = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Simulate a bench under a trial's measured motion.
+
+    Rope and knee go where they were measured; START and END come from the many-segment simulation.
+
+    Example: bowden simulate trial.mcap --model model.toml
+    """
+    from bowden import output_files
+    from diagnosis import bench_fit, simulation
+    from diagnosis.data import table
+
+    output_files.refuse([output], overwrite=overwrite)
+    used = bench_fit.FittedBench({}) if model is None else bench_fit.read(model)
+    given = table.read(trial)
+    with terminal.waiting("simulating", shown=not json):
+        told = simulation.simulate(bench_fit.as_fitted(given, used), used.values)
+    if output is not None:
+        _write(output, given, told)
+    figures = simulation.compared(given, told)
+    result: dict[str, Any] = {"trial": str(trial), "model": None if model is None else str(model), **figures}
+    terminal.emit(result) if json else _tell(result, figures, used)
+    return 0
+
+
+def _write(output: Path, given: Table, told: Simulated) -> None:
+    import numpy as np
+
+    from diagnosis.simulation import SIGNALS
+
+    columns = {"time_s": given["time_s"]}
+    for name in SIGNALS:
+        if name in given:
+            columns[name] = given[name]
+        columns[f"simulated_{name}"] = getattr(told, name)
+    np.savetxt(output, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
+               fmt="%.9g")
+
+
+def _tell(result: dict[str, Any], figures: dict[str, Any], used: FittedBench) -> None:
+    print(f"The simulation of {result['model'] or 'the nominal bench'} under the motion of {result['trial']}:")
+    number = terminal.number
+    for name, row in figures.items():
+        title = f"{name}: measured less simulated, RMS {number(row['rms_n'])} N, peak {number(row['peak_n'], 1)} N"
+        terminal.table(title, ("class", "samples", "RMS (N)", "mean (N)"), [
+            (one["class"], str(one["samples"]), number(one["rms_n"]), number(one["mean_n"]))
+            for part in ("by_phase", "by_load", "by_direction") for one in row.get(part, ())])
+    if not figures:
+        print("No tension was measured: nothing to compare with.")

@@ -1,0 +1,183 @@
+"""What the live page shows, gathered from a bus, a trial that runs or a trial that is played.
+
+The rule of this file: what the control thread calls (`frame`, `cycle`, `event`) only appends to a queue; the page's own
+thread counts, decodes and forgets.  Times are those of the bus, ages those of the clock that is handed in.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from bowden.bus_load import frame_bits
+from eds.bench import NAMES
+from trial.convert.frames import rows_of
+from trial.decode import events as events_of
+from trial.mcap_file import cdr
+
+WINDOW_S: Final = 20.0
+"""Seconds of force that the page shows."""
+ROW_NS: Final = 5_000_000
+"""At most one row of force in so much bus time (200 a second)."""
+LOAD_NS: Final = 1_000_000_000
+"""Time over which the bus load is counted."""
+EVENTS_KEPT: Final = 200
+QUEUE: Final = 1 << 16
+HEARTBEATS: Final = range(0x701, 0x780)
+NMT_STATES: Final[Mapping[int, str]] = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+
+Force = tuple[int, float, float, float]
+"""Time (ns), desired, START and END force (N); NaN where unknown."""
+
+
+class LiveState:
+    """The state of one page; `clock` gives seconds that only rise, `bitrate` is in bit/s.
+
+    `nodes` are the node-IDs that should be there; `silent_s` is the age from which a heartbeat counts as lost.
+    `kind`: trial (runs in this process), bus (only listened to) or recorded.  `decode_events`: NMT, EMCY and boot-up
+    frames are told as events; False where whoever feeds the page tells events itself.
+    """
+
+    def __init__(
+        self, name: str, kind: str, clock: Callable[[], float], bitrate: int, nodes: Sequence[int], silent_s: float, *,
+        decode_events: bool = False,
+    ) -> None:
+        self.changed = threading.Condition()
+        self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S}
+        self._clock, self._bitrate, self._decode_events = clock, bitrate, decode_events
+        self._incoming: deque[tuple[int, int, int, int, int, bool, bytes]] = deque(maxlen=QUEUE)
+        self._forces: deque[Force] = deque(maxlen=QUEUE)
+        self._told: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
+        self._heard_at: float | None = None
+        self._now_ns: int | None = None
+        self._first_ns: int | None = None
+        self._row_ns: int | None = None
+        self._frame_ns: int | None = None
+        self._epoch = self._row_count = self._event_count = 0
+        self._rows: deque[tuple[float | None, ...]] = deque(maxlen=round(WINDOW_S * 1e9 / ROW_NS))
+        self._events: deque[tuple[float, str, str, str]] = deque(maxlen=EVENTS_KEPT)
+        self._beats: dict[int, tuple[int, int] | None] = dict.fromkeys(nodes)
+        self._loads: deque[tuple[int, int]] = deque()
+        self._status, self._sentence = "waiting", ""
+        self.watchers = 0
+
+    def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
+        """Take a frame as it was on the bus; any thread."""
+        self._heard_at = self._clock()
+        self._incoming.append((time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
+
+    def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
+        """Take the forces of one control cycle, NaN where unknown; any thread."""
+        self._heard_at = self._clock()
+        self._forces.append((time_ns, desired_n, start_n, end_n))
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Take what happened, in one sentence; any thread."""
+        self._told.append((time_ns, kind, source, text))
+
+    def status(self, status: str, sentence: str = "") -> None:
+        """Say whether it is waiting, running, paused or ended, and how it ended."""
+        with self.changed:
+            self._status, self._sentence = status, sentence
+            self.changed.notify_all()
+
+    def digest(self) -> None:
+        """Take in what has come since the last call, and wake who waits: the page's own thread, ten times a second."""
+        with self.changed:
+            frames = [self._incoming.popleft() for _ in range(len(self._incoming))]
+            if frames:
+                self._frames(frames)
+            for _ in range(len(self._forces)):
+                self._row(*self._forces.popleft())
+            for _ in range(len(self._told)):
+                self._happened(*self._told.popleft())
+            if self._status == "waiting" and self._heard_at is not None:
+                self._status = "running"
+            self.changed.notify_all()
+
+    def message(self, seen: tuple[int, int, int]) -> tuple[dict[str, Any], tuple[int, int, int]]:
+        """Return what a page lacks that has `seen` (epoch, rows, events), and what it will have seen then.
+
+        Call it with `changed` held.
+        """
+        epoch, rows, events = seen
+        if epoch != self._epoch:
+            rows = events = 0
+        age = None if self._heard_at is None else self._clock() - self._heard_at
+        told = {
+            **self._about, "status": self._status, "sentence": self._sentence, "epoch": self._epoch,
+            "age_s": age, "now_s": self._seconds(self._now_ns), "load_percent": self._load(), "nodes": self._nodes(),
+            "rows": _last(self._rows, self._row_count - rows),
+            "events": _last(self._events, self._event_count - events)}
+        return told, (self._epoch, self._row_count, self._event_count)
+
+    def _frames(self, frames: list[tuple[int, int, int, int, int, bool, bytes]]) -> None:
+        rows = rows_of(frames)
+        rows = rows[rows["flags"] & cdr.ERROR == 0]
+        self._loads.extend(zip(rows["time_ns"].tolist(), frame_bits(rows).tolist(), strict=True))
+        for time_ns, can_id, flags, size, _, _, data in frames:
+            self._frame_ns = self._at(time_ns, self._frame_ns)
+            if flags == 0 and size == 1 and can_id in HEARTBEATS:
+                self._beats[can_id & 0x7F] = (time_ns, data[0] & 0x7F)
+        while self._loads and self._now_ns is not None and self._loads[0][0] <= self._now_ns - LOAD_NS:
+            self._loads.popleft()
+        if self._decode_events:
+            for event in events_of(rows):
+                self._happened(*event)
+
+    def _at(self, time_ns: int, before_ns: int | None) -> int:
+        """Follow the bus's time and return it; where one kind of message goes back in it, all begins again (a seek)."""
+        if self._first_ns is None:
+            self._first_ns = time_ns
+        if before_ns is not None and time_ns < before_ns - LOAD_NS:
+            self._epoch += 1
+            self._rows.clear()
+            self._events.clear()
+            self._loads.clear()
+            self._beats = dict.fromkeys(self._beats)
+            self._row_ns = self._frame_ns = None
+            self._row_count = self._event_count = 0
+            self._now_ns = time_ns
+        self._now_ns = time_ns if self._now_ns is None else max(self._now_ns, time_ns)
+        return time_ns
+
+    def _row(self, time_ns: int, *forces: float) -> None:
+        self._at(time_ns, self._row_ns)
+        if self._row_ns is not None and 0 <= time_ns - self._row_ns < ROW_NS:
+            return
+        self._row_ns = time_ns
+        seconds = self._seconds(time_ns)
+        self._rows.append((seconds, *(round(one, 3) if np.isfinite(one) else None for one in forces)))
+        self._row_count += 1
+
+    def _happened(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        self._at(time_ns, None)
+        self._events.append((self._seconds(time_ns) or 0.0, kind, source, text))
+        self._event_count += 1
+
+    def _seconds(self, time_ns: int | None) -> float | None:
+        return None if time_ns is None or self._first_ns is None else round((time_ns - self._first_ns) * 1e-9, 4)
+
+    def _load(self) -> float | None:
+        """Return the share of the last second that the frames took, %; None before there was one."""
+        if not self._loads or self._now_ns is None:
+            return None
+        span = min(LOAD_NS, self._now_ns - (self._first_ns or 0))
+        return None if span < LOAD_NS // 5 else 100.0 * sum(b for _, b in self._loads) / (self._bitrate * span * 1e-9)
+
+    def _nodes(self) -> list[dict[str, Any]]:
+        told = []
+        for node, beat in sorted(self._beats.items()):
+            state = None if beat is None else NMT_STATES.get(beat[1], f"state 0x{beat[1]:02X}")
+            age = None if beat is None or self._now_ns is None else (self._now_ns - beat[0]) * 1e-9
+            told.append({"id": node, "name": NAMES.get(node, f"node {node}"), "state": state, "age_s": age})
+        return told
+
+
+def _last(kept: deque[Any], count: int) -> list[Any]:
+    """Return the last `count` of what is kept, or all of it."""
+    return list(kept)[max(len(kept) - count, 0):]

@@ -1,0 +1,232 @@
+"""The live page's server: one page, a stream of what it shows (Server-Sent Events), and the stop button's request.
+
+The rule of this file: whoever may not watch is told why and nothing else.  Listens at loopback unless told otherwise;
+Host and Origin are checked (a page of another site, or a name that points here, gets nothing); anywhere but loopback
+the address carries a random token.  A stop needs the token and the page's own origin, always.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import ipaddress
+import json
+import secrets
+import socket
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Final
+from urllib.parse import parse_qs, urlsplit
+
+from bowden.live.state import LiveState
+from bowden.live.web_page import html
+from parameters import InputError
+
+LOOPBACK: Final = "127.0.0.1"
+TICK_S: Final = 0.1
+"""Between two messages of the stream."""
+PATIENCE_S: Final = 10.0
+"""How long a client may take to say what it wants, or to take what it is sent."""
+MOST_WATCHERS: Final = 8
+TOKEN_HEADER: Final = "X-Bowden-Token"
+
+
+def address(text: str) -> tuple[str, int]:
+    """Return host and port of `[HOST:]PORT`; raises `InputError`."""
+    host, colon, port = text.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]") if colon else LOOPBACK
+    if not port.isdecimal() or int(port) > 65535 or not host:
+        raise InputError(f"--web {text}: expected [HOST:]PORT with a port of 0 … 65535; write for instance --web 8080.")
+    return host, int(port)
+
+
+class LivePage:
+    """The server of one page, on threads of its own, from when it is made until `close`.
+
+    `stop` asks for the safe stop from any thread; None where this process cannot stop the bench, and `no_stop` then
+    says why and what to do instead.  Raises `InputError` where `where` (`[HOST:]PORT`) cannot be listened at.
+    """
+
+    def __init__(self, state: LiveState, where: str, stop: Callable[[], None] | None = None, no_stop: str = "") -> None:
+        host, port = address(where)
+        self.state, self.stop, self.no_stop = state, stop, no_stop
+        self.token, self.stop_asked, self.closing = secrets.token_urlsafe(24), False, False
+        try:
+            self._server = _Server(host, port, self)
+        except (OSError, UnicodeError) as error:
+            raise InputError(f"--web {where}: cannot listen there ({error}); give another address or port.") from None
+        bound, self.port = self._server.bound
+        self.loopback = ipaddress.ip_address(bound).is_loopback
+        shown = f"[{host}]" if ":" in host else host
+        if host in ("0.0.0.0", "::"):
+            shown = socket.gethostname()
+        self.url = f"http://{shown}:{self.port}/" + ("" if self.loopback else f"?token={self.token}")
+        self._names = frozenset({host.lower(), socket.gethostname().lower(), "localhost"} if self.loopback
+                                else {host.lower(), socket.gethostname().lower()})
+        self._threads = [threading.Thread(target=target, name="live page", daemon=True)
+                         for target in (self._server.serve_forever, self._tick)]
+        for thread in self._threads:
+            thread.start()
+
+    def _tick(self) -> None:
+        pause = threading.Event()
+        while not self.closing:
+            self.state.digest()
+            pause.wait(TICK_S)
+
+    def close(self) -> None:
+        """Send the last state and stop listening."""
+        self.state.digest()
+        self.closing = True
+        with self.state.changed:
+            self.state.changed.notify_all()
+            self.state.changed.wait_for(lambda: self.state.watchers == 0, timeout=1.0)
+        self._server.shutdown()
+        self._server.server_close()
+
+    def trusts_host(self, given: str | None) -> bool:
+        """Whether a Host header names this server: its address, or any numeric one where it listens beyond loopback."""
+        try:
+            split = urlsplit(f"//{given or ''}")
+            name, port = (split.hostname or "").lower(), split.port or 80
+        except ValueError:
+            return False
+        if port != self.port or split.username is not None:
+            return False
+        try:
+            return ipaddress.ip_address(name).is_loopback or not self.loopback
+        except ValueError:
+            return name in self._names
+
+    def knows(self, token: str) -> bool:
+        """Whether a token is this page's, in a time that tells nothing of it."""
+        return hmac.compare_digest(token.encode(), self.token.encode())
+
+    def ask_to_stop(self) -> None:
+        """Ask for the safe stop; any thread."""
+        if self.stop is not None:
+            self.stop()
+            self.stop_asked = True
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    allow_reuse_address = False
+
+    def __init__(self, host: str, port: int, page: LivePage) -> None:
+        self.page = page
+        self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        super().__init__((host, port), _Handler)
+
+    def server_bind(self) -> None:
+        """Bind without asking the resolver for this machine's name, as `HTTPServer` does."""
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.bound = str(self.server_address[0]), int(self.server_address[1])
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that has gone away is no error."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    timeout = PATIENCE_S
+    server_version, sys_version = "bowden", ""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing on the terminal."""
+
+    def do_GET(self) -> None:
+        page, split = self.server.page, urlsplit(self.path)
+        token = "".join(parse_qs(split.query).get("token", []))
+        if not self._is_ours():
+            return
+        if not page.loopback and not page.knows(token):
+            self._refuse(403, "This page needs the token that bowden printed with its address.")
+        elif split.path == "/":
+            nonce = secrets.token_urlsafe(16)
+            self._answer(200, html(page.token, nonce), "text/html; charset=utf-8", nonce)
+        elif split.path == "/stream":
+            self._stream()
+        else:
+            self._refuse(404, "There is one page here: /.")
+
+    def do_POST(self) -> None:
+        page = self.server.page
+        if not self._is_ours():
+            return
+        if urlsplit(self.path).path != "/stop":
+            self._refuse(404, "Only /stop takes a POST.")
+        elif self.headers.get("Origin") is None or not page.knows(self.headers.get(TOKEN_HEADER, "")):
+            self._refuse(403, "A stop needs the page's token and its origin.")
+        elif page.stop is None:
+            self._refuse(409, page.no_stop)
+        else:
+            page.ask_to_stop()
+            self._answer(202, "The safe stop was requested.\n", "text/plain; charset=utf-8")
+
+    def _is_ours(self) -> bool:
+        """Whether the request is addressed to this server and comes from no other site; refused if not."""
+        if not self.server.page.trusts_host(self.headers.get("Host")):
+            self._refuse(403, "The Host header does not name this server; use the address that bowden printed.")
+            return False
+        origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
+        if origin not in (None, f"http://{self.headers.get('Host')}") or (
+                site not in ("same-origin", "none") and urlsplit(self.path).path != "/"):
+            self._refuse(403, "Another site's page may not read this one.")
+            return False
+        return True
+
+    def _refuse(self, status: int, sentence: str) -> None:
+        self._answer(status, sentence + "\n", "text/plain; charset=utf-8")
+
+    def _answer(self, status: int, text: str, kind: str, nonce: str = "") -> None:
+        body = text.encode()
+        self._head(status, kind, nonce)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _head(self, status: int, kind: str, nonce: str = "") -> None:
+        script = (f"script-src 'nonce-{nonce}'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
+                  if nonce else "")
+        self.send_response(status)
+        for name, value in (
+                ("Content-Type", kind), ("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer"),
+                ("X-Content-Type-Options", "nosniff"), ("Cross-Origin-Resource-Policy", "same-origin"),
+                ("Content-Security-Policy", f"default-src 'none'; {script}base-uri 'none'; form-action 'none'; "
+                                            "frame-ancestors 'none'")):
+            self.send_header(name, value)
+
+    def _stream(self) -> None:
+        page, state = self.server.page, self.server.page.state
+        with state.changed:
+            crowded = state.watchers >= MOST_WATCHERS
+            state.watchers += not crowded
+        if crowded:
+            self._refuse(503, f"{MOST_WATCHERS} pages are open already; close one.")
+            return
+        try:
+            self._head(200, "text/event-stream")
+            self.end_headers()
+            with contextlib.suppress(OSError):
+                self._send_all(page, state)
+        finally:
+            with state.changed:
+                state.watchers -= 1
+                state.changed.notify_all()
+
+    def _send_all(self, page: LivePage, state: LiveState) -> None:
+        seen, last = (-1, 0, 0), False
+        while not last:
+            with state.changed:
+                last = page.closing
+                told, seen = state.message(seen)
+            told["stop"] = {"can": page.stop is not None, "why": page.no_stop, "asked": page.stop_asked}
+            self.wfile.write(f"data: {json.dumps(told, allow_nan=False)}\n\n".encode())
+            self.wfile.flush()
+            if not last:
+                with state.changed:
+                    state.changed.wait(5 * TICK_S)

@@ -1,0 +1,120 @@
+"""A bus recorded by who only listens: frames, the control cycles they make, and what happens, in one file or several.
+
+The rule of this file: a file that is full is closed whole before the next one begins, and the next begins with the
+frame that did not fit; nothing is lost between two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from eds.bench import Wire
+from parameters import InputError
+from trial.convert.frames import ChannelNumbers, rows_of
+from trial.convert.python_can import flags_of, payload_of, time_ns_of
+from trial.decode import events
+from trial.follow import Follower
+from trial.record import Recorder
+from trial.signals import SIGNALS
+
+RARE = frozenset((0x000, *range(0x081, 0x100), *range(0x701, 0x780)))
+"""COB-IDs of NMT, EMCY and boot-up, which can be events."""
+LOOK_FRAMES = 256  # frames between two looks at the size of the file
+
+
+class BusRecording:
+    """Takes messages as `can.BusABC.recv` gives them; use it in a `with`, or call `close`."""
+
+    def __init__(
+        self, path: Path, wire: Wire, *, about: Mapping[str, str], overwrite: bool = False,
+        max_bytes: int | None = None, max_ns: int | None = None,
+    ) -> None:
+        self._path, self._overwrite, self._about = path, overwrite, dict(about)
+        self._max_bytes, self._max_ns = max_bytes, max_ns
+        self._wire = wire
+        self._follower = Follower(wire)
+        names = set(self._follower.names)
+        self._signals = [signal for signal in SIGNALS if signal.name in names]
+        order = {name: place for place, name in enumerate(self._follower.names)}
+        self._order = [order[signal.name] for signal in self._signals]
+        self._channels = ChannelNumbers()
+        self.files: list[Path] = []
+        self.frames = self.cycles = self.left_out = 0
+        self._begun_ns, self._last_ns, self._in_file = 0, 0, 0
+        self._recorder: Recorder | None = self._open()
+
+    @property
+    def _rotates(self) -> bool:
+        return self._max_bytes is not None or self._max_ns is not None
+
+    def _open(self) -> Recorder:
+        part = len(self.files) + 1
+        path = self._path.with_name(f"{self._path.stem}-{part:03}{self._path.suffix}") if self._rotates else self._path
+        if path.exists() and not self._overwrite:
+            raise InputError(f"{path}: the file exists; give another name or --overwrite.")
+        self.files.append(path)
+        self._in_file = 0
+        told = {**{name: text for name, text in self._about.items() if text}, "source": "bowden record"}
+        return Recorder(path, metadata=told | ({"part": str(part)} if self._rotates else {}), attachments={},
+                        threaded=True, overwrite=self._overwrite, signals=self._signals)
+
+    def take(self, message: Any) -> None:
+        """Record one message; CAN FD frames are no bench's and are counted as left out."""
+        if message.is_fd:
+            self.left_out += 1
+            return
+        time_ns = max(time_ns_of(message), self._last_ns)  # two sockets of a computer may differ by a microsecond
+        self._rotate(time_ns)
+        assert self._recorder is not None
+        flags, data = flags_of(message), payload_of(message)
+        number = self._channels.number(message.channel)
+        self._recorder.frame(time_ns, message.arbitration_id, data, flags, number, not message.is_rx)
+        self.frames += 1
+        self._in_file += 1
+        self._last_ns = time_ns
+        if flags:
+            return
+        row = self._follower.frame(time_ns, message.arbitration_id, data)
+        if row is not None:
+            self._recorder.cycle(row[0], [row[1][place] for place in self._order])
+            self.cycles += 1
+        if message.arbitration_id in RARE:
+            for event in events(rows_of([(time_ns, message.arbitration_id, 0, len(data), number, False, data)])):
+                self._recorder.event(*event)
+
+    def _rotate(self, time_ns: int) -> None:
+        if not self._in_file:
+            self._begun_ns = time_ns
+            return
+        full = self._max_ns is not None and time_ns - self._begun_ns >= self._max_ns
+        if self._max_bytes is not None and not self._in_file % LOOK_FRAMES:
+            full |= self.files[-1].stat().st_size >= self._max_bytes
+        if full:
+            self._finish()
+            self._recorder = self._open()
+            self._begun_ns = time_ns
+
+    def _finish(self) -> None:
+        if self._recorder is not None:
+            self._recorder.close({"outcome": "recorded", "frames": self._in_file, "channels": self._channels.names})
+            self._recorder = None
+
+    def close(self) -> None:
+        """Write what is waiting and close the file."""
+        self._finish()
+
+    def as_json(self) -> dict[str, object]:
+        """Return what was recorded."""
+        return {"files": [str(path) for path in self.files], "frames": self.frames, "cycles": self.cycles,
+                "left_out": self.left_out}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,256 @@
+"""model.toml: the constants of one bench as `fit` found them, each with its interval; and the fit that finds them.
+
+The rule of this file: `[constants.NAME]` is what relations and simulation run on, `[parameters.NAME]` the same as a
+calibration, `[effects.NAME]` may stand beside them as a diagnosis writes it; a constant that the data do not determine
+says so and keeps what was known beforehand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from diagnosis import simulation
+from diagnosis.data import integrity, table
+from diagnosis.data.table import Table
+from diagnosis.problem import blocks, learning, simulated
+from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.problem.learning import Learnt
+from diagnosis.problem.reference import of_bench
+from parameters import InputError, declarations, read_toml
+from physics.calibration import Calibration, nominal, write
+from physics.conversions import UNRELATED, converted, to_scalars
+from physics.effects.effects_table import TABLE, stated
+from physics.parameters import RELATION_PARAMETERS, healthy
+from physics.plant.leg import KNEE_AT_FIT
+from physics.relations.relation import RELATIONS
+
+Values = Mapping[str, float]
+
+BENCH: Final = "constants"
+EVIDENCE: Final = "fitted"
+HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
+               "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
+DETERMINED: Final = 0.7
+"""1σ, of that known beforehand, below which the data have said something of a constant."""
+SEEN: Final = 0.6
+"""Share of each trial that the fit which is judged has seen."""
+SECONDS: Final = 6.0
+"""Length of each trial that the simulation is fitted on, s."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant: its value, 95 % interval, unit, and whether the data say it."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    determined: bool
+
+
+@dataclass(frozen=True)
+class FittedBench:
+    """A bench as fitted; `figures`: START and END against the simulation, N, on what that fit had not seen.
+
+    `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
+    """
+
+    constants: Mapping[str, Constant]
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    relations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    trials: tuple[str, ...] = ()
+    pulls: int = 1
+    warnings: tuple[str, ...] = ()
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every value that relations and simulation read; nominal where the model has none."""
+        brought = {name: value for row in self.effects.values() for name, value in row.items()}
+        return {**healthy(), **{n: c.value for n, c in self.constants.items()}, **brought}
+
+    @property
+    def calibration(self) -> Calibration:
+        """The scalars of a calibration that these constants tell; what they do not tell is nominal."""
+        told, base = to_scalars({**self.values, **converted(UNRELATED, self.values)}), nominal()
+        bounds = {name: declared for name, _, declared in declarations(Calibration)}
+        inside: dict[str, Any] = {n: min(max(v, bounds[n].low), bounds[n].high) for n, v in told.items() if n in bounds}
+        return dataclasses.replace(base, **inside)
+
+    @property
+    def undetermined(self) -> list[str]:
+        return [n for n, c in self.constants.items() if not c.determined]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the model as plain values."""
+        return {"trials": list(self.trials), "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
+                "not_determined": self.undetermined, "simulation": dict(self.figures),
+                "relations": {n: dict(r) for n, r in self.relations.items()}, "warnings": list(self.warnings)}
+
+    def text(self) -> str:
+        """Return the model as the text of model.toml."""
+        lines = [HEAD, write(self.calibration), f"[{EVIDENCE}]",
+                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
+                 f"pulls = {self.pulls}"]
+        lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
+                  for end, row in self.figures.items() if row["rms_n"] is not None]
+        for name, c in self.constants.items():
+            lines += ["", f"[{BENCH}.{name}]", f"value = {c.value!r}", f'unit = "{c.unit}"',
+                      f"interval = [{c.low!r}, {c.high!r}]", f"determined = {str(c.determined).lower()}"]
+        return "\n".join(lines) + "\n"
+
+
+def read(path: str | Path) -> FittedBench:
+    """Read a model.toml; raises `InputError` for an unknown table, constant or effect, or a value that is no number."""
+    given = read_toml(Path(path))
+    for name in given:
+        if name not in (BENCH, EVIDENCE, TABLE, "found", "version", "bench", "scalars", "parameters"):
+            raise InputError(f"{path}: unknown table {name}; expected [{BENCH}.NAME] as bowden fit writes it.")
+    rows = given.get(BENCH, {})
+    if not isinstance(rows, Mapping) or not (rows or given.get(TABLE)):
+        raise InputError(f"{path}: no [{BENCH}.NAME] in it; give a model of bowden fit -o.")
+    evidence = given.get(EVIDENCE, {})
+    return FittedBench({name: _constant(path, name, row) for name, row in rows.items()},
+                      trials=tuple(evidence.get("trials", ())), pulls=int(evidence.get("pulls", 1)),
+                      effects=stated(given, str(path)))
+
+
+def _constant(path: str | Path, name: str, row: Any) -> Constant:
+    if name not in RELATION_PARAMETERS:
+        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of "
+                         f"{', '.join(RELATION_PARAMETERS)}.")
+    value = row.get("value") if isinstance(row, Mapping) else row
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in "
+                         f"{RELATION_PARAMETERS[name].unit}.")
+    low, high = row.get("interval", (value, value)) if isinstance(row, Mapping) else (value, value)
+    return Constant(float(value), float(low), float(high), RELATION_PARAMETERS[name].unit,
+                    bool(row.get("determined", True)) if isinstance(row, Mapping) else True)
+
+
+def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
+        lowpass: float | None = None) -> FittedBench:
+    """Fit the constants of a bench to healthy trials of any motion; `calibration`: one point to start from.
+
+    `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
+    Raises `InputError` for trials that contradict themselves, or do not move a rope that a tension stretches.
+    """
+    if not trials:
+        raise InputError("fit: no trial given; name at least one healthy trial.")
+    with threadpool_limits(1, user_api="blas"):
+        return _fitted([t if isinstance(t, Table) else table.read(t) for t in trials], calibration, lowpass)
+
+
+def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] | None, lowpass: float | None
+            ) -> FittedBench:
+    findings = [f for t in given for f in integrity.examine(t)]
+    for finding in findings:
+        if finding.refuses:
+            raise InputError(finding.text)
+    usable = [_locked(integrity.usable(t)) for t in given]
+    usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
+    tables, pulls = learning.oriented(usable)
+    known = read_toml(Path(calibration)) if isinstance(calibration, str | Path) else calibration
+    _refuse_other_rigs(tables)
+    first, rest = [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
+    judged = _values(_learnt(first, known), first)
+    whole = _learnt(tables, known)
+    values = _values(whole, tables)
+    floors = {n: {"unit": RELATIONS[n].unit, "left": whole.floors[n], "laws_alone": whole.plain[n]}
+              for n in whole.floors}
+    return FittedBench(_constants(values, whole), _unseen(rest, judged), floors,
+                       tuple(Path(t.source).name for t in given), pulls, tuple(f.text for f in findings))
+
+
+def _locked(given: Table) -> Table:
+    """Return a trial whose knee is not recorded, or does not move, as one with a knee that is locked."""
+    if "knee_angle_rad" in given:
+        return given
+    still = np.full(len(given), KNEE_AT_FIT)
+    return dataclasses.replace(given, columns={**given.columns, "knee_angle_rad": still},
+                               notes=(*given.notes, "knee_angle_rad is not recorded, or constant: a locked knee."))
+
+
+def _refuse_other_rigs(tables: Sequence[Table]) -> None:
+    source = ", ".join(t.source for t in tables)
+    for name in ("servo_position_m",):
+        lacking = [t.source for t in tables if name not in t]
+        if lacking:
+            raise InputError(f"{lacking[0]}: no column {name}; a bench is fitted to the motion of its rope.")
+    if not any(n in t for t in tables for n in simulation.SIGNALS):
+        raise InputError(f"{source}: no column tension_start_n or tension_end_n; give one at least.")
+    found = learning.geometry([t.columns for t in tables])
+    if found is None or not found.stretches:
+        told = "too few samples above 5 N" if found is None else (
+            f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
+        raise InputError(f"{source}: no rope that a tension stretches over a knee ({told}); expected "
+                         f"{1e3 * learning.STRETCH_AT_60_N[0]:g}…{1e3 * learning.STRETCH_AT_60_N[1]:g} mm: give trials "
+                         "of such a bench, or diagnose them as another rig.")
+
+
+def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
+    lacks = blocks.allowed(tables)
+    checked = tuple(n for n, columns in lacks.items() if not columns)
+    return HealthyTrials(tables).fit(checked, of_bench(known))
+
+
+def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
+    """Return what was learnt, moved to where the simulation fits."""
+    values = {n: found.reference.values[n] for n in RELATION_PARAMETERS}
+    return simulated.fitted(tables, values, found.sigma, found.reference.nuisance, SECONDS)
+
+
+def _part(given: Table, low: float, high: float) -> Table:
+    """Return the rows of a share of a trial."""
+    size = len(given)
+    rows = slice(round(low * size), round(high * size))
+    return dataclasses.replace(given, columns={n: v[rows] for n, v in given.columns.items()})
+
+
+def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
+    """Return, by tension, RMS, N, of measured less simulated on rows that the fit of `values` had not seen."""
+    figures = {}
+    for name in simulation.SIGNALS:
+        parts, peak = [], 0.0
+        for given in rest:
+            if name in given:
+                keep = simulation.counted(given) & np.isfinite(given[name])
+                parts.append((given[name] - getattr(simulation.simulate(given, values), name))[keep])
+                peak = max(peak, float(np.nanmax(given[name])))
+        if parts:
+            figures[name] = {"rms_n": math.sqrt(float(np.mean(np.concatenate(parts) ** 2))), "peak_n": peak}
+    return figures
+
+
+def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
+    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in RELATION_PARAMETERS}, **learning.WIDE,
+             "rope_per_knee": learning.KNEE_RATIO * abs(values["rope_per_knee"])}
+    constants = {}
+    for name, sigma in found.sigma.items():
+        if name not in RELATION_PARAMETERS:
+            continue
+        low, high = learning.bounds(name)
+        half = 1.96 * sigma
+        constants[name] = Constant(values[name], max(values[name] - half, low), min(values[name] + half, high),
+                                   RELATION_PARAMETERS[name].unit, sigma < DETERMINED * known.get(name, math.inf))
+    fixed = ("theta1", "phi0", "home_preload", "drum_radius")
+    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False) for n in fixed}
+
+
+def as_fitted(given: Table, model: FittedBench) -> Table:
+    """Return a trial with its rope counted as the model's trials were, a knee that is not recorded as locked."""
+    if model.pulls > 0:
+        return given
+    return dataclasses.replace(given, columns={
+        n: -v if n in ("servo_position_m", "servo_target_m", "servo_velocity_m_s") else v
+        for n, v in given.columns.items()})

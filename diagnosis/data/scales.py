@@ -1,0 +1,91 @@
+"""Do the columns of a trial measure what they say?  One column against another, against healthy trials and calibration.
+
+The rule of this file: each check is one function from trials to findings that refuse, each names the column, the figure
+and what to do; a bench is never called faulty for a file that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from diagnosis.data.integrity import Finding
+from diagnosis.data.table import Table
+from physics.parameters import PARAMETERS
+
+TENSIONS: Final = ("tension_start_n", "tension_end_n")
+LOADED_N: Final = 10.0
+"""Span of one tension from which the other must have one, too."""
+READS_NOTHING: Final = 0.02
+"""Span of a tension, of the other's, below which it reads nothing."""
+EQUAL: Final = 0.99
+"""Share of samples in which two sensors with noise of their own cannot be equal."""
+OTHER_SCALE: Final = 2.5
+"""Factor between rope per knee angle here and on the bench from which a unit is taken to be another."""
+FOLLOWS: Final = 0.8
+"""Correlation of rope and knee from which the one says how the other is scaled."""
+UNITS: Final = {10.0: "centimetres for millimetres", 0.1: "millimetres for centimetres", 1e3: "millimetres for metres",
+                1e-3: "metres for millimetres", 100.0: "centimetres for metres", 0.01: "metres for centimetres"}
+
+
+def contradictions(given: Table) -> Iterator[Finding]:
+    """Yield what the tension columns of one trial say against each other."""
+    held = [n for n in TENSIONS if n in given and np.isfinite(given[n]).any()]
+    if len(held) < 2:
+        return
+    start, end = (given[n] for n in held)
+    known = np.isfinite(start) & np.isfinite(end)
+    spans = [float(np.ptp(v[known])) for v in (start, end)] if known.any() else [0.0, 0.0]
+    for name, mine, other, beside in ((held[0], spans[0], spans[1], held[1]), (held[1], spans[1], spans[0], held[0])):
+        if other > LOADED_N and mine < READS_NOTHING * other:
+            yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: it "
+                          "reads nothing; leave the column out, or record the trial again.", True)
+            return
+    equal = float(np.mean(start[known] == end[known])) if known.any() else 0.0
+    if min(spans) > 0.0 and equal > EQUAL:
+        yield Finding(f"{given.source}: tension_end_n equals tension_start_n in {100.0 * equal:.1f} % of the rows: one "
+                      "is a copy of the other; leave tension_end_n out, or record it.", True)
+
+
+def rope_per_knee(given: Table) -> float | None:
+    """Return the rope per knee angle of a trial, m/rad, by regression; None where one does not follow the other."""
+    if "servo_position_m" not in given or "knee_angle_rad" not in given:
+        return None
+    angle, rope = given["knee_angle_rad"], given["servo_position_m"]
+    known = np.isfinite(angle) & np.isfinite(rope)
+    if known.sum() < 100 or np.std(angle[known]) == 0.0 or np.std(rope[known]) == 0.0:
+        return None
+    if abs(float(np.corrcoef(angle[known], rope[known])[0, 1])) < FOLLOWS:
+        return None
+    return float(np.polyfit(angle[known], rope[known], 1)[0])
+
+
+def against_bench(
+    trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None,
+) -> Iterator[Finding]:
+    """Yield the trials whose rope or knee is counted otherwise than on the known bench."""
+    told = [r for r in map(rope_per_knee, healthy) if r is not None]
+    if told:
+        known, where = float(np.median(told)), "in the healthy trials"
+    elif calibration is not None and "swing_k" in calibration.get("scalars", {}):
+        known, where = float(calibration["scalars"]["swing_k"]["value"]), "in the calibration"
+    elif any("gait_percent" in t for t in trials):
+        known, where = PARAMETERS["rope_per_knee"].nominal, "on a bench of this kind"
+    else:
+        return
+    for given in trials:
+        mine = rope_per_knee(given)
+        if mine is None:
+            continue
+        factor = abs(mine / known)
+        if mine * known < 0.0 and 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
+            yield Finding(f"{given.source}: knee_angle_rad has the other sign than {where} ({mine:.4g} m of rope per "
+                          f"rad, expected about {known:.4g}); flexion is negative: turn the column's sign.", True)
+        elif told and not 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
+            near = min(UNITS, key=lambda u: abs(np.log(factor / u)))
+            probably = f", probably {UNITS[near]}" if abs(np.log(factor / near)) < 0.4 else ""
+            yield Finding(f"{given.source}: servo_position_m moves {factor:.3g} times as far per knee angle as "
+                          f"{where}{probably}; positions are in metres: divide the column by "
+                          f"{near if probably else factor:.3g}.", True)

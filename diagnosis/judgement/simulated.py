@@ -1,0 +1,66 @@
+"""The top line of a diagnosis: by how much the simulation of this bench misses START and END, before and after.
+
+The rule of this file: the figures are of a holdout or of cycles that the fit they rest on has not seen; the bench is
+what the healthy trials made of the simulation, moved by what the trial's own fit moved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis import simulation
+from diagnosis.data.table import Table
+from diagnosis.judgement.judge import Judge
+from diagnosis.problem import simulated
+from diagnosis.problem.blocks import cycles_of, signals_of
+from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.search.search import Model
+
+Values = Mapping[str, float]
+
+
+def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials
+           ) -> dict[str, Any] | None:
+    """Return `before_rms_n`, `after_rms_n` and what they are `on`; None where nothing can be simulated."""
+    setting = judge.setting
+    elsewhere = setting.any_rig or (setting.learnt is None and setting.reference.kind == "healthy")
+    if elsewhere or not any(simulated.can(t) for t in (holdout or trials)):
+        return None
+    base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
+    before, after = judge.found.baseline, judge.found.best
+    if holdout:
+        ahead = [t for t in holdout if simulated.can(t)]
+        told = [simulation.rms(ahead, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
+        return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "holdout"}
+    told = [_unseen(judge, m, trials, base) for m in (before, after if after.effects else before)]
+    return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "cycles that the fit has not seen"}
+
+
+def _moved(base: Values, learnt: Values, fitted: Values) -> dict[str, float]:
+    return {**fitted, **{n: base[n] + fitted[n] - learnt[n] for n in base if n in learnt}}
+
+
+def _unseen(judge: Judge, model: Model, trials: Sequence[Table], base: Values) -> float | None:
+    """Return the RMS over the first fold's cycles, of values fitted to the other cycles."""
+    values = _moved(base, judge.setting.reference.values, model.unseen.fitted[0])
+    total, count, first = 0.0, 0, 0
+    for given in trials:
+        if not simulated.can(given):
+            continue
+        cycle = cycles_of(signals_of(given, 1e9))
+        cycle = cycle - cycle[0] + first
+        first = int(cycle[-1]) + 1
+        inside = np.isin(cycle, list(judge.setting.folds[0])) & simulation.counted(given)
+        for rest in _rests(given, values, inside):
+            total, count = total + float(rest @ rest), count + rest.size
+    return math.sqrt(total / count) if count else None
+
+
+def _rests(given: Table, values: Values, inside: NDArray[np.bool_]) -> list[NDArray[np.float64]]:
+    told = simulation.simulate(given, values)
+    return [(given[n] - getattr(told, n))[inside & np.isfinite(given[n])] for n in simulation.SIGNALS if n in given]

@@ -1,0 +1,147 @@
+"""What the laws leave on healthy trials and a bench repeats: learnt per relation, held back where it is judged.
+
+The rule of this file: a regression on features of motion and load that are measured, by radial basis functions about
+a few samples of the healthy trials (a Gaussian process on a subset of regressors; Quiñonero-Candela and Rasmussen
+2005), so that it goes to zero where no healthy trial has been; what counts is what it leaves on a trial (with one
+trial, on cycles) that it has not seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.problem.blocks import Block
+from physics import memory_laws
+from physics.relations.measured import Signals
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+CENTRES: Final = 160
+LENGTHS: Final = (1.5, 3.0)
+"""Lengths of the basis functions that are tried, in standard deviations of the features times the root of their
+number over two."""
+NOISES: Final = (0.03, 0.3, 3.0)
+"""Ratios of noise to structure that are tried."""
+SAMPLES: Final = 3000
+"""Samples of one relation that it is learnt on."""
+WORTH: Final = 0.97
+"""RMSE on the unseen, of that without it, from which it is used."""
+SMOOTH_S: Final = 0.03
+MEMORIES_S: Final = (0.15, 0.8)
+AMPLITUDE: Final = 0.3
+"""1σ of the amplitude with which it returns on another trial."""
+
+
+def slot(relation: str) -> str:
+    """Name of the amplitude among the values of a fit."""
+    return f"discrepancy.{relation}"
+
+
+def features(signals: Signals, values: Values) -> Array:
+    """Return the features, (samples, n): speed, slip, knee angle, tension, its rate, two memories of it."""
+    time = signals["time_s"]
+    found = []
+    if signals.has("rope_m"):
+        found += [np.tanh(signals["rope_m_s"] / 0.02), signals["rope_m_s"] / 0.1, memory_laws.slipped(
+            signals["rope_m"], signals.fresh, max(values["presliding"], 5e-5))]
+    if signals.has("knee_angle_rad"):
+        found.append(signals["knee_angle_rad"])
+    tension = next((signals[n] for n in ("tension_end_n", "tension_start_n") if signals.has(n)), None)
+    if tension is not None:
+        filled = np.nan_to_num(tension)
+        smooth = memory_laws.lag(filled, time, signals.fresh, SMOOTH_S)
+        found += [smooth, (filled - smooth) / SMOOTH_S,
+                  *(memory_laws.lag(filled, time, signals.fresh, s) for s in MEMORIES_S)]
+    return np.nan_to_num(np.column_stack(found)) if found else np.zeros((time.size, 0))
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """One relation's: `of` gives it at features; `left` is its RMSE on the unseen, `plain` the one without it."""
+
+    left: float
+    plain: float
+    _scale: Array = field(default_factory=lambda: np.zeros((2, 0)), repr=False)
+    _centres: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    _weights: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    _length: float = 1.0
+
+    @property
+    def used(self) -> bool:
+        return self._weights.size > 0
+
+    def of(self, at: Array) -> Array:
+        """Return the discrepancy, in the relation's unit, at `at` (samples, features)."""
+        if not self.used:
+            return np.zeros(len(at))
+        return np.asarray(_kernel((at - self._scale[0]) / self._scale[1], self._centres, self._length) @ self._weights)
+
+
+def _kernel(at: Array, centres: Array, length: float) -> Array:
+    apart = (at**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1)[None, :] - 2.0 * at @ centres.T
+    return np.asarray(np.exp(-np.maximum(apart, 0.0) / (at.shape[1] * length**2)))
+
+
+def _weights(basis: Array, target: Array, prior: Array, noise: float) -> Array:
+    return np.asarray(np.linalg.lstsq(basis.T @ basis + noise * prior + 1e-8 * len(basis) * np.eye(prior.shape[0]),
+                                      basis.T @ target, rcond=1e-12)[0])
+
+
+def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[np.intp]]) -> Discrepancy:
+    """Learn one relation's from features `at` and residuals `rests` of each healthy trial.
+
+    `groups`: by sample, what is held back together (the trial's number, or with one trial the cycle's).
+    """
+    x, y, group = np.concatenate(list(at)), np.concatenate(list(rests)), np.concatenate(list(groups))
+    plain = math.sqrt(float(np.mean(y**2))) if y.size else math.nan
+    labels = np.unique(group)
+    if not x.shape[1] or len(labels) < 2 or y.size < 4 * CENTRES:
+        return Discrepancy(plain, plain)
+    scale = np.stack([x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)])
+    rng = np.random.default_rng(0)
+    x = (x - scale[0]) / scale[1]
+    chosen = np.sort(rng.permutation(y.size)[:SAMPLES])
+    centres = x[np.sort(rng.permutation(y.size)[:CENTRES])]
+    x, y, group = x[chosen], y[chosen], group[chosen]
+    whole = float(np.mean(y**2))
+    folds = [group % 5 == k for k in range(5)] if len(labels) > 5 else [group == c for c in labels]
+    best: tuple[float, float, float] = (math.inf, 0.0, 0.0)
+    for length in LENGTHS:
+        basis, prior = _kernel(x, centres, length), _kernel(centres, centres, length)
+        for noise in NOISES:
+            left = sum(float(((y - basis @ _weights(basis[~f], y[~f], prior, noise))[f] ** 2).sum()) for f in folds)
+            best = min(best, (left / y.size, length, noise))
+    left, length, noise = best
+    if left >= WORTH**2 * whole:
+        return Discrepancy(plain, plain)
+    basis, prior = _kernel(x, centres, length), _kernel(centres, centres, length)
+    return Discrepancy(plain * math.sqrt(left / whole), plain, scale, centres, _weights(basis, y, prior, noise), length)
+
+
+@dataclass(frozen=True)
+class Corrected(Block):
+    """A block less what its relation is known to leave, by an amplitude that the fit may move."""
+
+    plain: Block
+    known: Array
+    amplitude: str
+
+    def residual(self, values: Values) -> Array:
+        return self.plain.residual(values) - values[self.amplitude] * self.known
+
+
+def corrected(block: Block, learnt: Mapping[str, Discrepancy], values: Values) -> Block:
+    """Return `block` with what `learnt` knows of its relation taken off; itself where nothing is known."""
+    name = block.relation.name
+    if name not in learnt or not learnt[name].used:
+        return block
+    known = learnt[name].of(features(block.signals, values)[block.keep])
+    return Corrected(block.relation, block.signals, block.keep, block.cycle, block.uses | {slot(name)}, plain=block,
+                     known=known, amplitude=slot(name))

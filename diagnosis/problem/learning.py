@@ -1,0 +1,315 @@
+"""A bench's constants from its healthy trials of any motion: wide physical priors, several starts, then its own floor.
+
+The rule of this file: nothing is known of the bench but that a rope runs over a knee and stretches; geometry comes in
+closed form from rope, knee and tension, the zero from the median of what kinematics leaves, friction from several
+starts, coarse and then in full.  What the data do not move stays where it was and is said so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.data.table import Table
+from diagnosis.problem import discrepancy
+from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
+from diagnosis.problem.deviations import correlated, deviating
+from diagnosis.problem.discrepancy import Discrepancy
+from diagnosis.problem.fit import Fit, Free, Problem, solve
+from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
+from diagnosis.problem.reference import BAND, Reference
+from physics.parameters import RELATION_PARAMETERS
+from physics.plant.leg import KNEE_AT_FIT
+from physics.relations.measured import Signals
+from physics.relations.recorded import Memory
+from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+WIDE: Final[Mapping[str, float]] = {
+    "mu1": 0.05, "mu2": 0.15, "fabric_wrap": 1.0, "cable_bend": 0.1, "load_slope": 0.2, "viscous": 10.0,
+    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3,
+    "fabric_presliding_ratio": 1.0,
+    "stiffness_scale": 0.4, "stiffness_shape": 0.5, "toe": 1e-3, "cable_share": 0.15, "rope_zero": 50e-3,
+    "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
+    "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
+    "drive_presliding": 0.3e-3, "servo_bandwidth": 15.0, "servo_damping": 0.4, "knee_bandwidth": 15.0,
+    "knee_damping": 0.4}
+"""1σ of what is known beforehand of a bench of this kind."""
+KNEE_RATIO: Final = 0.05
+"""1σ of the rope per knee angle about what the closed form says, of it."""
+KNEE_RATIO_RANGE: Final = (0.5, 2.0)
+NARROW: Final = 0.3
+"""Slots that stand in for missing physics (`STANDING_IN`): 1σ after learning, of that of like benches."""
+STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadratic", "stribeck_ratio",
+                      "stiffness_shape")
+RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
+"""Slots whose tolerance among like benches is a share of their value."""
+STRUCTURE: Final = 0.5
+"""Share of what the laws leave that another trial may leave in another way."""
+STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
+"""Friction, of the nominal, and pre-sliding, m, that fits start from."""
+COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
+                 "rope_zero", "rope_per_knee")
+FULL: Final = 2
+"""Coarse fits that are carried on."""
+STRETCH_AT_60_N: Final = (2e-3, 60e-3)
+LIKELY_RATIO: Final = (0.01, 0.2)
+STRAIGHT: Final = 0.9
+"""R² of rope over knee and tension from which a rig is one of this kind."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Rope over knee and tension in closed form: rope = zero + ratio·(θ − θ13) + linear·T + bend·T²."""
+
+    ratio: float
+    zero: float
+    linear: float
+    bend: float
+    straight: float
+
+    @property
+    def stretches(self) -> bool:
+        """Whether a tension stretches what is there like a rope and a strap."""
+        stretch = self.linear * 60.0 + self.bend * 3600.0
+        return self.straight > STRAIGHT and STRETCH_AT_60_N[0] < abs(stretch) < STRETCH_AT_60_N[1]
+
+    @property
+    def of_this_kind(self) -> bool:
+        """Whether a rope runs over a knee there, and stretches like one."""
+        return self.stretches and LIKELY_RATIO[0] < abs(self.ratio) < LIKELY_RATIO[1]
+
+
+def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None) -> Geometry | None:
+    """Return the geometry of trials with rope, knee and a tension; None where too little of it is taut.
+
+    `ratio`: rope per knee angle where it is known.
+    """
+    rows, rope = [], []
+    for held in columns:
+        tensions = [held[n] for n in ("tension_start_n", "tension_end_n") if n in held]
+        if not tensions or "knee_angle_rad" not in held or "servo_position_m" not in held:
+            continue
+        tension, least = np.mean(tensions, axis=0), np.min(tensions, axis=0)
+        at = np.flatnonzero(np.isfinite(tension + held["knee_angle_rad"] + held["servo_position_m"]) & (least > TAUT_N))
+        at = at[:: max(1, at.size // 4000)]
+        rows.append(np.column_stack([np.ones(at.size), held["knee_angle_rad"][at] - KNEE_AT_FIT, tension[at],
+                                     tension[at] ** 2]))
+        rope.append(held["servo_position_m"][at])
+    if not rows or sum(map(len, rope)) < 50:
+        return None
+    x, y = np.concatenate(rows), np.concatenate(rope)
+    scale = np.maximum(np.abs(x).max(axis=0), 1e-12)
+    free = [0, 1, 2, 3] if ratio is None else [0, 2, 3]
+    c = np.array([0.0, ratio or 0.0, 0.0, 0.0])
+    c[free] = np.linalg.lstsq((x / scale)[:, free], y - x @ c, rcond=1e-9)[0] / scale[free]
+    left, spread = float(np.var(y - x @ c)), float(np.var(y))
+    return Geometry(float(c[1]), float(c[0]), float(c[2]), float(c[3]), 1.0 - left / spread if spread else 0.0)
+
+
+def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
+    """Return the trials with a rope position that grows where it pulls, and the sign that theirs has (1 or −1)."""
+    found = geometry([t.columns for t in tables])
+    if found is None or found.linear * 60.0 + found.bend * 3600.0 >= 0.0:
+        return list(tables), 1
+    turned = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
+    return [dataclasses.replace(t, columns={n: -v if n in turned else v for n, v in t.columns.items()})
+            for t in tables], -1
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What healthy trials say of a bench: values and 1σ by slot, bands about them, floors and what the laws leave.
+
+    `floors`: RMSE by relation with the discrepancy taken off, on what it was not learnt on; `plain`: without it.
+    """
+
+    reference: Reference
+    sigma: Mapping[str, float]
+    floors: Mapping[str, float]
+    plain: Mapping[str, float]
+    spread: Mapping[str, float]
+    correlation_length: Mapping[str, float]
+    discrepancies: Mapping[str, Discrepancy]
+    trials: int
+
+    def floor(self, relation: str) -> float:
+        """Return how far a relation may be from holding on a healthy trial: like benches differ in structure, too."""
+        left, plain = self.floors[relation], self.plain[relation]
+        return min(math.hypot(left, STRUCTURE * plain), plain)
+
+    def corrected(self, blocks: Sequence[Block]) -> list[Block]:
+        """Return blocks of another trial with the discrepancies taken off."""
+        return [discrepancy.corrected(b, self.discrepancies, self.reference.values) for b in blocks]
+
+
+def learn(trials: Sequence[Sequence[Block]], reference: Reference, floors: Mapping[str, float],
+          correlation_length: Mapping[str, float], others: Sequence[Values] = ()) -> Learnt:
+    """Learn a bench from the blocks of each of its healthy trials; `others`: further values to start from.
+
+    `reference`: where nothing is learnt, and how far like trials of one bench differ; `floors`, `correlation_length`:
+    what is assumed before they are seen.
+    """
+    weights = {n: 2.0 * floors[n] * math.sqrt(correlation_length[n]) for n in floors}
+    blocks = [deviating(b, i, _own(reference)) for i, trial in enumerate(trials) for b in trial]
+    deviations = [Free(f"{f.name}@{i}", -BAND * f.sigma, BAND * f.sigma, 0.0, f.sigma, f.scale)
+                  for i in range(len(trials)) for f in _own(reference)] if len(trials) > 1 else []
+    rest = {f"{f.name}@{i}": 0.0 for i in range(len(trials)) for f in _own(reference)}
+    wide = _wide(reference)
+    short = _short(trials)
+    coarse = sorted((solve(Problem(short, weights), start, [f for f in wide if f.name in COARSE], 20)
+                     for shape in (reference.values, *others) for start in _starts(shape, trials)),
+                    key=lambda f: f.cost)
+    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, (*wide, *deviations), thorough=True)
+                    for fit in coarse[:FULL]), key=lambda f: f.cost)
+    values = {n: together.values[n] for n in reference.values}
+    moved = Reference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
+                      _bands(reference, values, len(trials), floors))
+    return _judged(trials, moved, together, weights, rest)
+
+
+def _own(reference: Reference) -> tuple[Free, ...]:
+    """Return in what one trial may differ from another of the same bench."""
+    return reference.nuisance
+
+
+def _wide(reference: Reference) -> list[Free]:
+    """Return every constant with what is known of it beforehand."""
+    found = {f.name: f for f in reference.nuisance}
+    for name, sigma in WIDE.items():
+        low, high = bounds(name)
+        at, half = reference.values[name], 4.0 * sigma
+        found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
+    ratio, low, high = reference.values["rope_per_knee"], *KNEE_RATIO_RANGE
+    found["rope_per_knee"] = Free(
+        "rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
+        KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
+    return list(found.values())
+
+
+def bounds(name: str) -> tuple[float, float]:
+    """Return the bounds of a slot on a healthy bench: of two signals either may be the later one."""
+    slot = RELATION_PARAMETERS[name]
+    return (-slot.high if name in ("timestamp_skew", "end_delay") else slot.low), slot.high
+
+
+def _step(name: str) -> float:
+    """Return the scale on which a slot's slopes are taken."""
+    return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0,
+            "servo_bandwidth": 5.0,
+            "knee_bandwidth": 5.0}.get(name, math.inf)
+
+
+def _short(trials: Sequence[Sequence[Block]], cycles: int = 3) -> list[Block]:
+    """Return the first cycles of each trial, for fits that only look where to go."""
+    short = []
+    for trial in trials:
+        for block in trial:
+            inside = block.cycle < block.cycle[0] + cycles
+            last = int(block.keep[inside][-1]) + 1 if inside.any() else 0
+            whole = block.signals.progress.size
+            columns = {n: v[:last] for n, v in block.signals.columns.items()}
+            fine = block.signals.fine
+            short.append(dataclasses.replace(
+                block, keep=block.keep[inside], cycle=block.cycle[inside],
+                signals=Signals(columns, block.signals.fresh[:last], block.signals.progress[:last],
+                                None if last < whole else fine), _last=Memory(REMEMBERED)))
+    return short
+
+
+def _starts(values: Values, trials: Sequence[Sequence[Block]]) -> Iterator[dict[str, float]]:
+    for friction, slide in STARTS:
+        start = {**values, "mu1": friction * values["mu1"], "mu2": friction * values["mu2"], "presliding": slide}
+        yield _zeroed(start, trials)
+
+
+def _zeroed(values: dict[str, float], trials: Sequence[Sequence[Block]]) -> dict[str, float]:
+    """Put the zero where the median of what kinematics leaves is none."""
+    left = [b.residual(values) for trial in trials for b in trial if b.relation.name == "kinematics" and b.keep.size]
+    if not left:
+        return values
+    shift = float(np.median(np.concatenate(left)))
+    return {**values, "rope_zero": values["rope_zero"] - values["rope_per_knee"] * shift}
+
+
+def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
+    """Return values with rope per knee angle, zero and stretch as the closed form has them."""
+    scale = min(max(STRETCH_LINEAR / found.linear, 0.3), 3.0) if found.linear > 0.0 else 1.0
+    shape = min(max(found.bend * scale / STRETCH_BEND - 1.0, -0.95), 0.9)
+    return {**values, "rope_per_knee": found.ratio, "rope_zero": found.zero, "stiffness_scale": scale,
+            "stiffness_shape": shape if found.linear > 0.0 else 0.0, "home_preload": 0.0}
+
+
+def _bands(reference: Reference, values: Values, trials: int, relations: Mapping[str, float]) -> tuple[Free, ...]:
+    """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them."""
+    known = {f.name: f for f in reference.nuisance}
+    found = []
+    for name, f in known.items():
+        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), RELATION_PARAMETERS[name], bounds(name)
+        if name in RELATIVE and slot.nominal:
+            sigma *= max(abs(values[name] / slot.nominal), 0.2)
+        if name in STANDING_IN:
+            sigma *= NARROW
+        found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
+                          values[name], sigma, sigma))
+    found += [Free(discrepancy.slot(n), 0.0, 2.0, 1.0, discrepancy.AMPLITUDE, discrepancy.AMPLITUDE) for n in relations]
+    return tuple(found)
+
+
+def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, weights: Mapping[str, float],
+            rest: Mapping[str, float]) -> Learnt:
+    """Fit each trial alone inside the bands, learn what the laws leave, and say how much of it is seen again."""
+    names = list(weights)
+    rests: dict[str, list[Array]] = {n: [] for n in names}
+    at: dict[str, list[Array]] = {n: [] for n in names}
+    groups: dict[str, list[NDArray[np.intp]]] = {n: [] for n in names}
+    spread: dict[str, list[Array]] = {n: [] for n in names}
+    mine = tuple(f for f in moved.nuisance if f.name in RELATION_PARAMETERS)
+    for i, trial in enumerate(trials):
+        near = dict(moved.values)
+        for f in mine:
+            near[f.name] += together.values.get(f"{f.name}@{i}", 0.0) if rest else 0.0
+        alone = solve(Problem(trial, weights), near, mine).values
+        for block in trial:
+            name = block.relation.name
+            if not block.keep.size:
+                continue
+            rests[name].append(block.residual(alone))
+            spread[name].append(_known(block.signals[block.relation.output]))
+            at[name].append(discrepancy.features(block.signals, moved.values)[block.keep])
+            groups[name].append(np.full(block.keep.size, i, dtype=np.intp) if len(trials) > 1 else block.cycle)
+    plain = {n: rmse(r) for n, r in rests.items() if r}
+    learnt = {n: discrepancy.learn(at[n], rests[n], groups[n]) for n in plain if _motion(n)}
+    floors = {n: learnt[n].left if n in learnt else plain[n] for n in plain}
+    lengths = {}
+    for n in plain:
+        lengths[n] = max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)
+        if n in learnt and learnt[n].used:
+            left = [r - learnt[n].of(x) for r, x in zip(rests[n], at[n], strict=True)]
+            lengths[n] = max(correlated(left), LEAST_CORRELATION_LENGTH)
+    return Learnt(moved, _sigmas(together), floors, plain,
+                  {n: float(np.std(np.concatenate(s))) for n, s in spread.items() if s}, lengths, learnt, len(trials))
+
+
+def _known(values: Array) -> Array:
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _motion(relation: str) -> bool:
+    """Whether a relation's discrepancy may follow motion and load: a drive's own loop is what it is."""
+    return relation not in ("servo", "knee")
+
+
+def _sigmas(fit: Fit) -> dict[str, float]:
+    """Return 1σ of every slot from the curvature, what was known beforehand included."""
+    scale = np.sqrt(np.maximum(np.diag(fit.curvature), 1e-300))
+    covariance = np.linalg.pinv(fit.curvature / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+    return {f.name: math.sqrt(max(float(covariance[j, j]), 0.0)) for j, f in enumerate(fit.free) if "@" not in f.name}

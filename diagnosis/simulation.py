@@ -1,0 +1,171 @@
+"""What the simulation of a bench says of a trial: START and END under the measured motion, beside what was measured.
+
+The rule of this file: rope and knee go where they were measured, nothing else of the trial is read but to compare;
+the simulation is the plant's own many-segment path, sensors and all, in newtons.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.data.table import Table
+from parameters import InputError
+from physics import memory_laws
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
+from physics.plant import PlantParameters, imposed
+from physics.plant.leg import KNEE_AT_FIT
+from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+SETTLE_S: Final = 0.3
+"""What is left out at a trial's start: where the rope had been before is not known."""
+LOADS_N: Final = (5.0, 20.0, 40.0)
+"""Bounds between which measured tension is one class of load."""
+STILL_M_S: Final = 1e-3
+"""Speed of the rope below which it counts as at rest."""
+PHASES: Final = 10
+
+PLANT: Final = "plant."
+NAMED: Final[Mapping[str, str]] = {
+    name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
+    if p.plant.startswith(PLANT)
+    and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
+"""Parameter of the relations → field of the simulation that is the same quantity."""
+ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
+"""Of these, what the imposed motion needs in another form, or the relations turn by their own drum."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Both tensions, N, as the simulated sensors read them under a trial's motion, one per sample."""
+
+    tension_start_n: Array
+    tension_end_n: Array
+
+
+def plant_of(values: Values, seconds: float) -> PlantParameters:
+    """Return the simulated bench of the relations' values; `seconds`: the trial's length, which a drift refers to."""
+    share = min(max(values["cable_share"], 0.01), 0.8) * STRETCH_LINEAR
+    sheath = min(PARAMETERS["sheath_compliance"].nominal, share)
+    preload, scale = values["home_preload"], values["stiffness_scale"]
+    homed = (STRETCH_LINEAR / scale - STRETCH_LINEAR) * preload + STRETCH_BEND * preload**2 * (
+        (1.0 + values["stiffness_shape"]) / scale - 1.0)
+    taken = {field: values[name] for name, field in NAMED.items() if name not in ELSEWHERE}
+    return dataclasses.replace(
+        PlantParameters(), **taken, fabric_presliding_m=values["presliding"] * values["fabric_presliding_ratio"],
+        lead_compliance=max(share - 0.5 * sheath, 0.25 * share), sheath_compliance=sheath,
+        encoder_zero_m=values["rope_zero"] + values["slack"] - homed, friction_drift_s=max(seconds, 1.0))
+
+
+def simulate(given: Table, values: Values) -> Simulated:
+    """Return what the sensors of the bench of `values` would have read under the motion of `given`.
+
+    Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
+    """
+    if "servo_position_m" not in given:
+        raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
+    time, rope = given["time_s"], given["servo_position_m"]
+    knee = given["knee_angle_rad"] if "knee_angle_rad" in given else np.full(time.size, KNEE_AT_FIT)
+    fresh = np.zeros(time.size, dtype=np.bool_)
+    fresh[0] = True
+    knee = memory_laws.play(knee, fresh, values["knee_backlash"]) if values["knee_backlash"] > 0.0 else knee
+    rope, knee = _filled(rope), _filled(knee)
+    whole = float(time[-1] - time[0])
+    start, end = imposed.simulate(plant_of(values, whole), time, rope, knee)
+    progress = (time - time[0]) / whole
+    end = memory_laws.lag(end, time, fresh, values["end_filter"]) if values["end_filter"] > 0.0 else end
+    skew, lag = values["timestamp_skew"], values["end_delay"]
+    return Simulated(
+        values["start_gain"] * np.interp(time - skew, time, start) + values["start_offset"]
+        + values["start_drift"] * progress,
+        values["end_gain"] * np.interp(time - skew - lag, time, end) + values["end_offset"]
+        + values["end_drift"] * progress)
+
+
+def _filled(values: Array) -> Array:
+    """Return a signal with what is missing drawn straight between its neighbours."""
+    known = np.isfinite(values)
+    at = np.arange(values.size)
+    return values if known.all() else np.interp(at, at[known], values[known])
+
+
+SIGNALS: Final = ("tension_start_n", "tension_end_n")
+
+
+def compared(given: Table, told: Simulated) -> dict[str, Any]:
+    """Return, by tension signal that `given` has: RMS and mean of measured less simulated, N, in all and by class.
+
+    Classes: `by_phase` (tenths of the gait, where the trial says it), `by_load` (N, of that signal), `by_direction`.
+    """
+    return {name: _figures(given, name, getattr(told, name)) for name in SIGNALS if name in given}
+
+
+def counted(given: Table) -> NDArray[np.bool_]:
+    """Return the samples that count: behind the start."""
+    return np.asarray(given["time_s"] > given["time_s"][0] + SETTLE_S)
+
+
+def _figures(given: Table, name: str, simulated: Array) -> dict[str, Any]:
+    measured = given[name]
+    keep = counted(given) & np.isfinite(measured)
+    rest = (measured - simulated)[keep]
+    figures: dict[str, Any] = {
+        "rms_n": _rms(rest), "mean_n": float(rest.mean()) if rest.size else None, "peak_n": float(np.nanmax(measured))}
+    if "gait_percent" in given:
+        tenth = np.clip(given["gait_percent"][keep] * PHASES / 100.0, 0, PHASES - 1).astype(np.intp)
+        figures["by_phase"] = [_class(f"{100 * k // PHASES}…{100 * (k + 1) // PHASES} %", rest[tenth == k])
+                               for k in range(PHASES)]
+    bounds = (-math.inf, *LOADS_N, math.inf)
+    load = measured[keep]
+    figures["by_load"] = [_class(_between(low, high), rest[(load >= low) & (load < high)])
+                          for low, high in pairwise(bounds)]
+    speed = np.gradient(given["servo_position_m"], given["time_s"])[keep]
+    figures["by_direction"] = [_class("pulling", rest[speed > STILL_M_S]),
+                               _class("letting out", rest[speed < -STILL_M_S]),
+                               _class("at rest", rest[np.abs(speed) <= STILL_M_S])]
+    return figures
+
+
+def _between(low: float, high: float) -> str:
+    return f"below {high:g} N" if math.isinf(low) else f"above {low:g} N" if math.isinf(high) else f"{low:g}…{high:g} N"
+
+
+def _class(name: str, rest: Array) -> dict[str, Any]:
+    return {"class": name, "samples": int(rest.size), "rms_n": _rms(rest),
+            "mean_n": float(rest.mean()) if rest.size else None}
+
+
+def _rms(rest: Array) -> float | None:
+    return math.sqrt(float(np.mean(rest**2))) if rest.size else None
+
+
+def rms(tables: Sequence[Table], values: Values) -> float | None:
+    """Return the RMS of measured less simulated tension over all trials and both ends, N; None where none is there."""
+    parts = []
+    for given in tables:
+        if "servo_position_m" not in given:
+            continue
+        told = simulate(given, values)
+        for name in SIGNALS:
+            if name in given:
+                keep = counted(given) & np.isfinite(given[name])
+                parts.append((given[name] - getattr(told, name))[keep])
+    return _rms(np.concatenate(parts)) if parts else None
+
+
+def slots() -> tuple[str, ...]:
+    """Return the names of the values that the simulation reads."""
+    other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash",
+             "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay",
+             "end_filter", "timestamp_skew")
+    return tuple(n for n in RELATION_PARAMETERS if n in NAMED or n in other)

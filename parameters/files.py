@@ -1,0 +1,129 @@
+"""Files that a user names: read only where they are files of a bounded size, replaced only by whole ones.
+
+The rule of this file: a named pipe, device or socket is refused before it is opened, since reading it may never
+end; a new content is written beside its target under a name that nobody else can know and takes its place at once.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from parameters.declared import InputError
+
+UNPACKED_FLOOR, UNPACKED_RATIO = 256 << 20, 200  # bytes a .gz may always unpack to; or this many times its size
+READ_LIMIT = 2 << 30  # bytes of a file that is read into memory
+LONGEST_LINE = 8 << 20  # bytes of one line of text
+_KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
+          stat.S_IFDIR: "a directory"}
+
+
+def refuse_special(path: str | Path) -> None:
+    """Raise `InputError` where `path` is there and is no regular file (links are followed)."""
+    try:
+        kind = stat.S_IFMT(os.stat(path).st_mode)
+    except OSError:
+        return  # whoever opens it says what is wrong
+    if kind != stat.S_IFREG:
+        raise InputError(f"{path}: cannot be read, it is {_KINDS.get(kind, 'no file')}; give the path of a file.")
+
+
+def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = False) -> bytes:
+    """Return the bytes of a file, unpacked where its name ends in .gz; `what` says what was expected.
+
+    Raises `InputError` for a file that is absent, no regular file, unreadable, longer than `limit` bytes or, packed,
+    much longer than it looks; where `lines` are expected also for one that is endless.
+    """
+    refuse_special(path)
+    try:
+        if path.suffix.lower() == ".gz":
+            raw = _unpacked(path)
+        elif path.stat().st_size > limit:
+            raise InputError(f"{path}: is longer than {limit} bytes; cut it, or give {what}.")
+        else:
+            with path.open("rb") as file:
+                head = file.read(2 * LONGEST_LINE) if lines else b""
+                if lines:
+                    refuse_long_lines(path, head)
+                raw = head + file.read()
+        if lines:
+            refuse_long_lines(path, raw)
+        return raw
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; give the path of {what}.") from None
+    except (OSError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give {what}.") from None
+    except MemoryError:
+        raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
+
+
+def _unpacked(path: Path) -> bytes:
+    limit = unpacked_limit(path)
+    with gzip.open(path) as file:
+        raw = file.read(limit + 1)
+    if len(raw) > limit:
+        raise InputError(f"{path}: unpacks to more than {limit} bytes; it is no measured data, do not open it.")
+    return raw
+
+
+def unpacked_limit(path: Path) -> int:
+    """Return how many bytes a packed file may unpack to."""
+    return max(UNPACKED_FLOOR, UNPACKED_RATIO * path.stat().st_size)
+
+
+def refuse_long_lines(path: Path, raw: bytes, limit: int = LONGEST_LINE) -> None:
+    """Raise `InputError` where a line of `raw` is certainly no line of a text that somebody wrote."""
+    for at in range(0, max(0, len(raw) - limit), limit):
+        if raw.find(b"\n", at, at + limit) < 0 and raw.find(b"\r", at, at + limit) < 0:
+            raise InputError(f"{path}: a line is longer than {limit} bytes; it is no text that can be read.")
+
+
+@contextmanager
+def replaced(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a fresh file beside `path` that takes its name when the block ends well, and goes when it does not.
+
+    A link at `path` is replaced, never written through.  Raises `InputError` for a `path` that is there (unless
+    `overwrite`), is no file, or cannot be written.
+    """
+    if path.exists() or path.is_symlink():
+        refuse_special(path)
+        if not overwrite:
+            raise InputError(f"{path}: the file exists; give another name or --overwrite.")
+    part: Path | None = None
+    try:
+        part = _fresh(path)
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error}); give a writable path.") from None
+    finally:
+        if part is not None:
+            part.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str | bytes, *, overwrite: bool = False) -> int:
+    """Write a file that appears whole or not at all; returns its bytes."""
+    data = text.encode("utf-8", "backslashreplace") if isinstance(text, str) else text
+    with replaced(path, overwrite=overwrite) as part:
+        part.write_bytes(data)
+    return len(data)
+
+
+def _fresh(path: Path) -> Path:
+    number, name = tempfile.mkstemp(prefix=f".part-{path.name[:100]}-", suffix=path.suffix, dir=path.parent)
+    try:
+        mask = os.umask(0)
+        os.umask(mask)
+        os.fchmod(number, 0o666 & ~mask)
+    finally:
+        os.close(number)
+    return Path(name)
+
+
+__all__ = ["LONGEST_LINE", "READ_LIMIT", "UNPACKED_FLOOR", "UNPACKED_RATIO", "content", "refuse_long_lines",
+           "refuse_special", "replaced", "unpacked_limit", "write_whole"]

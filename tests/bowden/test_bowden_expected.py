@@ -1,0 +1,282 @@
+"""What people expect of a command line, typed: version, short help, exit statuses, and that nothing misleads."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+
+import trial
+from bowden.cli.app import run
+from bowden.cli.ending import as_ctrl_c
+from trial.recover import recover
+
+Bowden = Callable[..., tuple[int, str, str]]
+BOWDEN = [sys.executable, "-c", "from bowden.cli import main; main()"]
+SHORT = ("--cycles", "2", "--settle", "0", "--period", "1.0")
+
+
+def made(path: Path) -> Path:
+    recorder = trial.Recorder(path, metadata={}, attachments={}, threaded=False)
+    for row in range(50):
+        recorder.cycle(row * 1_000_000, [row / 1000, *[1.0] * (len(trial.SIGNALS) - 1)])
+    recorder.close({})
+    return path
+
+
+# ---- what is expected ----
+
+
+def test_the_version_and_the_short_option_for_help(bowden: Bowden) -> None:
+    status, out, err = bowden("--version")
+    assert (status, err) == (0, "")
+    assert re.fullmatch(r"bowden \d+\.\d+\.\d+\S*\n", out)
+    assert bowden("trial", "-h")[1] == bowden("trial", "--help")[1]
+
+
+@pytest.mark.parametrize("command", ["trial", "import", "node backup", "jog", "compare", "cut"])
+def test_a_command_that_is_given_nothing_tells_what_it_needs(bowden: Bowden, command: str) -> None:
+    status, out, err = bowden(*command.split())
+    assert (status, out) == (2, "")
+    assert err.startswith(f"bowden {command} ")
+    assert "Example: bowden " in err
+    assert err.count("\n") <= 5
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_names_the_commands(shell: str) -> None:
+    asked = {"_BOWDEN_COMPLETE": f"complete_{shell}", "COMP_WORDS": "bowden re", "COMP_CWORD": "1",
+             "_TYPER_COMPLETE_ARGS": "bowden re", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    told = subprocess.run(BOWDEN, env={**os.environ, **asked}, capture_output=True, text=True, check=False).stdout
+    assert {"replay", "record", "recover", "report"} <= set(re.findall(r"[a-z]+", told))
+
+
+def test_help_spells_what_options_take_in_words(bowden: Bowden) -> None:
+    for command in ("trial", "replay", "sweep", "bench", "live", "identify", "record", "diagnose"):
+        options = bowden(command, "--help")[1].split("Options:")[1]
+        assert not re.findall(r"(?m)^ +-.*<(?:str|float|int|path)[^>]*>", options), command
+
+
+def test_help_is_as_wide_as_the_terminal(bowden: Bowden, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "140")
+    wide = bowden("trial", "--help")[1]
+    monkeypatch.setenv("COLUMNS", "70")
+    narrow = bowden("trial", "--help")[1]
+    assert 80 < max(map(len, wide.splitlines())) <= 140
+    assert max(map(len, narrow.splitlines())) <= 70
+
+
+HEAVY = {"numpy", "scipy", "numba", "can", "canopen", "matplotlib", "rich", "mcap", "zstandard", "pandas", "pyarrow"}
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = ("import sys; from bowden.cli.app import run; run(['--help']); "
+              "print(' '.join({name.partition('.')[0] for name in sys.modules}), file=sys.stderr)")
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not HEAVY & set(told.stderr.split())
+
+
+def test_what_raises_unexpectedly_is_one_line_without_a_traceback(
+    here: Path, bowden: Bowden, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / "broken.py").write_text("def create(*arguments, **options):\n    raise ZeroDivisionError('a plug-in')\n")
+    monkeypatch.syspath_prepend(str(here))
+    status, out, err = bowden("trial", *SHORT, "--plant", "broken:create", "-o", "a.mcap")
+    assert (out, "Traceback" in err) == ("", False)
+    assert status in (1, 2)
+    assert "a plug-in" in err
+    assert not (here / "a.mcap").exists()
+
+
+@pytest.mark.parametrize("arguments", [
+    ("trial", "-o", "."), ("import", "a.csv", "-o", "."), ("export", "a.mcap", "-o", "."),
+    ("report", "a.mcap", "-o", "."),
+    ("recover", "a.mcap", "-o", "."), ("cut", "a.mcap", "--to", "1", "-o", "."), ("init", "-o", "."),
+    ("report", "a.mcap", "-o", "none/there.html"), ("export", "a.mcap", "-o", "/proc/nothing.csv"),
+    ("sweep", "--grid", "peak=40", "-o", "."),
+], ids=" ".join)
+def test_a_place_that_cannot_be_written_is_one_sentence(here: Path, bowden: Bowden, arguments: tuple[str, ...]) -> None:
+    made(here / "a.mcap")
+    (here / "a.csv").write_text("time_s,tension_end_n\n0,1\n1,2\n")
+    status, out, err = bowden(*arguments)
+    assert (status, out) == (2, "")
+    assert err.startswith("bowden: ")
+    assert "Traceback" not in err
+
+
+# ---- never mislead ----
+
+
+@pytest.mark.parametrize("arguments", [("--channel", "can0"), ("--option", "port=1")])
+def test_a_channel_without_an_interface_runs_no_simulation(
+    here: Path, bowden: Bowden, arguments: tuple[str, ...]
+) -> None:
+    for command in (("trial", "-o", "a.mcap"), ("home",), ("doctor",), ("identify", "all", "-o", "c.toml")):
+        status, out, err = bowden(*command, *arguments)
+        assert (status, out, err.count("\n")) == (2, "", 1), command
+        assert "add --interface socketcan" in err
+    assert os.listdir() == []
+
+
+def test_a_simulated_trial_says_so_first_last_and_on_its_page(here: Path, bowden: Bowden) -> None:
+    status, out, err = bowden("trial", *SHORT, "-o", "a.mcap")
+    assert status == 0
+    assert "SIMULATED bench, serial 1, day 0, seed 0" in err
+    assert out.splitlines()[-1].endswith("SIMULATED")
+    assert trial.open(here / "a.mcap").metadata["bus"] == "SIMULATED"
+    assert bowden("report", "a.mcap", "-o", "a.html")[0] == 0
+    assert "SIMULATED bench" in (here / "a.html").read_text()
+
+
+def test_a_dry_run_is_not_held_against_the_paper(here: Path, bowden: Bowden) -> None:
+    _, out, _ = bowden("trial", *SHORT, "--dry-run", "-o", "a.mcap")
+    assert "2.53" not in out
+    assert "< 1" not in out
+
+
+INPUTS = {  # commands that write, with the input named as the output
+    "export": ("export", "a.mcap", "-o", "a.mcap"), "import": ("import", "a.csv", "-o", "a.csv"),
+    "report": ("report", "a.mcap", "-o", "a.mcap"), "diagnose": ("diagnose", "a.mcap", "--report", "a.mcap"),
+    "diagnose -o": ("diagnose", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
+    "replay": ("replay", "a.mcap", "--onto", "plant", "-o", "a.mcap"),
+    "cut": ("cut", "a.mcap", "--to", "1", "-o", "a.mcap"),
+    "trial": ("trial", "--config", "c.mcap", "-o", "c.mcap"), "recover": ("recover", "a.mcap", "-o", "a.mcap"),
+    "identify": ("identify", "all", "--from", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
+}
+
+
+@pytest.mark.parametrize("case", INPUTS)
+@pytest.mark.parametrize("linked", [False, True])
+def test_an_output_that_is_an_input_is_refused_by_whatever_name(
+    here: Path, bowden: Bowden, case: str, linked: bool
+) -> None:
+    made(here / "a.mcap")
+    (here / "a.csv").write_text("time_s,tension_end_n\n0,1\n1,2\n")
+    (here / "c.toml").write_text("")
+    (here / "c.mcap").write_text("")
+    before = {path.name: path.read_bytes() for path in here.iterdir()}
+    *command, output = INPUTS[case]
+    if linked:
+        other = f"link{Path(output).suffix}"
+        os.link(output, other)
+        before[other] = before[output]
+        output = other
+    status, out, err = bowden(*command, output, "--overwrite")
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "itself" in err
+    assert {path.name: path.read_bytes() for path in here.iterdir()} == before
+
+
+@pytest.mark.parametrize("arguments", [
+    ("trial", "-o", "x.csv"), ("trial", "-o", "a.mcap", "--picture", "x.txt"), ("report", "a.mcap", "-o", "r.pdf"),
+    ("diagnose", "a.mcap", "--report", "r.pdf"), ("diagnose", "a.mcap", "-o", "x.mcap"),
+    ("identify", "all", "-o", "x.csv"), ("identify", "all", "-o", "c.toml", "--picture", "x.xyz"),
+], ids=" ".join)
+def test_an_ending_that_contradicts_the_format_is_refused_before_anything_runs(
+    here: Path, bowden: Bowden, arguments: tuple[str, ...]
+) -> None:
+    status, out, err = bowden(*arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "is written as" in err
+    assert os.listdir() == []
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (("servo", "--by", "400"), "is further than the axis can go"),
+    (("knee", "--by", "-500"), "is further than the axis can go"),
+    (("knee", "--by", "60"), "beyond its travel"),
+])
+def test_a_jog_beyond_limits_moves_nothing(bowden: Bowden, arguments: tuple[str, ...], said: str) -> None:
+    status, out, err = bowden("jog", *arguments, "--speed", "50")
+    assert status in (1, 2)
+    assert said in out + err
+
+
+def test_a_jog_that_tightens_the_rope_stops_and_says_where(bowden: Bowden) -> None:
+    status, out, _ = bowden("jog", "servo", "--by", "100", "--speed", "100", "--json")
+    told = json.loads(out)
+    assert (status, told["outcome"]) == (1, "stopped")
+    assert re.search(r"START reached \d+\.\d N with servo at .* mm, .* mm of 100.0 mm done", told["stop_reason"])
+
+
+def test_a_refused_bring_up_leaves_nothing_that_makes_the_retry_fail(here: Path, bowden: Bowden) -> None:
+    (here / "bench.toml").write_text("")
+    with can.Bus("refused", interface="virtual"):
+        arguments = ("trial", *SHORT, "--interface", "virtual", "--channel", "refused", "-o", "a.mcap")
+        for _ in range(2):  # nobody answers there
+            status, out, _ = bowden(*arguments)
+            assert status == 1
+            assert "nothing was recorded" in out
+            assert "RMSE" not in out
+    assert os.listdir() == ["bench.toml"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_does_what_ctrl_c_does_and_its_number_is_the_status(number: signal.Signals) -> None:
+    with pytest.raises(KeyboardInterrupt), as_ctrl_c() as ended:
+        signal.raise_signal(number)
+    assert ended.status(130) == 128 + number
+    assert ended.status(0) == 0
+
+
+STOPPED = """
+import os, signal, sys
+from bowden import progress
+from bowden.cli import terminal
+from bowden.cli.app import run
+done = []
+def telling(text, *, shown=True):
+    from contextlib import contextmanager
+    @contextmanager
+    def inside():
+        yield lambda share: share > 0.2 and not done and (done.append(1), os.kill(os.getpid(), int(sys.argv[1])))
+    return inside()
+terminal.progress = telling
+sys.exit(run(["trial", "--cycles", "3", "--period", "1.0", "-o", "a.mcap", "--json"]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_trial_that_is_told_to_end_stops_safely_with_its_file_whole(here: Path, number: signal.Signals) -> None:
+    ended = subprocess.run([sys.executable, "-c", STOPPED, str(int(number))], capture_output=True, text=True,
+                           check=False)
+    assert ended.returncode == 128 + number, ended.stderr
+    told = json.loads(ended.stdout)
+    assert told["outcome"] == "stopped"
+    assert told["stop_reason"].startswith("interrupted")
+    opened = trial.open(here / "a.mcap")
+    assert (opened.result or {})["outcome"] == "stopped"
+    assert opened.columns["servo_position_m"][-1] < opened.columns["servo_position_m"].max()  # rope was paid out
+
+
+def test_replay_after_recovery_compares_up_to_the_last_whole_cycle(here: Path, bowden: Bowden) -> None:
+    assert bowden("trial", *SHORT, "-o", "a.mcap")[0] == 0
+    whole = (here / "a.mcap").read_bytes()
+    (here / "torn.mcap").write_bytes(whole[:int(len(whole) * 0.9)])
+    recover(here / "torn.mcap", here / "back.mcap")
+    status, out, err = bowden("replay", "back.mcap", "--onto", "controller")
+    assert (status, err) == (0, "")
+    assert "survived" in out
+
+
+def test_replay_of_an_imported_log_says_what_it_can_be_replayed_onto(here: Path, bowden: Bowden) -> None:
+    (here / "bus.log").write_text("".join(f"(1.{k:06}) can0 080#\n" for k in range(0, 9000, 1000)))
+    assert bowden("import", "bus.log", "-o", "bus.mcap")[0] == 0
+    for onto in ("controller", "plant"):
+        status, _, err = bowden("replay", "bus.mcap", "--onto", onto)
+        assert status == 2
+        assert "--onto bus" in err, err
+
+
+def test_the_commands_run_in_this_process_leave_signals_as_they_were() -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    run(["--help"])
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)] == before

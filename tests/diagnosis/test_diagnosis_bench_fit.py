@@ -1,0 +1,92 @@
+"""The constants of a bench from its healthy trials, and what the simulation with them says of another trial."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bowden.cli.app import run
+from diagnosis import bench_fit, simulation
+from diagnosis.data.table import Table, table
+from parameters import InputError
+from physics.plant import PlantParameters, imposed
+from tests.plants import draws
+from tests.plants import imposed as family
+
+NOISE_N = 0.1
+
+
+def on_own_plant(seed: int, zero_m: float = 0.0, turned: bool = False) -> Table:
+    """A trial of this project's own simulated bench under a walking motion, its rope counted from another zero."""
+    motion = family.gait(draws.draw(1), cycles=4)
+    rope = motion.rope - float(draws.draw(1).zero) + PlantParameters().encoder_zero_m
+    told = imposed.simulate(PlantParameters(), motion.time, rope, motion.knee)
+    rng = np.random.default_rng(seed)
+    columns = {"time_s": motion.time, "gait_percent": motion.percent, "cycle": motion.cycle,
+               "servo_position_m": (rope + zero_m) * (-1.0 if turned else 1.0), "knee_angle_rad": motion.knee,
+               "tension_start_n": told.start_n + NOISE_N * rng.normal(size=rope.size),
+               "tension_end_n": told.end_n + NOISE_N * rng.normal(size=rope.size)}
+    return table("walk.csv", columns)
+
+
+@pytest.fixture(scope="module")
+def walked() -> Table:
+    return on_own_plant(1)
+
+
+def test_a_bench_with_another_zero_and_a_rope_counted_the_other_way_is_fitted_to_its_noise() -> None:
+    found = bench_fit.fit([on_own_plant(1, zero_m=0.043, turned=True)])
+    assert found.pulls == -1
+    assert found.values["rope_zero"] == pytest.approx(PlantParameters().encoder_zero_m + 0.043, abs=1e-3)
+    for row in found.figures.values():
+        assert row["rms_n"] <= 1.5 * NOISE_N + 0.005 * row["peak_n"]
+
+
+def test_a_trial_without_end_is_fitted_and_what_it_does_not_say_is_listed(walked: Table) -> None:
+    without = dataclasses.replace(walked, columns={n: v for n, v in walked.columns.items() if n != "tension_end_n"})
+    found = bench_fit.fit([without])
+    assert set(found.figures) == {"tension_start_n"}
+    assert {"end_gain", "end_offset"} & set(found.undetermined) == {"end_gain", "end_offset"} & set(found.constants)
+
+
+def test_a_model_is_read_as_it_was_written_and_as_a_calibration(walked: Table, tmp_path: Path) -> None:
+    from physics import calibration
+
+    path = tmp_path / "model.toml"
+    found = bench_fit.fit([walked])
+    path.write_text(found.text(), encoding="utf-8")
+    assert bench_fit.read(path).values == pytest.approx(found.values)
+    assert calibration.read(path).stiffness_b == pytest.approx(found.calibration.stiffness_b)
+
+
+def test_a_trial_of_no_rope_over_a_knee_is_refused() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    columns = {"time_s": time, "servo_position_m": 0.02 * np.sin(time), "tension_start_n": 30.0 * np.sin(7.0 * time)}
+    with pytest.raises(InputError, match=r"no rope that a tension stretches"):
+        bench_fit.fit([table("axis.csv", columns)])
+
+
+def test_the_comparison_is_told_by_phase_load_and_direction(walked: Table) -> None:
+    told = simulation.simulate(walked, bench_fit.FittedBench({}).values)
+    figures = simulation.compared(walked, told)
+    for row in figures.values():
+        assert row["rms_n"] == pytest.approx(NOISE_N, rel=0.5)
+        for part in ("by_phase", "by_load", "by_direction"):
+            assert sum(one["samples"] for one in row[part]) <= len(walked)
+
+
+def test_the_commands_fit_and_simulate(walked: Table, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "walk.csv"
+    np.savetxt(path, np.column_stack(list(walked.columns.values())), delimiter=",", header=",".join(walked.columns),
+               comments="")
+    model = tmp_path / "model.toml"
+    assert run(["fit", str(path), "-o", str(model), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["simulation"]["tension_end_n"]["rms_n"] < 0.4
+    out = tmp_path / "simulated.csv"
+    assert run(["simulate", str(path), "--model", str(model), "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tension_start_n"]["rms_n"] < 0.4
+    assert "simulated_tension_end_n" in out.read_text(encoding="utf-8").splitlines()[0]

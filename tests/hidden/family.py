@@ -1,0 +1,141 @@
+"""Hidden cases on the family of `tests.plants`: any structure and constants, unequal noise and rates, by serial, seed.
+
+The rule of this file: a job says everything; what is hidden is drawn by the family and never handed to the finder; each
+trial is of a like bench of its own, within the tolerance of like benches; whether a case counts the oracle says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.data.table import Table, table
+from diagnosis.finder import Diagnosis, diagnose
+from tests.plants import draws, effects, imposed, oracle
+from tests.plants.bench import Bench, replaced
+
+PEAKS_N = (40.0, 50.0)
+WIRE = ("lost_pdo", "late_pdo", "quantisation")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One case: a serial of the family, what is hidden in it, a seed; `columns` that are left out of every trial."""
+
+    serial: int
+    hidden: tuple[str, ...]
+    seed: int = 0
+    cycles: int = 8
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the finder is given, and what it is not."""
+
+    trial: Table
+    healthy: tuple[Table, ...]
+    bench: Bench
+    changed: Bench
+    values: dict[str, float]
+    motion: imposed.Motion
+    noise_n: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was said, beside what was hidden; `separation`: χ² of the oracle, None where it was not asked."""
+
+    job: Job
+    structure: str
+    verdict: str
+    named: tuple[str, ...]
+    rivals: tuple[str, ...]
+    found: dict[str, dict[str, float]]
+    values: dict[str, float]
+    separation: float | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def counts(self) -> bool:
+        return self.separation is None or self.separation >= oracle.COUNTS_FROM
+
+    @property
+    def right(self) -> bool:
+        """Whether all that was hidden is in the class; no name where nothing of the catalogue is hidden."""
+        expected = [name for name in self.job.hidden if name in effects.EFFECTS]
+        if not expected:
+            return not self.rivals and (not self.job.hidden or self.verdict == "unexplained")
+        return set(expected) <= set(self.rivals)
+
+    @property
+    def wrong(self) -> bool:
+        """Whether a name was given and none of what was hidden is among them."""
+        return bool(self.rivals) and not set(self.job.hidden) & set(self.rivals)
+
+
+def like(bench: Bench, rng: np.random.Generator) -> Bench:
+    """A bench like another: each constant of the oracle's tolerances drawn anew within them."""
+    changes = {}
+    for name, (kind, size) in oracle.TOLERANCE.items():
+        value, off = getattr(bench, name), size * float(np.clip(rng.normal(), -2.0, 2.0))
+        changes[name] = value * (1.0 + off) if kind == "share" else value + off
+    return replaced(bench, **{**changes, "viscous": max(changes["viscous"], 0.0),
+                              "wrap_slope": max(changes["wrap_slope"], 0.0)})
+
+
+def case(job: Job) -> Case:
+    """Record the trials of a job: one with what is hidden, one to three healthy ones at other peaks and cadences."""
+    rng = np.random.default_rng((job.serial, job.seed, 3))
+    own = draws.draw(job.serial)
+    healthy, period = int(rng.integers(1, 4)), float(rng.uniform(1.2, 1.5))
+    peak = float(rng.choice(PEAKS_N))
+    preload = float(rng.choice([0.0, 0.0, rng.uniform(2.0, 20.0)]))
+    rate = int(rng.choice(imposed.RATES_HZ))
+    bench = like(own, rng)
+    changed, values = effects.hide(bench, job.hidden, job.seed)
+    motion = imposed.gait(changed, peak, period, job.cycles, preload)
+    seeds = [int(s) for s in rng.integers(1 << 30, size=1 + healthy)]
+    shown = imposed.trial(changed, seeds[0], motion=motion, rate_hz=rate)
+    rest = tuple(
+        _table(f"healthy_{i}.csv", imposed.trial(
+            like(own, rng), s, PEAKS_N[i % 2], period * (1.0 + 0.1 * i), job.cycles, rate_hz=rate,
+            preload_n=preload).columns, job.left_out) for i, s in enumerate(seeds[1:]))
+    return Case(_table("trial.csv", shown.columns, job.left_out), rest, bench, changed, values, motion,
+                shown.bench.noise)
+
+
+def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...]) -> Table:
+    return table(name, {n: v for n, v in columns.items() if n not in left_out})
+
+
+def answer(job: Job, judged: bool = True) -> Answer:
+    """Ask the finder; `judged`: the oracle, too."""
+    made = case(job)
+    told = diagnose([made.trial], healthy=list(made.healthy))
+    return answered(job, made, told, judged)
+
+
+def answered(job: Job, made: Case, told: Diagnosis, judged: bool) -> Answer:
+    """Put what was said beside what was hidden."""
+    found = {c["effect"]: {n: p["value"] for n, p in c["parameters"].items()} for c in told.causes}
+    return Answer(job, made.bench.structure.implementation, told.verdict, tuple(found), tuple(told.rivals), found,
+                  made.values, separation(made) if judged and job.hidden else None, tuple(told.warnings))
+
+
+def separation(made: Case) -> float:
+    """χ² by which the truth is told from every like bench without what is hidden, of two cycles times their number."""
+    motion = made.motion
+    n = int(np.searchsorted(motion.cycle, 2.0))
+    short = imposed.Motion(*(values[:n] for values in motion))
+    return oracle.separation(made.bench, made.changed, short, made.noise_n) * motion.time.size / n
+
+
+KINDS = ("maxwell", "lugre", "dahl", "fronts")
+
+
+def serials(kind: str, count: int, aside: bool) -> list[int]:
+    """The first serials of an implementation, set aside for the last run or not."""
+    found = [s for s in range(400) if draws.structure(s).implementation == kind and draws.set_aside(s) == aside]
+    return found[:count]

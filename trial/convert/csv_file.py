@@ -1,0 +1,374 @@
+"""A CSV file as its writer left it: encoding, delimiter, decimal sign, comments, header, units, kind of time.
+
+The rule of this file: what is not told is detected from the text itself, what was detected beyond the plain is said,
+and what is told (`Dialect`) is not questioned.  Rows are counted as an editor counts them.  It is the one place that
+parses CSV: imports, curves and the diagnosis read through it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parameters import InputError, parameter
+from parameters.files import content
+from trial.convert import times
+from trial.convert.sheet import Floats, Sheet, unique, unit_of
+from trial.signals import UNITS
+
+DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks"}
+COMMENTS = ("#", "%", "//")
+UNKNOWN = frozenset(("", "nan", "na", "n/a", "null", "none", "-", "--", "–", "#n/a", "#nv", "nat"))
+SAMPLE, CELLS = 40, 200  # lines and cells of each that a delimiter is judged by
+MOST_PREAMBLE = 1000  # lines before a header
+DEGREE_ALIAS = "knee_angle_deg"  # the one accepted alias
+_NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*$|\s*[+-]?(?:nan|inf)\s*$", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"\s*[+-]?(?:\d+,\d*|,\d+)(?:[eE][+-]?\d+)?\s*$")
+_COMMA_INSIDE = re.compile(r"\d,\d")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a CSV file is written; what is left empty or −1 is detected.  It is the table [csv] of a map."""
+
+    encoding: str = parameter("", "", "such as utf-8, utf-16 or cp1252; detected where empty", source="the map file")
+    delimiter: str = parameter("", "", "one character; \"\\t\" is a tab; detected where empty", source="the map file")
+    decimal: str = parameter("", "", "\".\" or \",\"; detected where empty", source="the map file")
+    comment: str = parameter("", "", "what a comment line begins with; # % // where empty", source="the map file")
+    header_row: int = parameter(-1, "1", "row of the columns' names, 0 for none; detected where -1", low=-1,
+                                source="the map file")
+    units_row: int = parameter(-1, "1", "row of the units, 0 for none; detected where -1", low=-1,
+                               source="the map file")
+
+
+def reserved(name: str) -> bool:
+    """Say whether a column of this name is taken without a map."""
+    return name in UNITS or name == DEGREE_ALIAS
+
+
+def read(path: Path, dialect: Dialect | None = None) -> Sheet:
+    """Read a CSV file, gzipped or not; raises `InputError` with the row where it makes no sense."""
+    given = dialect or Dialect()
+    raw = content(path, "a CSV file, gzipped or not", lines=True)
+    try:
+        return _Reading(path, raw, given).sheet()
+    except (csv.Error, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a CSV file.") from None
+    except MemoryError:
+        raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
+
+
+def decoded(path: Path, raw: bytes, encoding: str = "") -> tuple[str, str]:
+    """Return text and the name of its encoding; raises `InputError` for what is no text."""
+    name = encoding or _encoding(raw)
+    try:
+        text = raw.decode(name)
+    except (UnicodeDecodeError, LookupError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a text file, or its encoding in a map's [csv]."
+                         ) from None
+    if "\0" in text[:1 << 16]:
+        raise InputError(f"{path}: cannot be read (zero bytes in it); give a CSV file.")
+    return text, name
+
+
+def _encoding(raw: bytes) -> str:
+    for mark, name in ((b"\xff\xfe\0\0", "utf-32"), (b"\0\0\xfe\xff", "utf-32"), (b"\xff\xfe", "utf-16"),
+                       (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")):
+        if raw.startswith(mark):
+            return name
+    head = raw[:4096]
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        if len(head) > 8 and head[first::2].count(0) > 0.4 * len(head) / 2 and not head[1 - first::2].count(0):
+            return name
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252" if not re.search(rb"[\x00-\x08\x0e-\x1f]", head) else "utf-8"
+    return "utf-8"
+
+
+class _Line(NamedTuple):
+    row: int
+    text: str
+
+
+class _Reading:
+    """One file on its way from bytes to a sheet."""
+
+    def __init__(self, path: Path, raw: bytes, given: Dialect) -> None:
+        self.path, self.given = path, given
+        text, encoding = decoded(path, raw, given.encoding)
+        self.said: list[str] = [] if encoding in ("utf-8", "utf-8-sig") else [encoding.upper()]
+        self.counts: dict[str, int] = {}
+        every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        marks = (given.comment,) if given.comment else COMMENTS
+        self.lines = [_Line(row, line) for row, line in enumerate(every, start=1) if line and not line.isspace()]
+        self.comments = [line for line in self.lines if line.text.lstrip().startswith(marks)]
+        if self.comments:
+            told = {line.row for line in self.comments}
+            self.lines = [line for line in self.lines if line.row not in told]
+            self.counts["comment_lines"] = len(self.comments)
+            self.said.append(_many(len(self.comments), "comment line"))
+        self.delimiter = given.delimiter or _delimiter(self._sample())
+        if len(self.delimiter) != 1:
+            raise InputError(f"{path}: the map's delimiter {self.delimiter!r} is not one character.")
+        if self.delimiter != ",":
+            self.said.insert(0, f"delimiter {DELIMITERS.get(self.delimiter, repr(self.delimiter))}")
+
+    def _sample(self) -> list[str]:
+        step = max(1, len(self.lines) // SAMPLE)
+        return [line.text for line in self.lines[::step][-SAMPLE:]]
+
+    def cells(self, text: str) -> list[str]:
+        """Return the cells of one line."""
+        if self.delimiter == " ":
+            return text.split()
+        if '"' not in text:
+            return text.split(self.delimiter)
+        return next(csv.reader([text], delimiter=self.delimiter), [])
+
+    def sheet(self) -> Sheet:
+        if not self.lines:
+            raise InputError(f"{self.path}: row 1 is no header, the file is empty; name the columns there.")
+        header, names, begin = self._header()
+        body = self.lines[begin:]
+        units, body = self._units(body, names)
+        body = self._without_repeats(header, units, body, names)
+        if not body:
+            raise InputError(f"{self.path}: a header and no rows; give at least one.")
+        if not names:
+            names = [f"column {place}" for place in range(1, len(self.cells(body[0].text)) + 1)]
+            self.said.append("no header, so columns are numbered")
+        names, units = self._trimmed(names, units, body)
+        columns = _numbers(self, names, body)
+        rows = np.fromiter((line.row for line in body), np.int64, len(body))
+        found = Sheet(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
+                      {}, {}, self.counts, self.said, header)
+        found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
+        for place, begins_ns in columns.begins_ns.items():
+            found.begins_ns[found.names[place]] = begins_ns
+            found.units[place] = "s"
+            self.said.append(f"{found.names[place]} is {times.told(begins_ns)}")
+        return found
+
+    # ---- the rows above the numbers ----
+
+    def _header(self) -> tuple[int, list[str], int]:
+        """Return the row that names the columns (0: none), the names, and how many lines stand up to it."""
+        if self.given.header_row == 0:
+            return 0, [], 0
+        if self.given.header_row > 0:
+            for at, line in enumerate(self.lines):
+                if line.row == self.given.header_row:
+                    return line.row, self._names(line.text), at + 1
+            raise InputError(f"{self.path}: the map's header_row = {self.given.header_row} is no row of the file.")
+        found = self._found_header()
+        if found is None:
+            above = [line for line in self.comments if line.row < self.lines[0].row]
+            width = len(self.cells(self.lines[0].text))
+            bare = [self._names(line.text.lstrip().lstrip("#%/").strip()) for line in above]
+            for names in reversed(bare):
+                if len(names) == width and width > 1 and not _numeric_share(names):
+                    return above[-1].row, names, 0
+            return 0, [], 0
+        if found:
+            self.counts["preamble_lines"] = found
+            self.said.append(f"{_many(found, 'line')} before the header in row {self.lines[found].row}")
+        return self.lines[found].row, self._names(self.lines[found].text), found + 1
+
+    def _names(self, text: str) -> list[str]:
+        return [name.strip().strip('"').strip() for name in self.cells(text)]
+
+    def _found_header(self) -> int | None:
+        """Return the line of the header: one with a signal's name, or the last above the numbers; None without."""
+        width = len(self.cells(self.lines[len(self.lines) // 2].text))
+        above: list[list[str]] = []
+        for line in self.lines[:MOST_PREAMBLE]:
+            names = self._names(line.text)
+            if any(map(reserved, names)):
+                return len(above)
+            if len(names) == width and _numeric_share(names) >= 0.5:
+                break
+            above.append(names)
+        at = len(above) - 1
+        if at > 0 and self._are_units(above[at]) and len(above[at - 1]) >= len(above[at]):
+            at -= 1
+        return at if above else None
+
+    def _are_units(self, cells: Sequence[str]) -> bool:
+        filled = [cell for cell in cells[:CELLS] if cell not in ("", "-")]
+        units = [cell for cell in filled if cell != "1"]
+        known = sum(bool(unit_of(cell)) or cell[:1] in "[(" for cell in units)
+        return bool(units) and known >= 0.5 * len(units) and not any(_NUMBER.match(cell) for cell in units)
+
+    def _units(self, body: list[_Line], names: list[str]) -> tuple[list[str], list[_Line]]:
+        if self.given.units_row == 0 or not body or not names:
+            return [], body
+        if self.given.units_row > 0:
+            told = next((line for line in self.lines if line.row == self.given.units_row), None)
+            if told is None:
+                raise InputError(f"{self.path}: the map's units_row = {self.given.units_row} is no row of the file.")
+            body = [line for line in body if line.row != told.row]
+        else:
+            told = body[0]
+            if len(cells := self._names(told.text)) > len(names) or not self._are_units(cells):
+                return [], body
+            body = body[1:]
+        self.said.append(f"units in row {told.row}")
+        units = self._names(told.text)
+        return units + [""] * (len(names) - len(units)), body
+
+    def _without_repeats(
+        self, header: int, units: list[str], body: list[_Line], names: list[str]
+    ) -> list[_Line]:
+        """Leave out header and units where they stand again, as in files put one behind the other."""
+        first = next((line.text for line in self.lines if line.row == header), None)
+        if first is None:
+            return body
+        again = {line.row for line in body if line.text == first}
+        if not again:
+            return body
+        if units:
+            again |= {line.row for line in body if line.row - 1 in again and self._names(line.text) == units[:len(
+                self._names(line.text))]}
+        self.counts["repeated_headers"] = sum(line.text == first for line in body)
+        self.said.append(f"the header {self.counts['repeated_headers']} times again")
+        return [line for line in body if line.row not in again]
+
+    def _trimmed(self, names: list[str], units: list[str], body: list[_Line]) -> tuple[list[str], list[str]]:
+        """Allow for rows that end in a delimiter: a last column without name and content."""
+        width = len(self.cells(body[0].text))
+        if self.delimiter != " " and all(line.text.rstrip(" ").endswith(self.delimiter) for line in body):
+            if not names[-1] and width == len(names):
+                names, units = names[:-1], units[:-1]
+            if width == len(names) + 1:
+                body[:] = [_Line(line.row, line.text.rstrip(" ")[:-1]) for line in body]
+        return names, units
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _numeric_share(cells: Sequence[str]) -> float:
+    """Return the share of cells, of those that hold something, that are numbers or times."""
+    filled = [cell for cell in cells[:CELLS] if cell.strip().lower() not in UNKNOWN]
+    return sum(bool(_NUMBER.match(cell) or _COMMA_NUMBER.match(cell) or times.is_time(cell)) for cell in filled) / max(
+        1, len(filled))
+
+
+def _delimiter(sample: Sequence[str]) -> str:
+    """Return the delimiter by which most of the sample's cells are numbers, the rows of equal length."""
+    best, found = 0.0, ""
+    for delimiter in DELIMITERS:
+        rows = [line.split(delimiter) if delimiter != " " else line.split() for line in sample]
+        widths = [len(row) for row in rows if len(row) > 1]
+        if not widths:
+            continue
+        width = max(set(widths), key=widths.count)
+        score = sum(_plain_share(row, delimiter) for row in rows if len(row) == width) / len(rows)
+        if score > best * 1.001:
+            best, found = score, delimiter
+    if best >= 0.3:
+        return found
+    first = sample[0] if sample else ""
+    return max(DELIMITERS, key=lambda one: first.count(one) if one != " " else 0)
+
+
+def _plain_share(cells: Sequence[str], delimiter: str) -> float:
+    share = _numeric_share(cells)
+    if delimiter == ",":  # what has a decimal comma is no comma-separated number
+        share *= not any(_COMMA_NUMBER.match(cell) for cell in cells[:CELLS])
+    return share
+
+
+class _Columns(NamedTuple):
+    values: list[Floats]
+    faults: dict[int, tuple[int, str]]  # by column: place in the rows, and the cell
+    begins_ns: dict[int, int]
+
+
+def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> _Columns:
+    """Return every column of the rows; a row of another length raises `InputError`."""
+    delimiter, comma = reading.delimiter, reading.given.decimal == ","
+    if not reading.given.decimal and delimiter != ",":
+        comma = _has_decimal_comma(reading, body)
+    if comma:
+        reading.said.append("decimal comma")
+    joined = "\n".join(line.text for line in body)
+    plain = joined.replace(",", ".") if comma else joined
+    try:
+        table = np.loadtxt(io.StringIO(plain), delimiter=None if delimiter == " " else delimiter, ndmin=2,
+                           comments=None)
+        if table.shape == (len(body), len(names)) and not np.isinf(table).any():
+            return _Columns(list(np.ascontiguousarray(table.T)), {}, {})
+    except ValueError:
+        pass  # an empty, wrong or quoted cell, or a time: cell by cell then
+    rows = _rows(reading, len(names), body)
+    return _by_column([list(cells) for cells in zip(*rows, strict=True)], comma)
+
+
+def _has_decimal_comma(reading: _Reading, body: Sequence[_Line]) -> bool:
+    for line in body:
+        if _COMMA_INSIDE.search(line.text) and any(_COMMA_NUMBER.match(cell) for cell in reading.cells(line.text)):
+            return True
+    return False
+
+
+def _rows(reading: _Reading, width: int, body: Sequence[_Line]) -> Iterable[list[str]]:
+    for line in body:
+        cells = reading.cells(line.text)
+        if len(cells) != width:
+            raise InputError(f"{reading.path}: row {line.row} has {len(cells)} cells, the header {width}; "
+                             "mend that row.")
+        yield cells
+
+
+def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
+    found = _Columns([], {}, {})
+    for place, cells in enumerate(columns):
+        values, fault = _parsed(cells, comma)
+        if fault is not None:
+            first = next((cell for cell in cells if cell.strip().lower() not in UNKNOWN), "")
+            timed = times.seconds(cells, UNKNOWN) if times.is_time(first) else None
+            if timed is not None:
+                values, fault = timed.seconds, None
+                found.begins_ns[place] = timed.begins_ns
+            else:
+                found.faults[place] = fault
+        found.values.append(values)
+    return found
+
+
+def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:
+    """Return a column's numbers and its first cell that is none."""
+    try:
+        quick = np.array([cell.replace(",", ".") if comma else cell or "nan" for cell in cells]).astype(np.float64)
+        if not np.isinf(quick).any():
+            return quick, None
+    except ValueError:
+        pass
+    values = np.empty(len(cells))
+    fault = None
+    for at, cell in enumerate(cells):
+        try:
+            values[at] = float(cell.replace(",", ".") if comma else cell)
+        except ValueError:
+            values[at] = np.nan
+            if fault is None and cell.strip().lower() not in UNKNOWN:
+                fault = (at, cell)
+    infinite: NDArray[np.intp] = np.flatnonzero(np.isinf(values))
+    if len(infinite) and (fault is None or infinite[0] < fault[0]):
+        fault = (int(infinite[0]), cells[int(infinite[0])])
+    return values, fault
+
+
+__all__ = ["Dialect", "decoded", "read", "reserved"]

@@ -1,0 +1,112 @@
+"""A table as a file has it: names, numbers, units, before anything is said about signals.
+
+The rule of this file: a column is numbers or it is not, and what is wrong in one that nobody takes is nobody's
+concern; a row keeps the number that an editor, or the program that wrote the file, gives it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from parameters import InputError
+
+Floats = NDArray[np.float64]
+
+TO_SI = {  # unit of a file: (unit of a signal, factor)
+    "m": ("m", 1.0), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "um": ("m", 1e-6), "µm": ("m", 1e-6), "in": ("m", 0.0254),
+    "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180),
+    "°": ("rad", math.pi / 180), "mdeg": ("rad", math.pi / 180e3), "mrad": ("rad", 1e-3), "N": ("N", 1.0),
+    "mN": ("N", 1e-3), "kN": ("N", 1e3), "kgf": ("N", 9.80665), "lbf": ("N", 4.4482216152605), "s": ("s", 1.0),
+    "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("ns", 1.0), "min": ("s", 60.0), "%": ("%", 1.0),
+    "1": ("1", 1.0),
+}
+_SPELT = {  # other spellings, in lower case
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms", "millisecond": "ms",
+    "milliseconds": "ms", "usec": "us", "microseconds": "us", "nanoseconds": "ns", "minutes": "min", "degree": "deg",
+    "degrees": "deg", "grad": "deg", "radian": "rad", "radians": "rad", "newton": "N", "newtons": "N", "n": "N",
+    "kn": "kN", "metre": "m", "meter": "m", "meters": "m", "metres": "m", "millimeter": "mm", "millimetre": "mm",
+    "percent": "%", "prozent": "%", "pct": "%", "μm": "µm", "μs": "µs", "inch": "in", "lb": "lbf", "lbs": "lbf",
+    "kg": "kgf",
+}
+
+
+def unit_of(text: str) -> str:
+    """Return a unit that `TO_SI` knows for how a file spells it, brackets or not; empty where it is none."""
+    bare = text.strip().strip("[](){}<>").strip()
+    if bare in TO_SI:
+        return bare
+    return _SPELT.get(bare.lower(), bare.lower() if bare.lower() in TO_SI else "")
+
+
+@dataclass
+class Sheet:
+    """A table: `names` and, of equal length, `values`; `units` are what the file says, empty where it says nothing.
+
+    `rows[i]` is the number of row i in the file.  `faults` gives, by column, the first cell that is no number, with
+    its row; `begins_ns` is the time since 1970 at which a column of absolute times is 0, by its name.  `said` is how
+    the file was read, where that was not self-evident.
+    """
+
+    path: Path
+    names: list[str]
+    values: list[Floats]
+    units: list[str]
+    rows: NDArray[np.int64] | range
+    faults: dict[str, tuple[int, str]] = field(default_factory=dict)
+    begins_ns: dict[str, int] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    said: list[str] = field(default_factory=list)
+    header_row: int = 1
+
+    def __post_init__(self) -> None:
+        self._place = {name: place for place, name in enumerate(self.names)}
+        self._twice = {name for name, count in Counter(self.names).items() if count > 1}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._place
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def column(self, name: str) -> Floats:
+        """Return a column; raises `InputError` where the name stands twice or a cell is no number."""
+        if name in self._twice:
+            count = self.names.count(name)
+            raise InputError(f"{self.path}: row {self.header_row} names the column {name!r} {count} times; keep one.")
+        if name in self.faults:
+            row, cell = self.faults[name]
+            shown = cell if len(cell) <= 40 else cell[:40] + "…"
+            where = f"{self.path}: row {row}: {name} = "
+            if math.isinf(_float(cell)):
+                raise InputError(f"{where}{shown} is not finite; leave an unknown cell empty.")
+            raise InputError(f"{where}{shown!r} is not a number; mend that cell.")
+        return self.values[self._place[name]]
+
+    def unit(self, name: str) -> str:
+        """Return the unit that the file states for a column, as `TO_SI` spells it; empty where it states none."""
+        return unit_of(self.units[self._place[name]])
+
+
+def _float(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def unique(names: Sequence[str], reserved: Callable[[str], bool]) -> list[str]:
+    """Return the names with a number behind repeated ones; a `reserved` one stays as it is and is found twice."""
+    seen: Counter[str] = Counter()
+    found = []
+    for place, name in enumerate(names, start=1):
+        name = name or f"column {place}"
+        seen[name] += 1
+        found.append(name if seen[name] == 1 or reserved(name) else f"{name} ({seen[name]})")
+    return found

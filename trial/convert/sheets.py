@@ -1,0 +1,201 @@
+"""Tables of several formats as sheets: CSV, Parquet, MATLAB and MDF.
+
+The rule of this file: a format's library is imported where such a file is read, and where it is absent the error says
+what to install; what is no column of numbers is left out and counted.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from parameters import InputError
+from parameters.files import READ_LIMIT, refuse_special
+from trial.convert import csv_file
+from trial.convert.sheet import Floats, Sheet, unique
+
+TEXT = (".csv", ".tsv", ".dat", ".txt")
+ENDINGS = (*TEXT, ".parquet", ".mat", ".mf4", ".mdf")
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+
+def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> Sheet:
+    """Read the table in a file; CSV where its ending names none of the other formats."""
+    ending = path.suffix.lower()
+    readers = {".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
+    if ending not in readers:
+        return csv_file.read(path, dialect)
+    if dialect is not None:
+        raise InputError(f"{path}: is no CSV file; leave [csv] out of the map.")
+    refuse_special(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file; give the path of a table.")
+    if path.stat().st_size > READ_LIMIT:
+        raise InputError(f"{path}: is longer than {READ_LIMIT} bytes; cut it.")
+    try:
+        return readers[ending](path)
+    except InputError:
+        raise
+    except MemoryError:
+        raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
+    except Exception as error:  # what these libraries raise for a damaged file is theirs
+        reason = (str(error) or type(error).__name__).splitlines()[0][:200]
+        raise InputError(f"{path}: cannot be read ({reason}); give a whole {ending} file.") from None
+
+
+def missing(path: Path, what: str, extra: str) -> InputError:
+    """Return the error for a library that is not installed."""
+    return InputError(f"{path}: {what}; say pip install bowden-bench[{extra}].")
+
+
+def parquet(path: Path) -> Sheet:
+    """Read a Parquet file; units are those of its fields' metadata."""
+    try:
+        from pyarrow import parquet as format_
+    except ImportError:
+        raise missing(path, "Parquet needs pyarrow", "parquet") from None
+    table = format_.read_table(path)
+    columns: Arrays = {}
+    units: dict[str, str] = {}
+    for field in table.schema:
+        values = np.asarray(table.column(field.name).to_numpy())
+        columns[field.name] = values
+        units[field.name] = ((field.metadata or {}).get(b"unit") or b"").decode("utf-8", "replace")
+    return _sheet(path, columns, units, [])
+
+
+def matlab(path: Path) -> Sheet:
+    """Read the vectors of a MATLAB file, those of equal length; of v7.3 ones, which are HDF5, by h5py."""
+    with path.open("rb") as file:
+        head = file.read(520)
+    hdf = b"MATLAB 7.3" in head[:128] or head[512:516] == b"\x89HDF" or head[:4] == b"\x89HDF"
+    found = _hdf(path) if hdf else _matlab5(path)
+    units = {name: str(text) for name, text in found.pop("units", {}).items()} if isinstance(
+        found.get("units"), dict) else {}
+    flat: Arrays = {}
+    _flatten("", found, flat)
+    return _sheet(path, flat, units, [f"MATLAB v{'7.3' if hdf else '5'}"])
+
+
+def _matlab5(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    found = loadmat(path, simplify_cells=True)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _hdf(path: Path) -> dict[str, Any]:
+    try:
+        import h5py
+    except ImportError:
+        raise missing(path, "MATLAB v7.3 needs h5py", "mat73") from None
+    with h5py.File(path, "r") as file:
+        return _group(file)
+
+
+def _group(group: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, item in group.items():
+        if name.startswith("#"):
+            continue
+        if hasattr(item, "items"):
+            found[name] = _group(item)
+        elif item.dtype.kind in "fiu":
+            values = np.asarray(item).T
+            text = item.attrs.get("MATLAB_class", b"") == b"char"
+            found[name] = "".join(map(chr, values.ravel(order="F"))) if text else values
+    return found
+
+
+def _flatten(prefix: str, found: Mapping[str, Any], flat: Arrays) -> None:
+    """Gather vectors by name, those of structures as structure.field, columns of a matrix as name(:,1) …"""
+    for name, value in found.items():
+        full = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            _flatten(f"{full}.", value, flat)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            if value.ndim == 2 and min(value.shape) > 1:
+                flat |= {f"{full}(:,{place + 1})": value[:, place] for place in range(value.shape[1])}
+            elif value.size > 1:
+                flat[full] = value.ravel()
+
+
+def mdf(path: Path) -> Sheet:
+    """Read the signals of an MDF file on the clock of its largest group; slower ones are held."""
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise missing(path, "MDF needs asammdf", "mf4") from None
+    with MDF(path) as file:
+        begins = file.header.start_time
+        signals = [signal for signal in file.iter_channels(skip_master=True) if signal.samples.ndim == 1
+                   and signal.samples.dtype.kind in "fiub" and len(signal.samples)]
+        if not signals:
+            raise InputError(f"{path}: holds no signal of numbers; its CAN frames, if any, could not be read.")
+        clock = max((signal.timestamps for signal in signals), key=len)
+        columns: Arrays = {"time": clock}
+        units = {"time": "s"}
+        for signal in signals:
+            place = np.searchsorted(signal.timestamps, clock, side="right") - 1
+            values = signal.samples.astype(np.float64)[np.maximum(place, 0)]
+            name = signal.name if signal.name not in columns else f"{signal.name} ({len(columns)})"
+            columns[name] = np.where(place >= 0, values, np.nan)
+            units[name] = signal.unit or ""
+    if "time_s" not in columns:
+        columns = {"time_s" if name == "time" else name: values for name, values in columns.items()}
+        units["time_s"] = units.pop("time")
+    made = _sheet(path, columns, units, [f"MDF, begun {begins:%Y-%m-%dT%H:%M:%S}"])
+    return made
+
+
+def has_can_frames(path: Path) -> bool:
+    """Say whether an MDF file is a log of CAN frames."""
+    refuse_special(path)
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise missing(path, "MDF needs asammdf", "mf4") from None
+    try:
+        with MDF(path) as file:
+            return any(map(len, getattr(file, "bus_logging_map", {}).get("CAN", {}).values()))
+    except Exception:  # whoever reads it says what is wrong
+        return False
+
+
+def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str]) -> Sheet:
+    """Make a sheet of the columns of numbers that have the commonest length."""
+    numbers = {name: values for name, values in columns.items() if values.dtype.kind in "fiub"}
+    stamps = {name: values for name, values in columns.items() if values.dtype.kind == "M"}
+    lengths = Counter(len(values) for values in (*numbers.values(), *stamps.values()) if len(values) > 1)
+    if not lengths:
+        raise InputError(f"{path}: holds no column of numbers; give a table.")
+    length = max(lengths, key=lambda one: (lengths[one], one))
+    values: dict[str, Floats] = {}
+    begins: dict[str, int] = {}
+    for name, column in (numbers | stamps).items():
+        if len(column) == length:
+            if name in stamps:
+                whole = column.astype("datetime64[ns]").astype(np.int64)
+                begins[name] = int(whole[0])
+                values[name] = (whole - whole[0]) / 1e9
+            else:
+                values[name] = np.ascontiguousarray(column, np.float64)
+    left_out = len(columns) - len(values)
+    counts = {"columns_of_no_numbers": left_out} if left_out else {}
+    names = _shortest(list(values))
+    stated = ["s" if name in begins else units.get(name, "") for name in values]
+    found = Sheet(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
+                  counts=counts, said=said, header_row=0)
+    found.begins_ns = {name: begins[full] for name, full in zip(names, values, strict=True) if full in begins}
+    return found
+
+
+def _shortest(names: list[str]) -> list[str]:
+    """Let a structure's field go by its own name where that is a signal's and stands once."""
+    last = [name.rsplit(".", 1)[-1] for name in names]
+    return [short if csv_file.reserved(short) and last.count(short) == 1 else name
+            for name, short in zip(names, last, strict=True)]

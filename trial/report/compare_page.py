@@ -1,0 +1,113 @@
+"""Two trials in one HTML page: what they were told, what came out, signals one over the other and their difference.
+
+The rule of this file: it shows what `trial.compare` finds; A and B keep their colours throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from trial import metrics
+from trial.compare import Comparison, Difference, aligned
+from trial.read import Trial
+from trial.report.force_section import BINS, FORCE, MOTION
+from trial.report.packing import broken, thinned
+from trial.report.page import Cell, Page, Series, Tile, number
+from trial.report.setting import known, setting
+from trial.report.trial_page import FIGURES, NEEDED
+
+A, B = "#1f6fb2", "#d9730d"
+MOST_ROWS = 400
+
+
+def write(a: Trial, b: Trial, found: Comparison, path: Path, *, overwrite: bool = False) -> int:
+    """Write the page; returns its bytes.  Raises `InputError`."""
+    return build(a, b, found).write(path, overwrite=overwrite)
+
+
+def build(a: Trial, b: Trial, found: Comparison) -> Page:
+    """Return the page of a comparison."""
+    badge = ("the same", "good") if found.same else ("they differ", "plain")
+    page = Page("Two trials", f"A: {a.path.name} · B: {b.path.name} · signals matched {found.matched}", badge=badge)
+    page.section("Figures")
+    _figures(page, a, b)
+    _result(page, found)
+    _signals(page, a, b, found)
+    _told(page, found)
+    return page
+
+
+def _figures(page: Page, a: Trial, b: Trial) -> None:
+    sides = [_judged(side) for side in (a, b)]
+    rows = [(f"{text} ({unit})", *(number(side.get(name), 3) for side in sides)) for name, unit, text in FIGURES
+            if any(side.get(name) is not None for side in sides)]
+    if rows:
+        page.table(("figure", "A", "B"), rows)
+        key, unit, text = FIGURES[0]
+        page.tiles([Tile(number(side.get(key), 3), unit, f"{letter}: {text}")
+                    for letter, side in zip("AB", sides, strict=True)])
+
+
+def _judged(side: Trial) -> dict[str, float | None]:
+    judged = setting(side)
+    if judged.peak_n is None or judged.rate_hz is None or not judged.cycles or any(
+            known(side, name) is None for name in NEEDED):
+        return {}
+    return dict(metrics.figures(side.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
+                                settle=judged.settle))
+
+
+def _result(page: Page, found: Comparison) -> None:
+    rows = _rows([*found.metadata, *(row for row in found.result if row.a != row.b)])
+    if rows:
+        page.heading("What else came out or was told differently")
+        page.table(("key", "A", "B"), rows, tall=len(rows) > 20)
+
+
+def _rows(differences: Sequence[Difference], prefix: str = "") -> list[tuple[Cell, ...]]:
+    return [(f"{prefix}{row.key}", *("–" if value is None else str(value)[:300] for value in (row.a, row.b)))
+            for row in differences[:MOST_ROWS]]
+
+
+def _signals(page: Page, a: Trial, b: Trial, found: Comparison) -> None:
+    page.section("Signals")
+    if found.signals:
+        page.table(("signal", "unit", "RMS of A − B", "mean", "largest", "at (s)"), [
+            (row.name, row.unit, row.rms, row.mean, row.largest, row.largest_at_s) for row in found.signals],
+            tall=len(found.signals) > 15)
+    for text, names in (("Only A has", found.only_a), ("Only B has", found.only_b)):
+        if names:
+            page.text(f"{text}: {', '.join(names)}.", "note")
+    there = {row.name: row for row in found.signals}
+    for name in [*reversed(FORCE), *(name for _, names, _ in MOTION for name in names)]:
+        if name in there:
+            _plot(page, a, b, name, there[name].unit)
+
+
+def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:
+    matched, along, one, other = aligned(a, b, name)
+    good = np.isfinite(along)
+    along, values = along[good], [one[good], other[good], (one - other)[good]]
+    if len(along) < 2:
+        return
+    x_label = "gait cycles" if matched == "by gait phase" else "time_s (s)"
+    along, values = broken(along, values, 2.5 * float(np.median(np.diff(along))))
+    along, values = thinned(along, values, BINS)
+    linked = "along"
+    page.plot(name, along, [Series("A", values[0], A), Series("B", values[1], B, dash=True)], x_label, unit,
+              linked=linked)
+    page.plot(f"{name}, A − B", along, [Series("A − B", values[2], "#30363f")], x_label, unit, linked=linked,
+              height=150)
+
+
+def _told(page: Page, found: Comparison) -> None:
+    if not found.attachments:
+        return
+    page.section("Attached files that differ")
+    for name, differences in found.attachments.items():
+        page.heading(name)
+        rows = _rows(differences)
+        page.table(("key", "A", "B"), rows, tall=len(rows) > 20)
