@@ -13,7 +13,7 @@ from master import settings
 from trial.signals import COLUMNS
 
 if TYPE_CHECKING:
-    from conftest import Composer
+    from conftest import Composer, Ran
 
 SYNC, TARGETS, CONTROLWORDS, SERVO_TPDO, END_TPDO = 0x080, 0x201, 0x301, 0x181, 0x184
 
@@ -68,12 +68,23 @@ def test_drives_are_enabled_after_the_bring_up_only_and_end_disabled(composer: C
 
 
 def test_end_is_out_of_the_loop(composer: Composer) -> None:
-    """END's frames corrupted, below the limit, leave every byte that the master sends as it was."""
+    """END's frames corrupted, within what friction allows, leave every byte that the master sends as it was.
+
+    END moves nothing; a lie of it that contradicts START stops the trial, and until then no byte is another one.
+    """
     plain = composer.run()
-    noisy = composer.run(plant_model={"end_sensor": {"noise_n": 5.0, "gain": 0.5}})
+    noisy = composer.run(plant_model={"end_sensor": {"noise_n": 1.0, "gain": 0.95}})
     assert not np.array_equal(plain.sent(END_TPDO), noisy.sent(END_TPDO))
     for can_id in (TARGETS, CONTROLWORDS):
         np.testing.assert_array_equal(plain.sent(can_id), noisy.sent(can_id))
+    lying = composer.run(plant_model={"end_sensor": {"gain": 0.4}})
+    assert "START is 2" in str(lying.result.stop_reason)
+    until = int(np.searchsorted(lying.trial.time_ns, _stopped_ns(lying))) - 1
+    np.testing.assert_array_equal(plain.sent(TARGETS)[:until], lying.sent(TARGETS)[:until])
+
+
+def _stopped_ns(ran: Ran) -> int:
+    return next(event.time_ns for event in ran.trial.events if event.kind == "safety")
 
 
 def test_the_same_seed_gives_the_same_trial_and_another_another(composer: Composer) -> None:

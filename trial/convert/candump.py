@@ -20,10 +20,12 @@ from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
 from trial.mcap_file import cdr
 
 _LINE = re.compile(
-    r"\((-?\d+)\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})"
+    r"\((-?(?:[1-8]\d{9}|\d{1,9}))\.(\d{1,9})\) (\S+) ([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
+    r"#(R[0-8]?|(?:[0-9A-Fa-f]{2}){0,8})"
     r"(?:_([9A-Fa-f]))?(?: ([RT]))?$")
 _SCREEN = re.compile(
-    r"(?:\((-?\d+)\.(\d{1,9})\)\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
+    r"(?:\((-?(?:[1-8]\d{9}|\d{1,9}))\.(\d{1,9})\)\s+)?(\S+)\s+(?:([RT])X [-B] [-E]\s+)?"
+    r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(\d{1,2})\]"
     r"(?:\s+remote request|((?:\s+[0-9A-Fa-f]{2}){0,64}))(?:\s.*)?$")
 LONGEST = 400  # characters that candump writes for a frame of 64 bytes, at most
 REMEDY = "record it with candump -L"
