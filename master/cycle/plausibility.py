@@ -4,7 +4,8 @@ The rule of this file: one compiled step over two flat float64 arrays, `s` (stat
 and says which relation broke, by how much, and names nothing.  Relations, each with a tolerance in its own unit:
 
     servo    position against the answer of a position loop to the targets, m
-    knee     angle against the target of two cycles before, rad
+    knee     angle against the way from the target of two cycles before to the next one, rad: at a low rate the drive is
+             on that way when it is read
     ratio    ln(START/END) within friction's bounds, which turn over with rope motion (pre-sliding), N at START
     force    servo force − START against M·a + friction, over a window of `WINDOW_S`, N
     start    rope and knee against START by the stretch of the path, m
@@ -95,7 +96,8 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
     _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
     moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
-    _compare(s, KNEE_TRACK, knee, s[K2], KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
+    reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))
+    _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
     _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M)
     _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
