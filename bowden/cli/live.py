@@ -51,9 +51,9 @@ def live(
     seconds: Seconds = None,
     json: options.Json = False,
 ) -> int:
-    """Show a trial or a running bus in Foxglove, or in a browser with --web.
+    """Show a trial or a running bus, live.
 
-    A trial is served with play, pause, seek and speed, until Ctrl-C.  A bus is only listened to.
+    In Foxglove, with play, pause, seek and speed for a trial; in a browser with --web.  A bus is only listened to.
     A layout for Foxglove is docs/foxglove-layout.json.
 
     Example: bowden live trial.mcap --web 8080 --for 5

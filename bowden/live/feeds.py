@@ -35,6 +35,7 @@ class Recording(Protocol):
     """What a trial is recorded by."""
 
     frame: Callable[..., None]
+    frames: Callable[..., None]
     event: Callable[..., None]
     cycle: Callable[..., None]
 
@@ -76,6 +77,10 @@ class _Beside:
               ) -> None:
         self._record.frame(time_ns, can_id, data, flags, channel, sent)
         self._page.state.frame(time_ns, can_id, data, flags)
+
+    def frames(self, rows: Any, count: int, last_ns: int) -> None:
+        self._record.frames(rows, count, last_ns)
+        self._page.state.frames(bytes(rows))
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         self._record.cycle(time_ns, values)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bowden.bus_load import frame_bits
 from eds.bench import NAMES
@@ -27,7 +28,7 @@ LOAD_NS: Final = 1_000_000_000
 """Time over which the bus load is counted."""
 EVENTS_KEPT: Final = 200
 QUEUE: Final = 1 << 16
-HEARTBEATS: Final = range(0x701, 0x780)
+HEARTBEATS: Final = np.arange(0x701, 0x780)
 NMT_STATES: Final[Mapping[int, str]] = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
 Force = tuple[int, float, float, float]
@@ -50,6 +51,7 @@ class LiveState:
         self._about = {"name": name, "kind": kind, "silent_s": silent_s, "window_s": WINDOW_S}
         self._clock, self._bitrate, self._decode_events = clock, bitrate, decode_events
         self._incoming: deque[tuple[int, int, int, int, int, bool, bytes]] = deque(maxlen=QUEUE)
+        self._blocks: deque[bytes] = deque(maxlen=QUEUE)
         self._forces: deque[Force] = deque(maxlen=QUEUE)
         self._told: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
         self._heard_at: float | None = None
@@ -69,6 +71,11 @@ class LiveState:
         """Take a frame as it was on the bus; any thread."""
         self._heard_at = self._clock()
         self._incoming.append((time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
+
+    def frames(self, rows: bytes) -> None:
+        """Take frames at once: bytes of `cdr.FRAME_ROW`s; any thread."""
+        self._heard_at = self._clock()
+        self._blocks.append(rows)
 
     def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
         """Take the forces of one control cycle, NaN where unknown; any thread."""
@@ -90,7 +97,10 @@ class LiveState:
         with self.changed:
             frames = [self._incoming.popleft() for _ in range(len(self._incoming))]
             if frames:
-                self._frames(frames)
+                self._frames(rows_of(frames))
+            blocks = [self._blocks.popleft() for _ in range(len(self._blocks))]
+            if blocks:
+                self._frames(np.frombuffer(b"".join(blocks), cdr.FRAME_ROW))
             for _ in range(len(self._forces)):
                 self._row(*self._forces.popleft())
             for _ in range(len(self._told)):
@@ -115,14 +125,15 @@ class LiveState:
             "events": _last(self._events, self._event_count - events)}
         return told, (self._epoch, self._row_count, self._event_count)
 
-    def _frames(self, frames: list[tuple[int, int, int, int, int, bool, bytes]]) -> None:
-        rows = rows_of(frames)
+    def _frames(self, rows: NDArray[np.void]) -> None:
         rows = rows[rows["flags"] & cdr.ERROR == 0]
-        self._loads.extend(zip(rows["time_ns"].tolist(), frame_bits(rows).tolist(), strict=True))
-        for time_ns, can_id, flags, size, _, _, data in frames:
+        for time_ns in rows["time_ns"].tolist():
             self._frame_ns = self._at(time_ns, self._frame_ns)
-            if flags == 0 and size == 1 and can_id in HEARTBEATS:
-                self._beats[can_id & 0x7F] = (time_ns, data[0] & 0x7F)
+        self._loads.extend(zip(rows["time_ns"].tolist(), frame_bits(rows).tolist(), strict=True))
+        beats = rows[(rows["flags"] == 0) & (rows["dlc"] == 1) & np.isin(rows["can_id"], HEARTBEATS)]
+        for time_ns, can_id, state in zip(beats["time_ns"].tolist(), beats["can_id"].tolist(),
+                                          beats["data"][:, 0].tolist(), strict=True):
+            self._beats[can_id & 0x7F] = (time_ns, state & 0x7F)
         while self._loads and self._now_ns is not None and self._loads[0][0] <= self._now_ns - LOAD_NS:
             self._loads.popleft()
         if self._decode_events:

@@ -127,6 +127,8 @@ def _todo(found: Diagnosis) -> str:
         return "Mend the wire or the converter, record again, and diagnose that."
     if found.verdict == "unexplained":
         return "Look at where the residual lies, then record that part of the gait again with more sensors."
+    if found.causes and all(cause["site"] == "END sensor" for cause in found.causes):
+        return "Mend the END sensor: it only verifies, so the controller has nothing to be told."
     if found.causes:
         return ("Mend it, or tell the controller: bowden diagnose … -o extended.toml, then bowden trial "
                 "--controller-model extended.toml.")

@@ -22,6 +22,7 @@ from bowden.live.state import LiveState
 from bowden.live.web import LivePage, address
 from eds.bench import Network
 from parameters import InputError
+from trial.convert.frames import rows_of
 
 PATIENCE_S = 120.0
 MS = 1_000_000
@@ -209,6 +210,9 @@ def test_a_feed_records_first_and_tells_the_stop_from_the_trials_own_thread() ->
         def frame(self, *told: Any) -> None:
             recorded.append(("frame", *told))
 
+        def frames(self, *told: Any) -> None:
+            recorded.append(("frames", *told))
+
         def cycle(self, *told: Any) -> None:
             recorded.append(("cycle", *told))
 
@@ -219,12 +223,16 @@ def test_a_feed_records_first_and_tells_the_stop_from_the_trials_own_thread() ->
         sink = feeds.TrialFeed(served).beside(Recording())
         row = [0.0] * len(trial.SIGNALS)
         sink.frame(1, 0x701, b"\x7f")
+        sink.frames(memoryview(rows_of([(2, 0x702, 0, 1, 0, False, b"\x05")]).tobytes()), 1, 2)
         sink.cycle(2, row)
         served.ask_to_stop()
         sink.cycle(3, row)
         sink.cycle(4, row)
-    assert [one[0] for one in recorded] == ["frame", "cycle", "cycle", "event", "cycle"]
-    assert recorded[3][4] == "safe stop requested by the live page's button."
+    with served.state.changed:
+        told, _ = served.state.message((-1, 0, 0))
+    assert [node["state"] for node in told["nodes"][:3]] == ["pre-operational", "operational", None]
+    assert [one[0] for one in recorded] == ["frame", "frames", "cycle", "cycle", "event", "cycle"]
+    assert recorded[4][4] == "safe stop requested by the live page's button."
 
 
 def bowden(*arguments: object) -> subprocess.Popen[str]:
@@ -253,6 +261,7 @@ def test_the_button_stops_a_trial_safely_and_the_file_says_so(tmp_path: Path) ->
                 assert process.poll() is None
             client.request("POST", "/stop", headers={"Origin": f"http://{split.netloc}", "X-Bowden-Token": token[1]})
             assert client.getresponse().status == 202
+            client.close()
             last = [line for line in file if line.startswith(b"data: ")][-1]
         text, _ = process.communicate(timeout=PATIENCE_S)
     finally:
