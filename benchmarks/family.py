@@ -319,9 +319,9 @@ def _coverage(family: Sequence[Mapping[str, Any]]) -> str:
             value, low, high = _interval(bench["calibration"], name)
             true = true_of(draw(int(bench["serial"])))
             inside += low <= true <= high
-            apart.append(abs(value - true) / max(abs(true), 1e-9))
+            apart += [abs(value - true) / abs(true)] if abs(true) > 1e-6 else []
         met = "met" if inside >= 0.9 * len(identified) else "**not met**"
-        rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %", met])
+        rows.append([name, f"{inside} of {len(identified)}", f"{100.0 * median(apart):.0f} %" if apart else "–", met])
     squares = {name: [b["calibration"][name]["r_squared"] for b in identified]
                for name in ("stiffness_b", "swing_k")}
     return table(("constant", "within", "median error", "90 % of the benches"), rows) + (
