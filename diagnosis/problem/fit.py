@@ -189,7 +189,9 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
 
 
 def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> float:
-    total = 0.5 * sum(float(r @ r) for r in residuals) + 0.5 * sum(f.pull(values[f.name]) ** 2 for f in free)
+    with np.errstate(over="ignore"):  # a residual beyond 1e154 is as infinite as its square
+        total = 0.5 * sum(float(r @ r) for r in residuals)
+    total += 0.5 * sum(f.pull(values[f.name]) ** 2 for f in free)
     return total if np.isfinite(total) else np.inf
 
 

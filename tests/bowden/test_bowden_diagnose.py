@@ -18,7 +18,7 @@ Columns = dict[str, np.ndarray]
 FRICTION = ("time_s", "cycle", "gait_percent", "servo_position_m", "servo_velocity_m_s", "tension_start_n",
             "tension_end_n")
 """Columns of one relation: what is tested here is not how well many are searched."""
-SENSORS = ("start_sensor", "end_sensor")
+SENSORS = ("start_sensor", "end_sensor", "bus")
 KEYS = ("verdict", "causes", "class", "experiment", "relations", "warnings", "detection_limit", "seconds")
 
 
@@ -120,7 +120,7 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns
     told = bowden(*arguments, "--json")
     assert told.status == 0, told.stderr
     result = json.loads(told.stdout)
-    assert tuple(result) == (*KEYS, "lowpass_hz")
+    assert tuple(result) == (*KEYS, "lowpass_hz", "simulation")
     assert result["lowpass_hz"] == 20.0
     assert set(result["relations"]["friction"]) == {
         "unit", "checked", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent",
@@ -140,14 +140,14 @@ def test_each_trial_is_told_for_itself_by_several_processes(walked: Columns, bow
     result = json.loads(told.stdout)["trials"]
     assert list(result) == ["long.csv", "short.csv", "none.csv"]
     assert [one["verdict"] == "refused" for one in result.values()] == [False, True, True]
-    assert tuple(result["long.csv"]) == (*KEYS, "lowpass_hz")
+    assert tuple(result["long.csv"]) == (*KEYS, "lowpass_hz", "simulation")
     assert "no such file" in result["none.csv"]["warnings"][0]
 
 
 @pytest.mark.parametrize(("lacking", "checked"), [
     (("servo_position_m", "servo_velocity_m_s", "servo_target_m", "servo_force_n"), {"knee", *SENSORS}),
     (("tension_end_n", "servo_force_n", "servo_target_m", "knee_target_rad"),
-     {"elasticity", "kinematics", "start_sensor"}),
+     {"elasticity", "kinematics", "start_sensor", "bus"}),
     (("tension_start_n", "tension_end_n", "knee_angle_rad", "knee_target_rad", "servo_target_m", "desired_force_n"),
      {"drive_force"}),
     (("knee_angle_rad", "knee_target_rad", "servo_force_n", "servo_target_m"), {"friction", *SENSORS}),

@@ -173,8 +173,8 @@ def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkey
     from diagnosis.problem import healthy_trials
 
     fits: list[Any] = []
-    fit = healthy_trials.fit_healthy
-    monkeypatch.setattr(healthy_trials, "fit_healthy", lambda *given: fits.append(given) or fit(*given))
+    fit = healthy_trials.learn
+    monkeypatch.setattr(healthy_trials, "learn", lambda *given, **more: fits.append(given) or fit(*given, **more))
     walk = bowden.Experiment(period_s=1.1, cycles=3, settle=0)
     trials = [bowden.run(walk, bus=bowden.simulated(serial=2, seed=seed)) for seed in range(3)]
     finder = bowden.Diagnosis().fit(trials[0])

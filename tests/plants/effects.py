@@ -114,7 +114,7 @@ PATH: dict[str, Effect] = {
     "fabric_creep": _creep,
     "slack": _more("slack", 0.8e-3, 4e-3),
     "knee_backlash": _more("play", math.radians(0.5), math.radians(2.0), "knee_backlash"),
-    "moment_arm": _either("moment_arm2", 0.8e-3, 1.97e-3, "moment_arm"),
+    "moment_arm": _either("moment_arm2", 0.8e-3, 1.97e-3, "rope_per_knee_quadratic"),
     "drum_eccentricity": _eccentric,
 }
 SENSOR: dict[str, Effect] = {

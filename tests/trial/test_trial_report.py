@@ -222,8 +222,8 @@ def test_a_recording_without_control_cycles_has_a_report(
     assert browser.complaints == []
     assert browser.run("document.documentElement.dataset.drawn") == str(plots)
     text = browser.run("document.body.innerText")
-    assert ("No CAN frames were recorded" in text) == (not frames)
-    assert "No gait cycle was recorded" in text
+    assert ("Bus load" in text) == bool(frames)
+    assert "No figures of force" in text
 
 
 def test_a_trial_of_ten_minutes_stays_below_ten_megabytes_and_keeps_its_peak(tmp_path: Path) -> None:
