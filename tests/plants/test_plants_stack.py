@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bowden.app import run
 
+from bowden.cli.app import run
 from tests.plants import bench_of, stack
 from tests.plants.bench import IMPLEMENTATIONS
 from trial import read
