@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,17 +34,19 @@ AS_CONFIGURED = Walk()
 def plan(name: str, walk: Walk = AS_CONFIGURED, calibration: Path | None = None, healthy: Sequence[Path] = ()) -> Plan:
     """Simulate the experiment `name` ("gait", or one of the catalogue) and say what it would show.
 
-    `calibration` is that of the bench to be examined, `healthy` its trials with nothing wrong.  Raises `InputError`.
+    `calibration` is that of the bench to be examined (none: the nominal bench, which is what is simulated), `healthy`
+    its trials with nothing wrong.  Raises `InputError`.
     """
     from diagnosis.data import table as data
     from diagnosis.judgement.plan import plan as planned
     from parameters import read_toml
+    from physics.calibration import nominal, write
 
     with TemporaryDirectory(prefix="bowden-") as folder:
         recorded = Path(folder) / f"{name}.mcap"
         simulate(name, walk, recorded)
         table = data.read(recorded)
-    known = None if calibration is None else read_toml(calibration)
+    known = tomllib.loads(write(nominal())) if calibration is None else read_toml(calibration)
     return planned(table, [data.read(path) for path in healthy], known)
 
 

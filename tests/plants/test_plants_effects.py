@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from physics import effects as catalogue
+from physics.effects import catalogue
 from tests.plants import draws, effects, oracle
 from tests.plants.bench import IMPLEMENTATIONS, Bench
 from tests.plants.imposed import Motion, felt, forced, gait, knee_motion, run, trial
