@@ -62,6 +62,7 @@ class BusWatch:
         self.found: deque[Stranger] = deque()
         self.own: dict[int, bytes] = {wire.targets.cob_id: b"", wire.controlwords.cob_id: b""}
         self.flooded = False
+        self._marked = False  # a SYNC came back marked as the master's own: an unmarked one is somebody else's
         self.counts: dict[int, int] = {}
         self._names = {node: entry.name for node, entry in wire.nodes.items()}
         self._quiet = frozenset(wire.tpdo)
@@ -92,7 +93,8 @@ class BusWatch:
         if can_id in self._nodes or (self._returned is not None and self._is_own(can_id, bytes(message.data))):
             return
         if can_id == SYNC_COB_ID:
-            if message.is_rx or paced:
+            self._marked = self._marked or not message.is_rx
+            if (message.is_rx and self._marked) or paced:
                 self._tell(time_ns, can_id, "SYNC from somebody else", moves=True)
             return
         self._count(can_id, time_ns)
