@@ -123,6 +123,7 @@ def test_one_corrupt_frame_is_a_counted_miss_and_no_more(composer: Composer) -> 
 def heard(*frames: tuple[int, bytes], own: bool = False) -> BusWatch:
     watch = BusWatch(wire(Network()))
     watch.sent(0x201, bytes(8))
+    watch.hear(can.Message(arbitration_id=0x080, is_extended_id=False, is_rx=False), False)  # the master's own SYNC
     for n, (can_id, data) in enumerate(frames):
         watch.hear(can.Message(1.0 + 1e-4 * n, can_id, False, data=data, is_rx=not own), False)
     return watch
