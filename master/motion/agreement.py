@@ -17,6 +17,9 @@ STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
 STRETCH_NOMINAL: Final = 2.5
 """The same for the packaged calibration, which belongs to no bench."""
+STRETCH_MEASURED: Final = 5.0
+"""The same where the bench is about to be identified: 5 to 25 mm at 60 N are benches like any other, a unit that is
+wrong by a factor of ten is none."""
 CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
@@ -27,17 +30,21 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
     exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
 
 
-def refuse_disagreement(exchange: Exchange, calibration: Calibration) -> None:
-    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says."""
+def refuse_disagreement(exchange: Exchange, calibration: Calibration, measured: bool = False) -> None:
+    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says.
+
+    `measured`: the calibration is only what an identification starts from.
+    """
     learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
-    sentence = disagreement(learned, calibration)
+    sentence = disagreement(learned, calibration, measured)
     if sentence is not None:
         raise RefusedError(sentence)
 
 
-def disagreement(learned: Learned, calibration: Calibration) -> str | None:
+def disagreement(learned: Learned, calibration: Calibration, measured: bool = False) -> str | None:
     """Say what homing and the calibration disagree in, with both numbers; None where they agree."""
-    ratio, most = learned.stretch_ratio, STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    most = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    ratio, most = learned.stretch_ratio, STRETCH_MEASURED if measured else most
     if not 1.0 / most <= ratio <= most:
         declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
         return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "
