@@ -161,7 +161,7 @@ def act(f: Any, i: Any, rings: Any, now: int) -> bool:
 
 
 @njit(inline="always")
-def put(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> None:
+def put(i: Any, ready: int, can_id: int, size: int, data: Any, sender: int) -> None:
     """Let a frame wait for the wire."""
     at = PENDING + i[WAITING] * PENDING_WIDTH
     i[at], i[at + 1], i[at + 2], i[at + 3], i[at + 4] = ready, can_id, size, data, sender
