@@ -27,21 +27,29 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
     exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
 
 
-def refuse_disagreement(exchange: Exchange, calibration: Calibration) -> None:
-    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says."""
+def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
+    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says.
+
+    A `guessed` calibration is about to be measured: only what the sensors say of each other counts.
+    """
     learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
-    sentence = disagreement(learned, calibration)
+    sentence = (None if guessed else disagreement(learned, calibration)) or among_sensors(learned)
     if sentence is not None:
         raise RefusedError(sentence)
 
 
 def disagreement(learned: Learned, calibration: Calibration) -> str | None:
-    """Say what homing and the calibration disagree in, with both numbers; None where they agree."""
+    """Say where homing's stretch is not the calibration's, with both numbers; None where it is."""
     ratio, most = learned.stretch_ratio, STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
     if not 1.0 / most <= ratio <= most:
         declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
         return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "
                 f"homing found {ratio * declared:.2f} mm; identify this bench (bowden identify all) and start again.")
+    return None
+
+
+def among_sensors(learned: Learned) -> str | None:
+    """Say where the sensors contradict each other beyond friction, with both numbers; None where they do not."""
     centre = 0.5 * (learned.low + learned.high)
     if learned.low and learned.high and abs(centre) > CENTRE:
         return (f"homing: pulled and released, START is {100.0 * 2.718281828 ** centre:.0f} % of END in the middle, "

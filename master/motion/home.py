@@ -46,19 +46,22 @@ Row = tuple[float, float, float]
 
 
 def home(
-    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0
+    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0, *,
+    guessed: bool = False,
 ) -> Homed:
     """Home the servo and leave the rope `slack_m` beyond where it lost its tension.
 
-    Both drives must be enabled; `start_gain` is what START is known to read of 1 N.
-    Raises `RefusedError` where the rope does not tighten, or the loop has no crossing.
+    Both drives must be enabled; `start_gain` is what START is known to read of 1 N.  `guessed`: the calibration is
+    what an identification starts from, so a bench that stretches otherwise is no contradiction but what it is for.
+    Raises `RefusedError` where the rope does not tighten, the loop has no crossing, or homing contradicts the
+    calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
     agreement.begin(exchange, calibration, knee_home)
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
-    agreement.refuse_disagreement(exchange, calibration)
+    agreement.refuse_disagreement(exchange, calibration, guessed=guessed)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
