@@ -11,7 +11,7 @@ from typing import Final
 from master.cycle.exchange import Exchange
 from master.cycle.plausibility import Learned
 from master.network.bringup import RefusedError
-from physics.calibration import NOMINAL, Calibration
+from physics.calibration import NOMINAL, Calibration, nominal
 
 STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
@@ -20,6 +20,25 @@ STRETCH_NOMINAL: Final = 2.5
 CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
+PACKAGED_SWING_K: Final = nominal().swing_k
+"""m/rad: the lever of the rope at a knee of human size."""
+SWING_UNLIKE: Final = 0.25
+"""Relative departure from it beyond which homing measures; day, leg and identification stay within 0.15."""
+SWING: Final = 0.2
+"""Greatest relative difference between homing's swing_k and a calibration's."""
+
+
+def unlike_packaged(calibration: Calibration) -> bool:
+    """Say whether the lever is one that homing has to see before a rope is led by it."""
+    return abs(calibration.swing_k / PACKAGED_SWING_K - 1.0) > SWING_UNLIKE
+
+
+def refuse_swing(calibration: Calibration, found: float) -> None:
+    """Raise `RefusedError`, with both numbers, where homing `found` another swing_k, m/rad, than the calibration's."""
+    if abs(found / calibration.swing_k - 1.0) > SWING:
+        raise RefusedError(
+            f"calibration {calibration.label}: its swing_k is {calibration.swing_k:.4f} m/rad, homing found "
+            f"{found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
 
 
 def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) -> None:
