@@ -10,8 +10,8 @@ import importlib
 import os
 import sys
 from collections.abc import Mapping
-from functools import cache, reduce
-from importlib.metadata import EntryPoint, entry_points
+from functools import reduce
+from importlib.metadata import entry_points
 from typing import Any
 
 from parameters.declared import InputError
@@ -27,17 +27,12 @@ def load(what: str, name: str, group: str, own: Mapping[str, str]) -> Any:
         return _imported(what, name)
     if name in own:
         return _imported(what, own[name])
-    installed = _installed(group)
+    installed = {entry.name: entry.value for entry in entry_points(group=group)}
     if name not in installed:
         known = ", ".join(sorted({*own, *installed}))
         raise InputError(f"{what} {name!r} is not installed; expected one of {known}, module:callable, or install what "
                          "offers it.")
-    return _imported(what, installed[name].value)
-
-
-@cache
-def _installed(group: str) -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in entry_points(group=group)}
+    return _imported(what, installed[name])
 
 
 def _imported(what: str, name: str) -> Any:

@@ -16,6 +16,7 @@ import importlib.machinery
 import importlib.util
 import os
 import re
+import resource
 import select
 import signal
 import sys
@@ -28,7 +29,9 @@ from types import CodeType, ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HANGS_S = 120
+HANGS_CPU_S = 120
+HANGS_WALL_S = 1800
+"""When a mutant hangs: processor time where it computes; wall time, generous for a busy machine, where it waits."""
 REPLACEMENT = {"Abort": "NO_DICTIONARY", "Emcy": "SOFTWARE"}
 """Codes that no device uses: they stand in for the right one."""
 
@@ -237,6 +240,7 @@ def _start(mutant: Mutant) -> _Run:
         silence = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silence, 1)
         os.dup2(silence, 2)
+        resource.setrlimit(resource.RLIMIT_CPU, (HANGS_CPU_S, HANGS_CPU_S))
         os.write(tell, (_noticed(mutant) or "-").encode())
         os._exit(0)
     os.close(tell)
@@ -247,10 +251,10 @@ def _finished(runs: list[_Run]) -> Iterator[tuple[_Run, str]]:
     """Wait a moment; yield the runs that ended, or that hang, with what noticed their mutant."""
     ready, _, _ = select.select([run.answer for run in runs], [], [], 1.0)
     for run in list(runs):
-        hangs = time.monotonic() - run.started > HANGS_S
+        hangs = time.monotonic() - run.started > HANGS_WALL_S
         if run.answer not in ready and not hangs:
             continue
-        text = "it hangs" if hangs else os.read(run.answer, 4096).decode() or "it crashes"
+        text = "it hangs" if hangs else os.read(run.answer, 4096).decode() or "it crashes or hangs"
         os.kill(run.process, signal.SIGKILL)
         os.waitpid(run.process, 0)
         os.close(run.answer)

@@ -116,8 +116,8 @@ class Served(NamedTuple):
 def _play(path: Path, config: Path | None, speed: float, served: Served, ended: Callable[[], bool]) -> int:
     from bowden import configuration
     from bowden.live.feeds import RECORDED, PagedViewer
-    from bowden.live.playback import TrialPlayback
-    from trial.player_tape import SPEEDS
+    from bowden.live.trial_player import TrialPlayback
+    from trial.playback import SPEEDS
     from trial.read import open as opened
 
     if not SPEEDS[0] <= speed <= SPEEDS[1]:

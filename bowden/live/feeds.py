@@ -16,7 +16,7 @@ from bowden.live.viewer import Viewer
 from bowden.live.web import LivePage
 from eds.bench import Network, wire
 from trial.mcap_file import cdr
-from trial.player_tape import Playback, Status
+from trial.playback import Playback, Status
 from trial.signals import INDEX
 
 FORCES: Final = ("desired_force_n", "tension_start_n", "tension_end_n")

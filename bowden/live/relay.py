@@ -15,7 +15,7 @@ from trial.convert.frames import rows_of
 from trial.decode import events
 from trial.follow import Follower
 from trial.mcap_file import cdr
-from trial.player_tape import payloads
+from trial.tape import payloads
 
 LOOK_NS = 50_000_000  # between two times told and two looks at who has subscribed
 RARE = frozenset((0x000, *range(0x081, 0x100), *range(0x701, 0x780)))

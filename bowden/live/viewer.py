@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from parameters import InputError
 from trial.mcap_file import cdr
-from trial.player_tape import Command, Playback, Status
+from trial.playback import Control, Playback, Status
 
 BACKLOG = 1 << 16  # messages a client may be behind; at ten times real time a span of 16 ms has 1 200
 
@@ -29,7 +29,7 @@ def installed() -> bool:
 class Asked(NamedTuple):
     """What a viewer's player controls ask for."""
 
-    command: Command
+    control: Control
     speed: float
     seek_ns: int | None
 
@@ -103,8 +103,8 @@ def _listener(asked: Callable[[Asked], Playback], state: Callable[[Playback, boo
     class Listener(ServerListener):
         def on_playback_control_request(self, playback_control_request: Any) -> Any:
             told = playback_control_request
-            command = Command.PLAY if told.playback_command == PlaybackCommand.Play else Command.PAUSE
-            return state(asked(Asked(command, told.playback_speed, told.seek_time)), told.seek_time is not None,
+            control = Control.PLAY if told.playback_command == PlaybackCommand.Play else Control.PAUSE
+            return state(asked(Asked(control, told.playback_speed, told.seek_time)), told.seek_time is not None,
                          told.request_id)
 
     return Listener()

@@ -14,9 +14,10 @@ from eds.frame import Frame
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.replay.player import Lateness, Player, State
+    from bowden.replay.player import Lateness, Player
     from bowden.replay.playing_bus import Outlet
     from bowden.replay.schedule import Selection
+    from trial.playback import Status
     from trial.read import Trial
 
 
@@ -29,7 +30,7 @@ class Played:
 
     frames: int
     passes: int
-    state: State
+    status: Status
     restored: int
     lost: int
     left_out: Mapping[str, int]
@@ -38,7 +39,7 @@ class Played:
     def as_json(self) -> dict[str, Any]:
         """Return the figures with nothing that JSON lacks."""
         return {
-            "frames": self.frames, "passes": self.passes, "state": self.state.value, "restored_frames": self.restored,
+            "frames": self.frames, "passes": self.passes, "state": self.status.value, "restored_frames": self.restored,
             "lost_frames": self.lost, **{f"left_out_{name}": count for name, count in self.left_out.items()},
             "lateness_median_us": self.lateness.median_ns / 1e3, "lateness_p99_us": self.lateness.p99_ns / 1e3,
             "lateness_max_us": self.lateness.max_ns / 1e3}
@@ -82,12 +83,12 @@ class Playing:
     @property
     def ended(self) -> bool:
         """Nothing is left to play."""
-        return self.player.state.value == "ended"
+        return self.player.status.value == "ended"
 
     def played(self) -> Played:
         """Return the figures so far."""
         player = self.player
-        return Played(player.sent, player.pass_ + 1, player.state, self._restored, self._outlet.lost,
+        return Played(player.sent, player.pass_ + 1, player.status, self._restored, self._outlet.lost,
                       player.schedule.left_out, player.lateness())
 
 

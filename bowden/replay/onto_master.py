@@ -16,7 +16,8 @@ from bowden.replay.onto_plant import lengths_ns
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.replay.recorded_nodes import MasterComparison, RecordedNodes
+    from bowden.replay.master_comparison import MasterComparison
+    from nodes.recorded_nodes import RecordedNodes
     from trial.read import Trial
 
 SILENCE_NS = 3_000_000_000
@@ -28,15 +29,16 @@ def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Prog
 
     Raises `InputError` for a trial without frames.
     """
+    from bowden.replay.master_comparison import compare, on_wire, said
     from bowden.replay.plant_residuals import commands
-    from bowden.replay.recorded_nodes import RecordedNodes, compare, said
     from eds.bench import wire
+    from nodes.recorded_nodes import RecordedNodes
 
     masters = commands(wire(sections(recorded)["network"])).cob_ids
     frames = recorded.frames
     if not len(frames):
         raise InputError(f"{recorded.path}: the trial holds no CAN frames; give one that was recorded on a bus.")
-    nodes = RecordedNodes(frames, frames["time_ns"] - lengths_ns(frames, bitrate), masters)
+    nodes = RecordedNodes(on_wire(frames, lengths_ns(frames, bitrate)), masters)
     if chosen.simulated:
         with progress.waiting("a master runs against the recorded nodes"):
             _own(recorded, nodes, str(chosen.arguments["channel"]), bitrate)

@@ -1,59 +1,22 @@
 """The player: a schedule of frames, played, paused, stepped, sought and repeated.
 
-The rule of this file: the table is the machine, and time goes in as an argument; whoever owns a bus asks `next_ns`,
-waits by receiving, and calls `poll`.
+The rule of this file: `trial.playback` says where it stands, and time goes in as an argument; whoever owns a bus asks
+`next_ns`, waits by receiving, and calls `poll`.
 """
 
 from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
-from enum import Enum
-from types import MappingProxyType
-from typing import Final, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from bowden.replay.schedule import Schedule, frame_of, restoration
 from eds.frame import Frame
 from parameters import InputError
-
-
-class State(Enum):
-    """What a player does."""
-
-    READY = "ready"
-    PLAYING = "playing"
-    PAUSED = "paused"
-    ENDED = "ended"
-
-
-class Command(Enum):
-    """What it is told; END is its own."""
-
-    PLAY = "play"
-    PAUSE = "pause"
-    STEP = "step"
-    SEEK = "seek"
-    END = "end"
-
-
-_S, _C = State, Command
-TRANSITIONS: Final = MappingProxyType({
-    (_S.READY, _C.PLAY): _S.PLAYING,
-    (_S.READY, _C.STEP): _S.PAUSED,
-    (_S.READY, _C.SEEK): _S.PAUSED,
-    (_S.PLAYING, _C.PAUSE): _S.PAUSED,
-    (_S.PLAYING, _C.STEP): _S.PAUSED,
-    (_S.PLAYING, _C.SEEK): _S.PLAYING,
-    (_S.PLAYING, _C.END): _S.ENDED,
-    (_S.PAUSED, _C.PLAY): _S.PLAYING,
-    (_S.PAUSED, _C.STEP): _S.PAUSED,
-    (_S.PAUSED, _C.SEEK): _S.PAUSED,
-    (_S.PAUSED, _C.END): _S.ENDED,
-    (_S.ENDED, _C.SEEK): _S.PAUSED,
-})
-"""(state, command) → state; a command without a row changes nothing."""
+from trial.playback import SPEEDS, TRANSITIONS, Control, Status, ready
 
 
 class Lateness(NamedTuple):
@@ -77,55 +40,50 @@ class Player:
         if loops < 1:
             raise InputError(f"--loop {loops}: expected a whole number from 1; give how often it is played.")
         self.schedule = schedule
-        self.state = State.READY
         self.lateness_ns = array("q")
         self.sent = self.pass_ = 0
         self._send, self._loops = send, loops
         self._times: list[int] = schedule.times.tolist()
         self._channels: list[int] = schedule.frames["channel"].tolist()
-        self._speed = checked_speed(speed)
-        self._next = self._position_ns = self._since_ns = 0
+        self._playback = ready(0, schedule.length_ns, 0, checked_speed(speed))
+        self._next = 0
 
-    def _told(self, command: Command) -> bool:
-        after = TRANSITIONS.get((self.state, command))
-        if after is None:
-            return False
-        self.state = after
-        return True
+    @property
+    def status(self) -> Status:
+        """Where playing stands."""
+        return self._playback.status
 
     @property
     def speed(self) -> float:
         """Recorded by played time."""
-        return self._speed
+        return self._playback.speed
 
     def position_ns(self, now_ns: int) -> int:
         """Where in the window it is."""
-        if self.state is not State.PLAYING:
-            return self._position_ns
-        return min(self._position_ns + round((now_ns - self._since_ns) * self._speed), self.schedule.length_ns)
+        return self._playback.position_ns(now_ns)
 
     def share(self, now_ns: int) -> float:
         """How much of all its passes is played, 0 … 1."""
         played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
         return (self.pass_ + played) / self._loops
 
-    def _rebase(self, now_ns: int) -> None:
-        self._position_ns, self._since_ns = self.position_ns(now_ns), now_ns
+    def _told(self, control: Control, now_ns: int, speed: float | None = None) -> None:
+        here = self._playback.at(self.position_ns(now_ns), now_ns)
+        self._playback = here.told(now_ns, control, speed=speed)
 
     def play(self, now_ns: int) -> None:
-        """Go on from where it is."""
-        self._rebase(now_ns)
-        self._told(Command.PLAY)
+        """Go on from where it is; from the first frame of the first pass where everything was played."""
+        if self.status is Status.ENDED:
+            self._next = self.pass_ = 0
+        self._told(Control.PLAY, now_ns)
 
     def pause(self, now_ns: int) -> None:
         """Send nothing until it is played again; the bus keeps what it was told last."""
-        self._rebase(now_ns)
-        self._told(Command.PAUSE)
+        self._told(Control.PAUSE, now_ns)
 
     def set_speed(self, speed: float, now_ns: int) -> None:
         """Play faster or slower from here on."""
-        self._rebase(now_ns)
-        self._speed = checked_speed(speed)
+        self._playback = replace(self._playback.at(self.position_ns(now_ns), now_ns), speed=checked_speed(speed))
 
     def seek(self, position_ns: int, now_ns: int) -> list[Frame]:
         """Go to a position of this pass: the nodes are told the NMT state of then, and the last PDOs are sent again.
@@ -135,8 +93,7 @@ class Player:
         if not 0 <= position_ns <= self.schedule.length_ns:
             raise InputError(f"seek to {position_ns / 1e9:g} s: expected 0 … {self.schedule.length_ns / 1e9:g} s.")
         self._next = int(np.searchsorted(self.schedule.times, position_ns, side="left"))
-        self._position_ns, self._since_ns = position_ns, now_ns
-        self._told(Command.SEEK)
+        self._playback = self._playback.told(now_ns, Control.SEEK, seek_ns=position_ns)
         restored = restoration(self.schedule, self._next)
         for frame, channel in restored:
             self._send(frame, channel)
@@ -144,16 +101,20 @@ class Player:
 
     def step(self) -> Frame | None:
         """Send the next frame, whenever it was due; None at the end."""
-        if not self._told(Command.STEP):
+        if (self.status, Control.STEP) not in TRANSITIONS:
             return None
-        if self._next == len(self._times):
-            if self.pass_ + 1 == self._loops:
-                self._told(Command.END)
-                return None
+        last = self._next == len(self._times)
+        if last and self.pass_ + 1 == self._loops:
+            self._end()
+            return None
+        if last:
             self.pass_ += 1
             self._next = 0
-        self._position_ns = self._times[self._next]
+        self._playback = self._playback.told(0, Control.STEP, seek_ns=self._times[self._next])
         return self._send_next()
+
+    def _end(self) -> None:
+        self._playback = self._playback.told(0, Control.END, seek_ns=self.schedule.length_ns)
 
     def _send_next(self) -> Frame:
         frame = frame_of(self.schedule.frames[self._next])
@@ -165,10 +126,10 @@ class Player:
 
     def next_ns(self) -> int | None:
         """When `poll` has something to do: the next frame, or the end of this pass; None unless it plays."""
-        if self.state is not State.PLAYING:
+        if self.status is not Status.PLAYING:
             return None
         due = self._times[self._next] if self._next < len(self._times) else self.schedule.length_ns
-        return self._since_ns + round(max(0, due - self._position_ns) / self._speed)
+        return self._playback.due_ns(due)
 
     def poll(self, now_ns: int) -> None:
         """Send everything that is due; at the end of a pass begin the next one, exactly then."""
@@ -178,10 +139,10 @@ class Player:
                 self._send_next()
             elif self.pass_ + 1 < self._loops:
                 self.pass_ += 1
-                self._next, self._position_ns, self._since_ns = 0, 0, due_ns
+                self._next = 0
+                self._playback = self._playback.at(0, due_ns)
             else:
-                self._position_ns = self.schedule.length_ns
-                self._told(Command.END)
+                self._end()
 
     def lateness(self) -> Lateness:
         """Median, 99th percentile (nearest rank) and largest lateness."""
@@ -194,6 +155,6 @@ class Player:
 
 def checked_speed(speed: float) -> float:
     """Return a speed that can be played, else raise `InputError`."""
-    if not 1e-3 <= speed <= 1e3:
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
         raise InputError(f"--speed {speed:g}: expected 0.001 … 1000, recorded by played time; 1 is the original.")
     return speed

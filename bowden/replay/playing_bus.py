@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping
 
 import can
 
-from bowden.replay.player import Player, State
+from bowden.replay.player import Player
 from eds.frame import Frame
+from trial.playback import Status
 
 NS = 1_000_000_000
 LINGER_NS = 10_000_000
@@ -65,7 +66,7 @@ def run(
         if player.sent - shown >= 1000:
             shown = player.sent
             progress(player.share(clock()))
-    if player.state is State.ENDED:
+    if player.status is Status.ENDED:
         wait(bus, clock, clock() + LINGER_NS, heard)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from bowden.replay.player import TRANSITIONS
+from trial.playback import TRANSITIONS
 
 TEXT = (Path(__file__).parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")
 COMMANDS = [line.split("#")[0].split()[1:] for line in TEXT.split("```")[1].splitlines() if line.startswith("bowden")]

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from bowden.replay import onto_master
+from bowden.replay.master_comparison import compare, on_wire, said
 from bowden.replay.onto_plant import lengths_ns
 from bowden.replay.plant_residuals import commands
-from bowden.replay.recorded_nodes import Heard, RecordedNodes, compare, said
 from eds.bench import Network, wire
 from eds.frame import Frame
 from master.settings import Impedance
-from trial.convert.frames import rows_of
+from nodes.recorded_nodes import Heard, OnWire, RecordedNodes
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
@@ -33,8 +33,7 @@ MASTERS = frozenset({0x000, 0x080, 0x601, 0x602, 0x77F})
 
 def nodes_of(*frames: tuple[int, int, bytes]) -> RecordedNodes:
     """Nodes that recorded frames (ms, COB-ID, data); none takes any time on the wire."""
-    rows = rows_of([(at * MS, can_id, 0, len(data), 0, False, data) for at, can_id, data in frames])
-    return RecordedNodes(rows, rows["time_ns"], MASTERS)
+    return RecordedNodes([OnWire(at * MS, at * MS, Frame(can_id, data)) for at, can_id, data in frames], MASTERS)
 
 
 def spoken(nodes: RecordedNodes, until_ms: int, *told: tuple[int, int, bytes]) -> list[tuple[float, int, bytes]]:
@@ -134,7 +133,7 @@ def test_recorded_nodes_are_served_to_a_master_elsewhere(recorded: Callable[...,
     trial = recorded()
     frames = trial.frames[trial.frames["time_ns"] < 900 * MS]
     masters = commands(wire(Network())).cob_ids
-    nodes = RecordedNodes(frames, frames["time_ns"] - lengths_ns(frames, 1_000_000), masters)
+    nodes = RecordedNodes(on_wire(frames, lengths_ns(frames, 1_000_000)), masters)
     outside = Bench([], master_turnaround_ns=0)
     outside.wire.attach(Station("listener", lambda frame, now_ns: None))
     with BowdenBus("replay-outside", bench=outside) as socket, BowdenBus("replay-outside") as master:

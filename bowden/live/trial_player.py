@@ -1,6 +1,6 @@
-"""A trial in a viewer: the player, its tape, and the viewer that is told what is due and tells what it wants.
+"""A trial in a viewer: where playing stands, the tape, and the viewer that is told what is due and says what it wants.
 
-The rule of this file: a viewer's threads only change the player, under the lock; messages leave by `look` alone.
+The rule of this file: a viewer's threads only change the playback, under the lock; messages leave by `look` alone.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from collections.abc import Callable
 
 from bowden.live.feeds import PagedViewer
 from bowden.live.viewer import Asked, Viewer
-from trial.player_tape import Playback, Tape, player
+from trial.playback import Playback, ready
 from trial.read import Trial
+from trial.tape import Tape
 
 
 class TrialPlayback:
@@ -20,7 +21,7 @@ class TrialPlayback:
     def __init__(self, recorded: Trial, speed: float, clock: Callable[[], int]) -> None:
         self._tape, self._clock, self._lock = Tape(recorded), clock, threading.Lock()
         self.units, self.span_ns = dict(recorded.units), (self._tape.first_ns, self._tape.last_ns)
-        self._player = player(*self.span_ns, clock(), speed)
+        self._playback = ready(*self.span_ns, clock(), speed)
         self._topics: frozenset[str] = frozenset()
         self._sought = False
 
@@ -28,22 +29,22 @@ class TrialPlayback:
         """Take what a viewer's controls ask for; returns where the player stands then."""
         with self._lock:
             self._sought = self._sought or asked.seek_ns is not None
-            self._player = self._player.told(
-                self._clock(), asked.command, speed=asked.speed, seek_ns=asked.seek_ns)
-            return self._player
+            self._playback = self._playback.told(
+                self._clock(), asked.control, speed=asked.speed, seek_ns=asked.seek_ns)
+            return self._playback
 
     def look(self, viewer: Viewer | PagedViewer) -> None:
         """Send what is due, to new subscriptions and after a seek the last message before it too, and a new status.
 
-        A player that is READY begins when the subscriptions are the same at two looks: clients subscribe one by one.
+        A playback that is READY begins when the subscriptions are the same at two looks: clients subscribe one by one.
         """
         topics = viewer.wanted()
         with self._lock:
             clock = self._clock()
             if topics and topics == self._topics:
-                self._player = self._player.watched(clock)
-            before, sought, self._sought = self._player, self._sought, False
-            self._player = now = before.advanced(clock)
+                self._playback = self._playback.watched(clock)
+            before, sought, self._sought = self._playback, self._sought, False
+            self._playback = now = before.advanced(clock)
         shown = topics if sought else topics - self._topics
         self._topics = topics
         for message in self._tape.latest(before.at_ns, shown) + self._tape.between(before.at_ns, now.at_ns, topics):

@@ -1,0 +1,89 @@
+"""What a live master sent against the recorded one, COB-ID by COB-ID.
+
+The rule of this file: both are counted from their first frame; the n-th frame of one is compared with the n-th of the
+other; times are told, not judged.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bowden.replay.comparison import Comparison
+from bowden.replay.schedule import Integers, Rows, frame_of
+from nodes.recorded_nodes import Heard, OnWire
+from trial.mcap_file import cdr
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first frame that is not as recorded: which one of its COB-ID, when (s from the master's first), both."""
+
+    cob_id: int
+    number: int
+    time_s: float
+    recorded: str | None
+    live: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MasterComparison(Comparison[Difference]):
+    """What a live master sent against the recorded one: frames compared; frames that differ by COB-ID.
+
+    `beyond` counts what it sent after the recording's end; `timing_max_us` is the largest difference in time, both
+    counted from the first frame.
+    """
+
+    frames: int
+    beyond: int
+    timing_max_us: float
+
+
+def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterComparison:
+    """Compare two masters COB-ID by COB-ID: the n-th frame of one with the n-th of the other."""
+    one, other = _by_cob_id(recorded), _by_cob_id(live)
+    differences: list[Difference] = []
+    late_ns = 0
+    for can_id, then in one.items():
+        now = other.get(can_id, [])
+        for number, (time_ns, payload) in enumerate(then):
+            answered = now[number] if number < len(now) else None
+            if answered is None or answered[1] != payload:
+                differences.append(Difference(can_id, number, time_ns / 1e9, payload, answered and answered[1]))
+            if answered is not None:
+                late_ns = max(late_ns, abs(answered[0] - time_ns))
+    end_ns = max((then[-1][0] for then in one.values()), default=0)
+    beyond = 0
+    for can_id, now in other.items():
+        for number in range(len(one.get(can_id, ())), len(now)):
+            time_ns, payload = now[number]
+            beyond += time_ns > end_ns
+            if time_ns <= end_ns:
+                differences.append(Difference(can_id, number, time_ns / 1e9, None, payload))
+    counted = Counter(f"{difference.cob_id:03X}" for difference in differences)
+    first = min(differences, key=lambda difference: difference.time_s, default=None)
+    return MasterComparison(frames=len(recorded), beyond=beyond, timing_max_us=late_ns / 1e3,
+                            differing=dict(sorted(counted.items())), first=first)
+
+
+def _by_cob_id(heard: Sequence[Heard]) -> dict[int, list[tuple[int, str]]]:
+    """Time from the first frame, ns, and payload of each frame."""
+    found: dict[int, list[tuple[int, str]]] = {}
+    for time_ns, frame in heard:
+        found.setdefault(frame.can_id, []).append((time_ns - heard[0].time_ns, frame.data.hex(" ")))
+    return found
+
+
+def on_wire(frames: Rows, lengths_ns: Integers) -> list[OnWire]:
+    """The frames of a recording with their times on the wire; error frames are left out."""
+    return [OnWire(int(row["time_ns"] - length), int(row["time_ns"]), frame_of(row))
+            for row, length in zip(frames, lengths_ns, strict=True) if not row["flags"] & cdr.ERROR]
+
+
+def said(frames: Rows, masters: frozenset[int]) -> list[Heard]:
+    """The master's frames of a recording."""
+    chosen = frames[np.isin(frames["can_id"], list(masters)) & (frames["flags"] & cdr.ERROR == 0)]
+    return [Heard(int(row["time_ns"]), frame_of(row)) for row in chosen]
