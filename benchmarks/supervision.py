@@ -1,9 +1,10 @@
 """What the checks of a control cycle cost, and whether healthy trials raise any: `python -m benchmarks.supervision`.
 
 `--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
-days, peaks, periods, rates and controllers of the bench's own plant and over the structures of the plug-in plant of
-`tests/hidden`, and prints how many were stopped, by what, and how near to its tolerance each relation came.  Plants of
-other families are added by `--plant MODULE:CALLABLE`, which may be repeated; `{n}` in it becomes a number.
+days, peaks, periods, rates and controllers: half of them on the bench's own plant, a quarter on the structures of
+`tests/hidden`, a quarter on the family of `tests/plants`, and prints how many were stopped, by what, and how near to
+its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be another one
+is refused before it moves, identified as the refusal says, and run again.  `--from N` goes on with the trials from N.
 """
 
 from __future__ import annotations
@@ -11,14 +12,21 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 PEAKS, PERIODS = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 1.4)
+FAMILY_PEAKS = (40.0, 50.0, 25.0)
+"""Peaks that the START tension of every bench of the family allows (`tests.plants.draws.MOST_START_N`, at 60 N)."""
+DAYS = 3
+IDENTIFY = "identify this bench"
+"""What a refusal says that asks for an identification."""
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
 NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
 
@@ -35,27 +43,75 @@ class Job(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How it ended, and the greatest normalised residual of each relation that held for as long as a stop needs."""
+    """How it ended, and the greatest normalised residual of each relation; whether the bench had to be identified."""
 
     number: int
     reason: str | None
     ratios: list[float]
+    identified: bool
 
 
-def jobs(count: int, plants: list[str]) -> Iterator[Job]:
-    """Draw the trials: half of them the own plant's, the others' plug-ins in turn."""
-    others = ["tests.hidden.plugin:healthy", *plants]
-    for n in range(count):
+def jobs(first: int, count: int) -> Iterator[Job]:
+    """Draw the trials: own plant, a structure of `tests/hidden`, own plant, a bench of the family, and so on."""
+    for n in range(first, count):
         bench: dict[str, Any] = {"seed": n}
-        if n % 2:
-            bench |= {"serial": 0, "plant": others[n // 2 % len(others)].format(n=n // 2)}
+        peak = PEAKS[n // 2 % 4]
+        if n % 4 == 1:
+            bench |= {"serial": 0, "plant": "tests.hidden.plugin:healthy"}
+        elif n % 4 == 3:
+            bench |= family(n // 4)
+            peak = FAMILY_PEAKS[n // 4 % 3]
         else:
             bench |= {"serial": n // 2, "day": n // 2 % 9}
         rate = 1000 if n % 10 else (500, 200)[n // 10 % 2]
-        yield Job(n, bench, PEAKS[n // 2 % 4], PERIODS[n // 3 % 4], CONTROLLERS[n % 5], rate)
+        yield Job(n, bench, peak, PERIODS[n // 3 % 4], CONTROLLERS[n % 5], rate)
+
+
+def family(place: int, day: int | None = None) -> dict[str, Any]:
+    """Return the bus options of a bench of the family, of those serials that are not set aside."""
+    from tests.plants import stack
+
+    serial = place // 2 * 3 + place % 2
+    return {"serial": 0, "plant": stack.plant_name(serial, place % DAYS if day is None else day),
+            "plant_model": stack.plant_model(serial)}
+
+
+def identified(job: Job) -> Any:
+    """Identify the job's bench on its day 0 and return the calibration."""
+    from bowden import buses, identification
+    from eds.bench import Network
+    from master import settings
+
+    bench = job.bench | (family(job.number // 4, 0) if job.number % 4 == 3 else {"day": 0})
+    sections = {"network": Network(), "limits": settings.Limits(), "homing": settings.Homing()}
+    chosen = buses.simulated(bench["serial"], bench.get("day", 0), job.number,
+                             plant=bench.get("plant", buses.VIRTUAL), plant_model=bench.get("plant_model"),
+                             channel=f"identify-{job.number}")
+    with tempfile.TemporaryDirectory() as folder:
+        found = identification.perform("all", sections, None, chosen, Path(folder, "all.mcap"), date="")
+    if found.calibration is None:
+        raise StoppedError(found.reason)
+    return found.calibration
+
+
+class StoppedError(Exception):
+    """An identification was stopped, for this reason."""
 
 
 def ran(job: Job) -> Ended:
+    """Run one trial; where it is refused for its calibration, identify the bench and run it again."""
+    from physics.calibration import nominal
+
+    ended = walked(job, nominal())
+    if ended.reason is None or IDENTIFY not in ended.reason:
+        return ended
+    try:
+        return walked(job, identified(job))._replace(identified=True)
+    except StoppedError as error:
+        return ended._replace(reason=f"identification: {error}", identified=True)
+
+
+def walked(job: Job, calibration: Any) -> Ended:
     """Run one trial without a recorder."""
     from eds.bench import Network
     from master import settings
@@ -82,11 +138,12 @@ def ran(job: Job) -> Ended:
     tap = BowdenBus(channel)
     asked = experiment.Experiment(
         paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
+        calibration=calibration,
         gait=settings.Gait(peak_n=job.peak_n, period_s=job.period_s, cycles=2, settle=0, controller=job.controller))
     result = experiment.run(Link(bus, bus.time_ns), tap, None, asked)
     tap.shutdown()
     bus.shutdown()
-    return Ended(job.number, result.stop_reason, worst.tolist())
+    return Ended(job.number, result.stop_reason, worst.tolist(), False)
 
 
 def cost() -> None:
@@ -108,19 +165,21 @@ def cost() -> None:
           f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
 
 
-def healthy(count: int, plants: list[str], workers: int) -> int:
+def healthy(first: int, count: int, workers: int) -> int:
     """Run the trials and print what they raised; returns how many were stopped."""
-    drawn = list(jobs(count, plants))
+    drawn = {job.number: job for job in jobs(first, count)}
     with multiprocessing.get_context("fork").Pool(workers) as pool:
         told = []
-        for ended in pool.imap_unordered(ran, drawn):
+        for ended in pool.imap_unordered(ran, drawn.values()):
             told.append(ended)
             if ended.reason is not None:
                 print(f"{drawn[ended.number]}: {ended.reason}", file=sys.stderr, flush=True)
-            if len(told) % 25 == 0:
-                print(f"{len(told)} of {count}", file=sys.stderr, flush=True)
+            if len(told) % 10 == 0:
+                print(f"{len(told)} of {len(drawn)}, {sum(e.reason is not None for e in told)} stopped, "
+                      f"{sum(e.identified for e in told)} identified", file=sys.stderr, flush=True)
     stopped = [ended for ended in told if ended.reason is not None]
-    print(f"{len(told)} healthy trials, {len(stopped)} stopped")
+    print(f"{len(told)} healthy trials, {len(stopped)} stopped; {sum(ended.identified for ended in told)} benches were "
+          "refused the packaged calibration before they moved, and identified")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
         numbers = [ended.number for ended in stopped if ended.reason == reason]
         print(f"  {often} × {reason} {numbers[:6]}")
@@ -136,12 +195,12 @@ def main() -> int:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--cost", action="store_true")
     asked.add_argument("--healthy", type=int, default=0)
-    asked.add_argument("--plant", action="append", default=[])
+    asked.add_argument("--from", dest="first", type=int, default=0)
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     if given.cost or not given.healthy:
         cost()
-    return int(bool(given.healthy and healthy(given.healthy, given.plant, given.jobs)))
+    return int(bool(given.healthy and healthy(given.first, given.healthy, given.jobs)))
 
 
 if __name__ == "__main__":

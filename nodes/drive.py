@@ -113,14 +113,16 @@ class Drive(ModesOfOperation):
         self.disconnected(reason, now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Show what a drive tick changed."""
+        """Show what a drive tick changed; end a hold whose time is over."""
+        if self.hold_ends_ns is not None:
+            self.end_hold(now_ns)
         if self.changed:
             self.changed = False
             self.latch(now_ns)
 
     def next_ns(self) -> int | None:
-        """At once, after a tick that changed something."""
-        return self.device.now_ns if self.changed else None
+        """At once, after a tick that changed something; else when a hold ends."""
+        return self.device.now_ns if self.changed else self.hold_ends_ns
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
         """Return the torque demand, N·m at the output, for position and velocity in SI at the axis; 0 when off."""
@@ -137,7 +139,7 @@ class Drive(ModesOfOperation):
     @property
     def steady(self) -> bool:
         """Nothing but values changes from tick to tick."""
-        return not self.changed and not self._state[law.EVENTS]
+        return not self.changed and self.hold_ends_ns is None and not self._state[law.EVENTS]
 
     def steady_words(self) -> list[int]:
         """Give the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""

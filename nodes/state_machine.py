@@ -19,6 +19,7 @@ from nodes.core.application import Application
 from nodes.core.interfaces import ProfileHost
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
+HOLD_TIME, MS_NS = 0x2018, 1_000_000
 POWERED: Final = (
     State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 _OPTION: Final = MappingProxyType({5: 0x605C, 8: 0x605B})
@@ -45,6 +46,8 @@ class StateMachine(Application):
         self._leaving: Transition | None = None
         self._at_rest: Callable[[int], None] | None = None
         self._errors: list[Emcy] = []
+        self.hold_ends_ns: int | None = None
+        """When a stop that holds lets go by itself, since nobody is left who could end it (0x2018)."""
 
     def number(self, index: int, subindex: int = 0) -> int:
         """Give the value of an integer object, 0 where the EDS has none."""
@@ -101,6 +104,8 @@ class StateMachine(Application):
 
     def _take(self, row: Transition, now_ns: int) -> None:
         self.state, self._leaving = row.target, None
+        if self.state is not State.QUICK_STOP_ACTIVE:
+            self.hold_ends_ns = None
         self.show()
         action = ACTIONS.get(row.number)
         if action is not None:
@@ -159,6 +164,12 @@ class StateMachine(Application):
         else:
             self.fire(Event.QUICK_STOP_DONE, now_ns)
 
+    def end_hold(self, now_ns: int) -> None:
+        """Let go where the time that a lost connection leaves to a hold is over."""
+        if self.hold_ends_ns is not None and now_ns >= self.hold_ends_ns:
+            self.hold_ends_ns = None
+            self.fire(Event.QUICK_STOP_DONE, now_ns)
+
     def _react(self, now_ns: int) -> None:
         option = self.number(0x605E)
         if option == Stop.DISABLE or self.emergency_stopped or not self.axis.on:
@@ -196,6 +207,9 @@ class StateMachine(Application):
             self.fire(Event.DISABLE_VOLTAGE, now_ns)
         elif action == AbortConnection.QUICK_STOP:
             self.fire(Event.QUICK_STOP, now_ns)
+        hold_ms = self.number(HOLD_TIME)
+        if hold_ms and self.hold_ends_ns is None and self.state is State.QUICK_STOP_ACTIVE:
+            self.hold_ends_ns = now_ns + hold_ms * MS_NS
 
     def emergency_stop(self, active: bool, now_ns: int) -> None:
         """The wired emergency-stop input (STO): torque goes at once and stays away until the operator's release."""

@@ -66,6 +66,7 @@ class Browser:
         self._in, self._out, self._rest = ours_in, ours_out, b""
         self._numbers = itertools.count(1)
         self._session: str | None = None
+        self._loaded: str | None = None  # the document whose load event came last
         self.requests: list[str] = []
         self.complaints: list[str] = []
         targets = self.call("Target.getTargets")["targetInfos"]
@@ -73,6 +74,7 @@ class Browser:
         self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
+        self.call("Page.setLifecycleEventsEnabled", enabled=True)
 
     def call(self, method: str, **parameters: Any) -> Any:
         """Call a method of the Chrome DevTools protocol and return its result."""
@@ -96,7 +98,9 @@ class Browser:
         text, _, self._rest = self._rest.partition(b"\0")
         message = json.loads(text)
         told, event = message.get("method"), message.get("params", {})
-        if told == "Network.requestWillBeSent":
+        if told == "Page.lifecycleEvent" and event["name"] == "load":
+            self._loaded = event["loaderId"]
+        elif told == "Network.requestWillBeSent":
             self.requests.append(event["request"]["url"])
         elif told == "Runtime.exceptionThrown":
             self.complaints.append(event["exceptionDetails"].get("exception", {}).get("description", "exception"))
@@ -106,12 +110,25 @@ class Browser:
 
     def open(self, path: Path) -> None:
         """Load a file and wait until it is loaded and drawn."""
+        self.visit(path.resolve().as_uri())
+        self.settle()
+
+    def visit(self, url: str) -> None:
+        """Load an address and wait until it is loaded; what a page before it still asked for is forgotten."""
+        self.leave()
+        self._load(url)
+
+    def leave(self) -> None:
+        """Load an empty page, so that no script of the page before it runs on, and forget what that page asked for."""
+        self._load("about:blank")
         self.requests.clear()
         self.complaints.clear()
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        while self._receive().get("method") != "Page.loadEventFired":
-            pass
-        self.settle()
+
+    def _load(self, url: str) -> None:
+        """Navigate, and wait until that very document has loaded: a load event of the page before it is not its own."""
+        wanted = self.call("Page.navigate", url=url)["loaderId"]
+        while self._loaded != wanted:
+            self._receive()
 
     def settle(self) -> None:
         """Wait until what was asked for is painted."""
@@ -154,8 +171,16 @@ class Browser:
         os.close(self._out)
 
 
+@pytest.fixture
+def browser(opened_browser: Browser) -> Iterator[Browser]:
+    """The session's browser at an empty page, and left so: no page of one test is alive in the next."""
+    opened_browser.leave()
+    yield opened_browser
+    opened_browser.leave()
+
+
 @pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def opened_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     """A browser for the whole session, with a profile of its own."""
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")

@@ -6,14 +6,15 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, TextIO
+from typing import Annotated, Final, TextIO
 
 import typer
 import typer.exceptions
 
+from bowden.cli.command import Application, NothingGivenError, found, short_help
 from parameters import InputError, Remark
 
-app = typer.Typer(
+app = Application(
     name="bowden",
     help="Drive stack for a Bowden cable–fabric force-transfer bench on CAN.",
     add_completion=True,
@@ -68,9 +69,9 @@ def _run(arguments: Sequence[str]) -> int:
     try:
         status = app(list(arguments) or ["--help"], standalone_mode=False, prog_name="bowden")
     except InputError as error:
-        return _refuse(str(error))
+        return _short_help(arguments, error) or _refuse(str(error))
     except typer.exceptions.TyperException as error:
-        return _short_help(error) if _nothing_given(error, arguments) else _refuse(_sentence(error))
+        return _short_help(arguments, error) or _refuse(_sentence(error))
     except BrokenPipeError:
         sys.stderr.close()
         return 1
@@ -85,21 +86,14 @@ def _run(arguments: Sequence[str]) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _nothing_given(error: typer.exceptions.TyperException, arguments: Sequence[str]) -> bool:
-    """Say whether a command was named and nothing else, though it needs something."""
-    context = getattr(error, "ctx", None)
-    return context is not None and list(arguments) == context.command_path.split()[1:]
-
-
-def _short_help(error: Any) -> int:
-    """Say what a command does, what it needs and one example."""
-    context = error.ctx
-    told = (context.command.help or "").strip()
-    first, example = told.split("\n\n")[0], told[told.find("Example:"):]
-    needed = " ".join(str(one.metavar or one.name).upper() if one.param_type_name == "argument" else
-                      f"{one.opts[0]} {one.metavar or 'VALUE'}" for one in context.command.params if one.required)
-    print(f"{context.command_path} {needed}\n  {' '.join(first.split())}\n  {' '.join(example.split())}\n"
-          f"{context.command_path} --help lists its options.", file=sys.stderr)
+def _short_help(arguments: Sequence[str], error: Exception) -> int:
+    """Say in short what a command needs that was named and given nothing; 0, and nothing said, where that is not so."""
+    if isinstance(error, InputError) and not isinstance(error, NothingGivenError):
+        return 0
+    command, alone = found(app, arguments)
+    if not alone:
+        return 0
+    print(short_help(command, f"bowden {' '.join(arguments)}", getattr(error, "needs", "")), file=sys.stderr)
     return 2
 
 

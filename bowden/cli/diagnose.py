@@ -14,6 +14,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -120,7 +121,8 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
         if value is not None:
             raise InputError(f"{option} belongs to --plan; leave it out, or name an experiment with --plan.")
     if not trials:
-        raise InputError("diagnose: no trial given; name at least one, or an experiment with --plan.")
+        raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
+                                "diagnose: no trial given; name at least one, or an experiment with --plan.")
     if given["--each"]:
         _leave_out(given, ("-o", "--report", "--figures", "--tracked"),
                    "--each gives a verdict for every trial and writes none")

@@ -18,6 +18,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
 from bowden.cli.option_groups import Bus, grouped
 from parameters import InputError
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 Closable = TypeVar("Closable", bound="Viewer | LivePage | None")
 LOOK_S = 1 / 60  # between two looks at the clock
-Recorded = Annotated[Path | None, typer.Argument(metavar="[TRIAL]", help="A recorded trial.", show_default=False)]
+Recorded = Annotated[Path | None, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; 0.0.0.0 lets other computers watch.")]
 Port = Annotated[int, typer.Option(
     metavar="PORT", min=0, max=65535, help="Port to listen at; 0 takes a free one.")]
@@ -59,7 +60,8 @@ def live(
     Example: bowden live trial.mcap --web 8080 --for 5
     """
     if (trial is None) == (reached.interface is None):
-        raise InputError("bowden live shows a trial or a bus; give either a file or --interface.")
+        raise NothingGivenError("TRIAL | --interface NAME",
+                                "bowden live shows a trial or a bus; give either a file or --interface.")
     deadline = None if seconds is None else time.monotonic() + seconds
 
     def ended() -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +12,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.command import Application
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from master.network.dcf import Difference
     from master.network.link import Link
 
-node = typer.Typer(help="Parameters of one node, as DCF.", no_args_is_help=True, rich_markup_mode=None)
+Act = Callable[["Link", "NodeEntry", "Dictionary"], "list[Difference]"]
+node = Application(help="Parameters of one node, as DCF.", rich_markup_mode=None)
 app.add_typer(node, name="node")
 
 Name = Annotated[str, typer.Argument(metavar="NODE", help="servo, knee, start or end.", show_default=False)]
@@ -60,55 +62,54 @@ def backup(
     return 1 if unread else 0
 
 
+def _against_a_dcf(what: str, *, status: int) -> Callable[[Act], Callable[..., int]]:
+    """Make a command of what is done with a node and a DCF of it; it ends with `status` where anything differed.
+
+    `what` was done with the parameters that differed, in a word; the command's name and help are those of the act.
+    """
+    def command_of(act: Act) -> Callable[..., int]:
+        @grouped
+        def command(
+            name: Name, file: File, reached: Bus, config: options.Config = None, json: options.Json = False
+        ) -> int:
+            from eds.dictionary import read
+            from master.network import dcf
+
+            given = read(file)
+            with _bench(name, reached, config) as (link, entry):
+                dcf.refuse_other(link, entry, given, str(file))
+                found = act(link, entry, given)
+            _tell(name, file, found, what, json=json)
+            return status if found else 0
+
+        command.__name__, command.__doc__ = act.__name__, act.__doc__
+        return command
+
+    return command_of
+
+
 @node.command()
-@grouped
-def compare(
-    name: Name,
-    file: File,
-    reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+@_against_a_dcf("differ", status=1)
+def compare(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]:
     """Say which parameters of a node differ from a DCF; exit status 1 where any does.
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
     """
     from master.network import dcf
 
-    given = _read(file)
-    with _bench(name, reached, config) as (link, entry):
-        dcf.refuse_other(link, entry, given, str(file))
-        found = dcf.compare(link, entry, given)
-    return _tell(name, file, found, "differ", json=json)
+    return dcf.compare(link, entry, given)
 
 
 @node.command()
-@grouped
-def restore(
-    name: Name,
-    file: File,
-    reached: Bus,
-    config: options.Config = None,
-    json: options.Json = False,
-) -> int:
+@_against_a_dcf("restored", status=0)
+def restore(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]:
     """Write what differs from a DCF into the node and store it there.
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
     """
     from master.network import dcf
 
-    given = _read(file)
-    with _bench(name, reached, config) as (link, entry):
-        dcf.refuse_other(link, entry, given, str(file))
-        found = dcf.restore(link, entry, given)
-    _tell(name, file, found, "restored", json=json)
-    return 0
-
-
-def _read(file: Path) -> Dictionary:
-    from eds.dictionary import read
-
-    return read(file)
+    return dcf.restore(link, entry, given)
 
 
 @contextmanager
@@ -135,7 +136,7 @@ def _bench(name: str, reached: Bus, config: Path | None) -> Iterator[tuple[Link,
             raise InputError(f"{name} does not answer ({error}); see bowden doctor.") from None
 
 
-def _tell(name: str, file: Path, found: list[Difference], what: str, *, json: bool) -> int:
+def _tell(name: str, file: Path, found: list[Difference], what: str, *, json: bool) -> None:
     if json:
         terminal.emit({"node": name, "file": str(file), what: [
             {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
@@ -144,7 +145,6 @@ def _tell(name: str, file: Path, found: list[Difference], what: str, *, json: bo
         for d in found:
             print(f"{d.object:04X}:{d.subindex:02X} {d.name}: {d.in_file!r} in the file, {d.on_node!r} on the node")
         print(f"{len(found)} parameters {what}.")
-    return 1 if found else 0
 
 
 def _plain(value: object) -> object:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -144,14 +145,19 @@ def _controller(recorded: Trial, *, json: bool) -> int:
         whole = onto_controller.whole_rows(recorded)
         print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
               f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
-    if found.first is None:
-        print("The same, bit for bit.")
-        return 0
     first = found.first
-    print(f"First difference: row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at "
-          f"{first.gait_percent:.2f} %: {first.signal} was {first.recorded!r}, now {first.replayed!r}.")
-    terminal.table("rows that differ", ("signal", "rows"), [
-        (name, str(count)) for name, count in found.differing.items()])
+    return _judged("The same, bit for bit.", None if first is None else (
+        f"row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at {first.gait_percent:.2f} %: "
+        f"{first.signal} was {first.recorded!r}, now {first.replayed!r}."), ("signal", "rows"), found.differing)
+
+
+def _judged(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> int:
+    """Say that all was the `same`, or the `first` difference and how many there are of each; returns the status."""
+    if first is None:
+        print(same)
+        return 0
+    print(f"First difference: {first}")
+    terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
     return 1
 
 
@@ -183,15 +189,10 @@ def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) ->
         return 0 if found.same else 1
     print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
           f"times differ by {found.timing_max_us:.1f} µs at most.")
-    if found.first is None:
-        print("The same, byte for byte.")
-        return 0
     first = found.first
-    print(f"First difference: {first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first "
-          f"frame: was {first.recorded}, now {first.live}.")
-    terminal.table("frames that differ", ("COB-ID", "frames"), [
-        (name, str(count)) for name, count in found.differing.items()])
-    return 1
+    return _judged("The same, byte for byte.", None if first is None else (
+        f"{first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first frame: "
+        f"was {first.recorded}, now {first.live}."), ("COB-ID", "frames"), found.differing)
 
 
 def _step(playing: Playing, *, shown: bool) -> None:

@@ -182,7 +182,7 @@ class _Experiments:
         """Enable, home, and run what the procedure asks for."""
         given = self.identification
         drives.enable(exchange)
-        home(exchange, given.guess, given.homing, SLACK_M, measured=True)
+        home(exchange, given.guess, given.homing, SLACK_M, guessed=True)
         kinds = PROCEDURES[given.what]
         for i, kind in enumerate(kinds):
             self._progress(kind, i / len(kinds))

@@ -11,18 +11,37 @@ from typing import Final
 from master.cycle.exchange import Exchange
 from master.cycle.plausibility import Learned
 from master.network.bringup import RefusedError
-from physics.calibration import NOMINAL, Calibration
+from physics.calibration import NOMINAL, Calibration, nominal
 
 STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
 STRETCH_NOMINAL: Final = 2.5
 """The same for the packaged calibration, which belongs to no bench."""
-STRETCH_MEASURED: Final = 5.0
+STRETCH_GUESSED: Final = 5.0
 """The same where the bench is about to be identified: 5 to 25 mm at 60 N are benches like any other, a unit that is
 wrong by a factor of ten is none."""
 CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
+PACKAGED_SWING_K: Final = nominal().swing_k
+"""m/rad: the lever of the rope at a knee of human size."""
+SWING_UNLIKE: Final = 0.25
+"""Relative departure from it beyond which homing measures; day, leg and identification stay within 0.15."""
+SWING: Final = 0.2
+"""Greatest relative difference between homing's swing_k and a calibration's."""
+
+
+def unlike_packaged(calibration: Calibration) -> bool:
+    """Say whether the lever is one that homing has to see before a rope is led by it."""
+    return abs(calibration.swing_k / PACKAGED_SWING_K - 1.0) > SWING_UNLIKE
+
+
+def refuse_swing(calibration: Calibration, found: float) -> None:
+    """Raise `RefusedError`, with both numbers, where homing `found` another swing_k, m/rad, than the calibration's."""
+    if abs(found / calibration.swing_k - 1.0) > SWING:
+        raise RefusedError(
+            f"calibration {calibration.label}: its swing_k is {calibration.swing_k:.4f} m/rad, homing found "
+            f"{found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
 
 
 def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) -> None:
@@ -30,25 +49,30 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
     exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
 
 
-def refuse_disagreement(exchange: Exchange, calibration: Calibration, measured: bool = False) -> None:
+def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
     """Take over what homing showed; raises `RefusedError` where it is not what the calibration says.
 
-    `measured`: the calibration is only what an identification starts from.
+    A `guessed` calibration is about to be measured: its stretch may be another bench's.
     """
     learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
-    sentence = disagreement(learned, calibration, measured)
+    sentence = disagreement(learned, calibration, guessed=guessed) or among_sensors(learned)
     if sentence is not None:
         raise RefusedError(sentence)
 
 
-def disagreement(learned: Learned, calibration: Calibration, measured: bool = False) -> str | None:
-    """Say what homing and the calibration disagree in, with both numbers; None where they agree."""
-    most = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
-    ratio, most = learned.stretch_ratio, STRETCH_MEASURED if measured else most
+def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = False) -> str | None:
+    """Say where homing's stretch is not the calibration's, with both numbers; None where it is."""
+    known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
     if not 1.0 / most <= ratio <= most:
         declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
         return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "
                 f"homing found {ratio * declared:.2f} mm; identify this bench (bowden identify all) and start again.")
+    return None
+
+
+def among_sensors(learned: Learned) -> str | None:
+    """Say where the sensors contradict each other beyond friction, with both numbers; None where they do not."""
     centre = 0.5 * (learned.low + learned.high)
     if learned.low and learned.high and abs(centre) > CENTRE:
         return (f"homing: pulled and released, START is {100.0 * 2.718281828 ** centre:.0f} % of END in the middle, "

@@ -32,6 +32,8 @@ HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 """Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
 BRISK = 4.0
 """Without tension the rope is led this much faster than it is reeled."""
+SWING_CHECK_RAD = 0.15
+"""6 mm of rope at the packaged swing_k: ten times what friction leaves of a loop's middle, within any knee's limits."""
 
 
 class Homed(NamedTuple):
@@ -46,22 +48,25 @@ Row = tuple[float, float, float]
 
 
 def home(
-    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0,
-    measured: bool = False,
+    exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0, *,
+    guessed: bool = False,
 ) -> Homed:
     """Home the servo and leave the rope `slack_m` beyond where it lost its tension.
 
-    Both drives must be enabled; `start_gain` is what START is known to read of 1 N; `measured`: the bench is about to
-    be identified, and the calibration no more than a guess.
-    Raises `RefusedError` where the rope does not tighten, or the loop has no crossing.
+    Both drives must be enabled; `start_gain` is what START is known to read of 1 N.  `guessed`: the calibration is
+    what an identification starts from, so a bench that stretches otherwise is no contradiction but what it is for.
+    Raises `RefusedError` where the rope does not tighten, the loop has no crossing, or homing contradicts the
+    calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
     agreement.begin(exchange, calibration, knee_home)
     swing_to(exchange, knee_home, calibration, homing)
     reading = slack_reading(exchange)
     pulled, released = _loop(exchange, homing)
-    agreement.refuse_disagreement(exchange, calibration, measured)
     at = [crossing(rows, start_gain * calibration.home_preload) for rows in (pulled, released)]
+    if agreement.unlike_packaged(calibration) and not guessed:
+        _refuse_other_swing(exchange, calibration, homing, sum(at) / 2.0, start_gain)
+    agreement.refuse_disagreement(exchange, calibration, guessed=guessed)
     shift = float(stretch.position(calibration, calibration.home_preload)) - 0.5 * (at[0] + at[1])
     moves.move(exchange, exchange.targets[0] - slack_m, knee_home, homing.rope_m_s, homing.knee_rad_s)
     inputs = moves.settle(exchange, REST_S)
@@ -144,6 +149,21 @@ def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
     moves.reel(exchange, -homing.rope_m_s, _slack, homing.reach_m, "the rope does not go slack; tare START",
                _into(released))
     return pulled, released
+
+
+def _refuse_other_swing(
+    exchange: Exchange, calibration: Calibration, homing: Homing, at_home_m: float, start_gain: float
+) -> None:
+    """Pull and release at a second knee angle: the shift of the loop's middle is the bench's swing_k.
+
+    The knee turns the way on which a swing_k that is wrong leaves the rope looser than it should be.
+    """
+    knee = exchange.targets[1]
+    away = knee + math.copysign(SWING_CHECK_RAD, agreement.PACKAGED_SWING_K - calibration.swing_k)
+    swing_to(exchange, away, calibration, homing)
+    at = [crossing(rows, start_gain * calibration.home_preload) for rows in _loop(exchange, homing)]
+    agreement.refuse_swing(calibration, (sum(at) / 2.0 - at_home_m) / (away - knee))
+    swing_to(exchange, knee, calibration, homing)
 
 
 def _into(rows: list[Row]) -> Callable[[Inputs], None]:

@@ -17,6 +17,7 @@ import pytest
 import trial
 from bowden.cli.app import run
 from bowden.cli.ending import as_ctrl_c
+from tests.bowden.test_bowden_help import names
 from trial.recover import recover
 
 Bowden = Callable[..., tuple[int, str, str]]
@@ -42,13 +43,45 @@ def test_the_version_and_the_short_option_for_help(bowden: Bowden) -> None:
     assert bowden("trial", "-h")[1] == bowden("trial", "--help")[1]
 
 
-@pytest.mark.parametrize("command", ["trial", "import", "node backup", "jog", "compare", "cut"])
-def test_a_command_that_is_given_nothing_tells_what_it_needs(bowden: Bowden, command: str) -> None:
-    status, out, err = bowden(*command.split())
+NEED_NOTHING = {("home",), ("release",), ("doctor",), ("init",), ("acknowledge",)}
+"""Commands that do all they do without an argument, so that it is no mistake to give none."""
+
+
+@pytest.mark.parametrize("command", sorted({*names(), ("node",), ("check",)} - NEED_NOTHING), ids=" ".join)
+def test_a_command_that_is_given_nothing_tells_what_it_needs(
+    here: Path, bowden: Bowden, command: tuple[str, ...]
+) -> None:
+    status, out, err = bowden(*command)
     assert (status, out) == (2, "")
-    assert err.startswith(f"bowden {command} ")
-    assert "Example: bowden " in err
+    first, does, *_, last = err.splitlines()
+    path = f"bowden {' '.join(command)}"
+    assert re.fullmatch(rf"{path} [-A-Za-z_. |]+", first)
+    assert does.startswith("  ")
+    assert does.endswith(".")
+    assert last == f"{path} --help lists its {'options' if 'Example: bowden' in err else 'commands'}."
     assert err.count("\n") <= 5
+    assert os.listdir() == []
+
+
+@pytest.mark.parametrize("command", sorted(names()), ids=" ".join)
+def test_arguments_are_shown_as_words(bowden: Bowden, command: tuple[str, ...]) -> None:
+    told = bowden(*command, "--help")[1]
+    usage = re.sub(r"\s+", " ", told.partition("\n\n")[0])
+    assert re.fullmatch(rf"Usage: bowden {' '.join(command)} \[OPTIONS\]( \[?[A-Z]+\]?(\.\.\.)?)*", usage)
+    listed = told.partition("Arguments:\n")[2].partition("\n\n")[0]
+    assert all(re.match(r"  [A-Z]+  +\S|    +\S", line) for line in listed.splitlines()), listed
+    assert "<" not in listed
+
+
+def test_summaries_are_not_cut_and_no_line_is_wider_than_the_terminal(
+    bowden: Bowden, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for columns in (60, 80, 120):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        for command in ((), ("node",), ("check",), *names()):
+            told = bowden(*command, "--help")[1].splitlines()
+            assert max(map(len, told)) <= columns, command
+            assert not [line for line in told if line.endswith("...") and not line.startswith("Usage:")], command
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

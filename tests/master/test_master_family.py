@@ -37,3 +37,22 @@ def test_a_bench_of_another_make_is_controlled_on_another_day(composer: Composer
     assert last["true_relative_rmse_percent"] < first["true_relative_rmse_percent"] + 0.05  # type: ignore[operator]
     assert last["true_peak_jump_n"] < 0.02 * 40.0  # type: ignore[operator]
     assert last["true_max_idle_tension_n"] < 0.5  # type: ignore[operator]
+
+
+STIFF = 4
+"""A serial whose rope and fabric stretch a third of what the packaged calibration says; one that was developed with."""
+
+
+def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(composer: Composer) -> None:
+    """What the refusal says to do works: an identification measures what homing found to be otherwise."""
+    bench = {"serial": 0, "plant": f"tests.plants:bench_{STIFF}_day_0"}
+    ran = composer.run(**bench)
+    assert "identify this bench" in (ran.result.stop_reason or "")
+    link, tap = composer.link(**bench)
+    outcome, segments = identify.run(link, tap, None, identify.Identification("stiffness"))
+    composer.close()
+    assert outcome.reason is None
+    found = identify.calibrate("stiffness", segments, nominal(), bench="", date="", trial="test")
+    # to 40 N of START's tension: the packaged one says 10 mm there; half of it is far from either bench's day
+    assert found.stiffness_a * 1600.0 + found.stiffness_b * 40.0 < 0.5 * (
+        nominal().stiffness_a * 1600.0 + nominal().stiffness_b * 40.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import signal
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -22,6 +24,7 @@ from master.motion.experiment import Experiment, run
 from master.network.bus_watch import FLOOD, BusWatch
 from master.settings import Limits
 from parameters import InputError
+from physics.calibration import nominal
 from physics.reference import paper_reference
 from trial.record import Recorder
 
@@ -67,6 +70,32 @@ def test_a_motion_that_is_not_the_commanded_one_names_its_axis() -> None:
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
     stop = blamed(Finding(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405))
     assert "swing_k = 0.0809 m/rad, 0.0405 would fit" in str(stop)
+
+
+@pytest.mark.parametrize(("changed", "plant", "said"), [
+    ({"swing_k": 2.0}, None, r"its swing_k is 0\.08\d\d m/rad, homing found 0\.04\d\d m/rad"),
+    ({"swing_k": 0.5}, None, r"its swing_k is 0\.02\d\d m/rad, homing found 0\.0[34]\d\d m/rad"),
+    ({"stiffness_a": 0.5, "stiffness_b": 0.5, "cable_compliance": 0.5}, None,
+     r"stretch by 3\.22 mm from 10 to 40 N, homing found 6\.\d\d mm"),
+    ({"swing_k": 1.5}, {"rope_per_knee": 0.0600}, None),
+])
+def test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbers(
+    composer: Composer, changed: dict[str, float], plant: dict[str, float] | None, said: str | None
+) -> None:
+    """The last row is a bench that has the unusual lever: it is measured, found right, and walked on."""
+    packaged = nominal()
+    wrong = dataclasses.replace(packaged, label="wrong.toml", **{
+        name: factor * getattr(packaged, name) for name, factor in changed.items()})
+    ran = composer.run(cycles=1, experiment={"calibration": wrong},
+                       **({} if plant is None else {"plant_model": {"plant": plant}}))
+    if said is None:
+        assert ran.result.stop_reason is None
+        return
+    assert re.search(said, ran.result.stop_reason or "")
+    assert "identify this bench" in (ran.result.stop_reason or "")
+    assert not np.any(ran.trial.columns["desired_force_n"] > 0.0)  # no gait was begun
+    # homing pulls until START reads 45 N, here and in every healthy trial; nothing pulled beyond
+    assert ran.truth.columns["true_start_n"].max() < 50.0
 
 
 def test_a_gap_is_no_finding() -> None:

@@ -79,6 +79,42 @@ def test_quick_stop_5_and_6_hold_the_knee_until_it_is_enabled_or_disabled(option
     assert rig.state() is ENABLED
 
 
+@pytest.mark.parametrize("commanded", [False, True], ids=["by 0x6007", "held before the master was lost"])
+def test_the_knees_hold_ends_ten_seconds_after_its_master_was_lost(commanded: bool) -> None:
+    rig = DriveRig(KNEE).enabled()
+    assert rig.read(0x2018) == 10_000
+    rig.target = 0
+    rig.run(50)
+    rig.plant.load = 2.0
+    if commanded:
+        rig.control(0x02)
+    rig.run(2_000 if commanded else 0)
+    rig.master_lives = False
+    rig.run(9_900)
+    assert rig.state() is State.QUICK_STOP_ACTIVE
+    assert rig.torque == pytest.approx(2.0, rel=0.05)
+    rig.run(400)  # 0x1016 takes 250 ms to miss the master; its targets are missed after 100 ms
+    assert rig.state() is State.SWITCH_ON_DISABLED
+    assert rig.torque == 0.0
+
+
+def test_a_hold_time_of_zero_has_no_end_and_a_master_that_comes_back_in_time_keeps_the_hold() -> None:
+    rig = DriveRig(KNEE).enabled()
+    rig.write(0x2018, 0, 0)
+    rig.target = 0
+    rig.run(50)
+    rig.master_lives = False
+    rig.run(11_000)
+    assert rig.state() is State.QUICK_STOP_ACTIVE
+    rig.write(0x2018, 0, 1_000)
+    rig.master_lives = True
+    rig.run(300)
+    rig.control(0x0F)
+    assert rig.state() is ENABLED
+    rig.run(2_000)
+    assert rig.state() is ENABLED
+
+
 @pytest.mark.parametrize("option", [3, 4])
 def test_stops_the_drive_lacks_are_refused(option: int) -> None:
     rig = DriveRig(KNEE)
