@@ -153,6 +153,40 @@ def _struct(fields: Sequence[Field]) -> struct.Struct | None:
     return struct.Struct("<" + "".join(f"{f.bits // 8}x" if f.dummy else f.code for f in fields))
 
 
+def joined(plans: Sequence[PdoPlan]) -> Callable[[Any], tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]]:
+    """One call for what several frames bring: a time stamp, ns, and SI values of each.
+
+    It takes a buffer of `JOINED_BYTES` a frame, in the order of `plans`: an INTEGER64 time stamp, the data padded to 8.
+    """
+    names: list[str] = []
+    scaled: list[str] = []
+    scope: dict[str, Any] = {}
+    codes = "<"
+    for n, plan in enumerate(plans):
+        fields = [field for field in plan.fields if not field.dummy]
+        if plan.struct is None:
+            names += [f"t{n}", f"d{n}"]
+            codes += "q8s"
+            scaled.append(f"unpack{n}(d{n})")
+            scope[f"unpack{n}"] = plan.unpack_si
+        else:
+            own = [f"v{n}_{at}" for at in range(len(fields))]
+            names += [f"t{n}", *own]
+            codes += f"q{plan.struct.format[1:]}{8 - plan.size}x"
+            scaled.append(_scaled(own, fields))
+    source = _JOINED.format(names=_tuple(names), times=_tuple([f"t{n}" for n in range(len(plans))]),
+                            scaled=_tuple(scaled))
+    scope["unpack"] = struct.Struct(codes).unpack_from
+    exec(source, scope)
+    return scope["unpack_joined"]  # type: ignore[no-any-return]
+
+
+JOINED_BYTES: Final = 16
+_JOINED: Final = """
+def unpack_joined(buffer):
+    {names} = unpack(buffer)
+    return {times}, {scaled}
+"""
 _SI: Final = """
 def unpack_si(data):
     {names} = unpack(data)
@@ -166,12 +200,16 @@ def pack_si({arguments}):
 def _si(fields: Sequence[Field], unpack: Any, pack: Any) -> tuple[Any, Any]:
     """Write both conversions out as code with their numbers in place: a loop would cost three times as much."""
     names = [f"v{at}" for at in range(len(fields))]
-    scaled = [name if f.scale == 1.0 else f"{name} * {f.scale!r}" for name, f in zip(names, fields, strict=True)]
     held = [_held(name, f) for name, f in zip(names, fields, strict=True)]
-    source = _SI.format(names=_tuple(names), scaled=_tuple(scaled), arguments=", ".join(names), held=", ".join(held))
+    source = _SI.format(
+        names=_tuple(names), scaled=_scaled(names, fields), arguments=", ".join(names), held=", ".join(held))
     scope = {"unpack": unpack, "pack": pack}
     exec(source, scope)
     return scope["unpack_si"], scope["pack_si"]
+
+
+def _scaled(names: Sequence[str], fields: Sequence[Field]) -> str:
+    return _tuple([name if f.scale == 1.0 else f"{name} * {f.scale!r}" for name, f in zip(names, fields, strict=True)])
 
 
 def _held(name: str, field: Field) -> str:
