@@ -153,32 +153,31 @@ def _struct(fields: Sequence[Field]) -> struct.Struct | None:
     return struct.Struct("<" + "".join(f"{f.bits // 8}x" if f.dummy else f.code for f in fields))
 
 
-def joined(plans: Sequence[PdoPlan]) -> Callable[[Any], tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]]:
-    """One call for what several frames bring: a time stamp, ns, and SI values of each.
+class Joined:
+    """One call for what several frames bring, from a buffer of `JOINED_BYTES` a frame, in the order of `plans`.
 
-    It takes a buffer of `JOINED_BYTES` a frame, in the order of `plans`: an INTEGER64 time stamp, the data padded to 8.
+    Of each frame the buffer has a time stamp, ns (INTEGER64), and its data, padded to 8.  `unpack(buffer)` gives one
+    tuple: of each frame its time stamp, then its raw values, or its 8 bytes where it has fields off the byte grid.
+    `unpack_si(buffer)` gives the time stamps, and of each frame a tuple as its plan's `unpack_si` does.
     """
-    names: list[str] = []
-    scaled: list[str] = []
-    scope: dict[str, Any] = {}
-    codes = "<"
-    for n, plan in enumerate(plans):
-        fields = [field for field in plan.fields if not field.dummy]
-        if plan.struct is None:
-            names += [f"t{n}", f"d{n}"]
-            codes += "q8s"
-            scaled.append(f"unpack{n}(d{n})")
-            scope[f"unpack{n}"] = plan.unpack_si
-        else:
-            own = [f"v{n}_{at}" for at in range(len(fields))]
+
+    __slots__ = ("unpack", "unpack_si")
+
+    def __init__(self, plans: Sequence[PdoPlan]) -> None:
+        codes, names, scaled = "<", [], []
+        scope: dict[str, Any] = {}
+        for n, plan in enumerate(plans):
+            fields = [field for field in plan.fields if not field.dummy]
+            own = [f"v{n}_{at}" for at in range(len(fields))] if plan.struct else [f"d{n}"]
+            codes += f"q{plan.struct.format[1:]}{8 - plan.size}x" if plan.struct else "q8s"
+            scaled.append(_scaled(own, fields) if plan.struct else f"unpack{n}(d{n})")
             names += [f"t{n}", *own]
-            codes += f"q{plan.struct.format[1:]}{8 - plan.size}x"
-            scaled.append(_scaled(own, fields))
-    source = _JOINED.format(names=_tuple(names), times=_tuple([f"t{n}" for n in range(len(plans))]),
-                            scaled=_tuple(scaled))
-    scope["unpack"] = struct.Struct(codes).unpack_from
-    exec(source, scope)
-    return scope["unpack_joined"]  # type: ignore[no-any-return]
+            scope[f"unpack{n}"] = plan.unpack_si
+        self.unpack: Callable[[Any], tuple[Any, ...]] = struct.Struct(codes).unpack_from
+        scope["unpack"] = self.unpack
+        times = [f"t{n}" for n in range(len(plans))]
+        exec(_JOINED.format(names=_tuple(names), times=_tuple(times), scaled=_tuple(scaled)), scope)
+        self.unpack_si: Callable[[Any], tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]] = scope["unpack_joined"]
 
 
 JOINED_BYTES: Final = 16

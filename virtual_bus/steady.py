@@ -35,7 +35,7 @@ _NOBODY: Final[frozenset[int]] = frozenset()
 
 Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
 """One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends and data, as
-`eds.plan.joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it was
+`eds.plan.Joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it was
 sent; the frames that the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold until
 the next call."""
 

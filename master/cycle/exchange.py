@@ -15,7 +15,7 @@ import can
 
 from eds.bench import END, KNEE, SERVO, START, Wire, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
-from eds.plan import joined
+from eds.plan import Joined
 from eds.scales import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.log import Log
@@ -67,7 +67,7 @@ NOTHING = CycleAnnotations()
 
 
 WholeCycle = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `plan.joined` takes
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `eds.plan.Joined` takes
 them; heartbeats as `Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them,
 and their number."""
 
@@ -103,7 +103,7 @@ class Exchange:
         plans = [wire.tpdo[tpdo_cob_id(node)] for node in ORDER]
         self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
         self._unpack = [plan.unpack_si for plan in plans]
-        self._unpack_all = joined(plans)
+        self._unpack_all = Joined(plans).unpack_si
         self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
         self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
         self._pack_targets = wire.targets.pack_si
@@ -258,7 +258,7 @@ class Exchange:
         return 1 << i
 
     def _keep_all(self, sync_ns: int, frames: Any) -> int:
-        """Keep the TPDOs of `ORDER`, as `plan.joined` takes them; the bits of those that are not taken."""
+        """Keep the TPDOs of `ORDER`, as `eds.plan.Joined` takes them; the bits of those that are not taken."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
@@ -295,7 +295,7 @@ class Exchange:
     def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
 
-        `frames`, as `plan.joined` takes them, where all of them are there already.
+        `frames`, as `eds.plan.Joined` takes them, where all of them are there already.
         """
         self._arrival_ns = UNHEARD
         self._told = self._doubled_sync = False
