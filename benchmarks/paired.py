@@ -35,7 +35,8 @@ class Compared(NamedTuple):
     def row(self, name: str, peer: str) -> tuple[str, str, str, str, str]:
         """Return the cells of a table: what, own time, peer, its time, ratio with quartiles."""
         low, middle, high = self.ratio
-        return name, f"{self.own_us:.1f}", peer, f"{self.peer_us:.1f}", f"{middle:.1f} ({low:.1f} … {high:.1f})"
+        own = f"{self.own_us:.{1 if self.own_us >= 1.0 else 2}f}"
+        return name, own, peer, f"{self.peer_us:.1f}", f"{middle:.1f} ({low:.1f} … {high:.1f})"
 
 
 def compare(own: Work, peer: Work, *, units: int, turns: int, warm: int = 5) -> Compared:

@@ -153,6 +153,39 @@ def _struct(fields: Sequence[Field]) -> struct.Struct | None:
     return struct.Struct("<" + "".join(f"{f.bits // 8}x" if f.dummy else f.code for f in fields))
 
 
+class Joined:
+    """One call for what several frames bring, from a buffer of `JOINED_BYTES` a frame, in the order of `plans`.
+
+    Of each frame the buffer has a time stamp, ns (INTEGER64), and its data, padded to 8.  `unpack(buffer)` gives one
+    tuple: of each frame its time stamp, then its raw values, or its 8 bytes where it has fields off the byte grid.
+    `unpack_si(buffer)` gives the time stamps, and of each frame a tuple as its plan's `unpack_si` does.
+    """
+
+    __slots__ = ("unpack", "unpack_si")
+
+    def __init__(self, plans: Sequence[PdoPlan]) -> None:
+        codes, names, scaled = "<", [], []
+        scope: dict[str, Any] = {}
+        for n, plan in enumerate(plans):
+            fields = [field for field in plan.fields if not field.dummy]
+            own = [f"v{n}_{at}" for at in range(len(fields))] if plan.struct else [f"d{n}"]
+            codes += f"q{plan.struct.format[1:]}{8 - plan.size}x" if plan.struct else "q8s"
+            scaled.append(_scaled(own, fields) if plan.struct else f"unpack{n}(d{n})")
+            names += [f"t{n}", *own]
+            scope[f"unpack{n}"] = plan.unpack_si
+        self.unpack: Callable[[Any], tuple[Any, ...]] = struct.Struct(codes).unpack_from
+        scope["unpack"] = self.unpack
+        times = [f"t{n}" for n in range(len(plans))]
+        exec(_JOINED.format(names=_tuple(names), times=_tuple(times), scaled=_tuple(scaled)), scope)
+        self.unpack_si: Callable[[Any], tuple[tuple[int, ...], tuple[tuple[float, ...], ...]]] = scope["unpack_joined"]
+
+
+JOINED_BYTES: Final = 16
+_JOINED: Final = """
+def unpack_joined(buffer):
+    {names} = unpack(buffer)
+    return {times}, {scaled}
+"""
 _SI: Final = """
 def unpack_si(data):
     {names} = unpack(data)
@@ -166,12 +199,16 @@ def pack_si({arguments}):
 def _si(fields: Sequence[Field], unpack: Any, pack: Any) -> tuple[Any, Any]:
     """Write both conversions out as code with their numbers in place: a loop would cost three times as much."""
     names = [f"v{at}" for at in range(len(fields))]
-    scaled = [name if f.scale == 1.0 else f"{name} * {f.scale!r}" for name, f in zip(names, fields, strict=True)]
     held = [_held(name, f) for name, f in zip(names, fields, strict=True)]
-    source = _SI.format(names=_tuple(names), scaled=_tuple(scaled), arguments=", ".join(names), held=", ".join(held))
+    source = _SI.format(
+        names=_tuple(names), scaled=_scaled(names, fields), arguments=", ".join(names), held=", ".join(held))
     scope = {"unpack": unpack, "pack": pack}
     exec(source, scope)
     return scope["unpack_si"], scope["pack_si"]
+
+
+def _scaled(names: Sequence[str], fields: Sequence[Field]) -> str:
+    return _tuple([name if f.scale == 1.0 else f"{name} * {f.scale!r}" for name, f in zip(names, fields, strict=True)])
 
 
 def _held(name: str, field: Field) -> str:

@@ -7,6 +7,7 @@ own order and at its own time before any frame reaches a device; waiting is rece
 from __future__ import annotations
 
 import errno
+import gc
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -119,12 +120,24 @@ def serve(
     The computer of the bench stays outside: masters are on `bus`. Raises `can.CanOperationError` when the
     interface is gone; while it is down, frames are lost and counted, as in a real node.
     """
-    kernel = bench.kernel
-    bench.medium = outside = Outside(kernel, bus, echoes)
+    bench.medium = outside = Outside(bench.kernel, bus, echoes)
     for station in list(bench.wire.stations):
         bench.wire.detach(station)
         if station is not bench.host:
             outside.attach(station)
+    gc.collect()
+    gc.freeze()  # else a collection of all that was ever imported stalls the nodes for some control cycles
+    try:
+        _run(bus, bench, outside, clock, stop)
+    finally:
+        gc.unfreeze()
+    return outside.served
+
+
+def _run(
+    bus: can.BusABC, bench: Bench, outside: Outside, clock: Callable[[], int], stop: Callable[[], bool]
+) -> None:
+    kernel = bench.kernel
     began_ns = clock() - kernel.now_ns
     while not stop():
         now_ns = clock() - began_ns
@@ -134,7 +147,6 @@ def serve(
         kernel.run(max(kernel.now_ns, clock() - began_ns))
         if frame is not None:
             outside.take(frame)
-    return outside.served
 
 
 def servable(path: Path) -> tuple[Fault, ...]:

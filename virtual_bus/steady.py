@@ -33,10 +33,11 @@ WAITING: Final = 12
 """Frames that may wait at the tap when it begins."""
 _NOBODY: Final[frozenset[int]] = frozenset()
 
-Whole = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
-"""One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends, and their
-data; identifier, time and state of each heartbeat heard, for the master's own one when it was sent; the frames that
-the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold until the next call."""
+Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
+"""One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends and data, as
+`eds.plan.Joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it was
+sent; the frames that the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold until
+the next call."""
 
 
 def possible(bench: Bench) -> bool:
@@ -88,8 +89,7 @@ class Steady:
         if i[law.TRUTH_ROWS] == law.TRUTHS:
             arrays.write_truth()
         beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
-        return (sync_ns, i[law.TARGETS_AT], arrays.ends.tolist(), arrays.data, beats,
-                arrays.rows[ROW * first:ROW * end], end - first)
+        return sync_ns, i[law.TARGETS_AT], arrays.inputs, beats, arrays.rows[ROW * first:ROW * end], end - first
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         """Give the heartbeats of the last cycle."""

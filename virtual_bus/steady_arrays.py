@@ -72,7 +72,7 @@ class Tables(NamedTuple):
 class Arrays:
     """Floats `f`, integers `i` and frames `rows` of one bench; `call` is what `steady_law.cycle` takes.
 
-    `ends` are the inputs' ends and `data` their bytes, in the order asked for, `targets` the bytes of the targets.
+    `inputs` are the bytes of the inputs' ends and data, in the order asked for, `targets` those of the targets.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -82,13 +82,12 @@ class Arrays:
         self._integers: Any = np.zeros(law.I_SIZE, np.int64)
         frames: Any = np.zeros((law.ROWS, 3), np.uint64)
         self._rings: Any = np.zeros((law.GAUGES, RING, 2))
-        self.call = (self.f, self._integers, frames, self._rings, np.zeros(law.F_KEPT), np.zeros(law.I_KEPT, np.int64))
+        self.call = (self.f, self._integers, frames, self._rings)
         self.i: Any = memoryview(cast(Any, self._integers))
         self._bytes: Any = self.i.cast("B")
         self.rows: Any = memoryview(frames).cast("B")
         self._truth = self.f[law.F_TRUTH:law.F_ACTION].reshape(law.TRUTHS, law.TRUTH_WIDTH)
-        self.ends: Any = self.i[:0]
-        self.data: tuple[Any, ...] = ()
+        self.inputs: Any = self._bytes[:0]
         self.targets = self._bytes[:0]
         self.members = list(_members(machine))
         self._taken: list[ReceivePdo] = []
@@ -167,9 +166,7 @@ class Arrays:
             _part(self.f, law.F_ACTION, n, law.ACTION_WIDTH)[:] = taken.taker[1:]
             at = law.TOOK + law.TOOK_WIDTH * n
             i[at], i[at + 2], i[at + 4] = 0, 0, pdo.due_ns
-        places = range(law.SENT, law.SENT + 2 * len(tables.sends), 2)
-        self.ends = self.i[places.start:places.stop:2]
-        self.data = tuple([self._bytes[8 * at + 8:8 * at + 16] for at in places])
+        self.inputs = self._bytes[8 * law.SENT:8 * (law.SENT + 2 * len(tables.sends))]
         self.targets = self._bytes[8 * law.TARGETS_DATA:8 * law.TARGETS_DATA + asked.size]
 
     def _fill_nodes(self) -> None:

@@ -56,7 +56,9 @@ F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
 ACTION_WIDTH: Final = 3
 """Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
 F_SENSOR: Final = F_ACTION + ACTION_WIDTH * TAKES
-F_SIZE: Final = F_SENSOR + GAUGES * SENSOR
+F_BEFORE: Final = F_SENSOR + GAUGES * SENSOR
+"""Copy of what a cycle changes, from its beginning."""
+F_SIZE: Final = F_BEFORE + F_KEPT
 
 # ---- i: what a cycle changes first ----
 NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, \
@@ -103,7 +105,8 @@ TAKE: Final = TAKE_COUNT + 1
 TAKE_WIDTH: Final = 12
 """Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
 TRUTH_NS: Final = TAKE + TAKES * TAKE_WIDTH
-I_SIZE: Final = TRUTH_NS + TRUTHS
+I_BEFORE: Final = TRUTH_NS + TRUTHS
+I_SIZE: Final = I_BEFORE + I_KEPT
 
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
 """The statusword's place among an axis' counts, where the flags are."""
@@ -455,19 +458,19 @@ def run(f: Any, i: Any, rows: Any, rings: Any) -> int:
 
 def _compile(sources: int) -> Any:
     @njit(cache=True)
-    def cycle(f: Any, i: Any, rows: Any, rings: Any, before_f: Any, before_i: Any) -> int:
+    def cycle(f: Any, i: Any, rows: Any, rings: Any) -> int:
         _ = sources
         for n in range(F_KEPT):  # as slices these four would each take half a second to compile
-            before_f[n] = f[n]
+            f[F_BEFORE + n] = f[n]
         for n in range(I_KEPT):
-            before_i[n] = i[n]
+            i[I_BEFORE + n] = i[n]
         ended = run(f, i, rows, rings)
         if ended != DONE:
             for n in range(F_KEPT):
-                f[n] = before_f[n]
+                f[n] = f[F_BEFORE + n]
             for n in range(I_KEPT):
-                i[n] = before_i[n]
-            i[FIRST_ROW], i[LAST_ROW] = 0, before_i[LAST_ROW] - before_i[FIRST_ROW]
+                i[n] = i[I_BEFORE + n]
+            i[FIRST_ROW], i[LAST_ROW] = 0, i[I_BEFORE + LAST_ROW] - i[I_BEFORE + FIRST_ROW]
         i[RETURNED] = ended
         return int(ended)
 
@@ -475,12 +478,12 @@ def _compile(sources: int) -> Any:
 
 
 cycle: Any = _compile(digest())
-"""`cycle(f, i, rows, rings, before_f, before_i)` → `DONE`, or why everything is as it was."""
+"""`cycle(f, i, rows, rings)` → `DONE`, or why everything is as it was."""
 
 
 def prepare() -> bool:
     """Compile the cycle, or load it from numba's cache; return whether it had to be compiled."""
     before = sum(cycle.stats.cache_misses.values())
     cycle(np.zeros(F_SIZE), np.zeros(I_SIZE, np.int64), np.zeros((ROWS, 3), np.uint64),
-          np.zeros((GAUGES, converter.RING, 2)), np.zeros(F_KEPT), np.zeros(I_KEPT, np.int64))
+          np.zeros((GAUGES, converter.RING, 2)))
     return bool(sum(cycle.stats.cache_misses.values()) > before)

@@ -15,6 +15,7 @@ import can
 
 from eds.bench import END, KNEE, SERVO, START, Wire, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
+from eds.plan import Joined
 from eds.scales import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.log import Log
@@ -31,6 +32,8 @@ FIRST_SENSOR = 2
 NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
+NONE_LATE = [0, 0, 0, 0]
+UNHEARD = (NAN, NAN, NAN, NAN)
 NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
 
@@ -63,9 +66,10 @@ class CycleAnnotations(NamedTuple):
 NOTHING = CycleAnnotations()
 
 
-WholeCycle = tuple[int, int, list[int], tuple[Any, ...], tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` their time stamps, and their data; heartbeats as
-`Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them, and their number."""
+WholeCycle = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `eds.plan.Joined` takes
+them; heartbeats as `Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them,
+and their number."""
 
 
 class WholeCycles(Protocol):
@@ -99,13 +103,14 @@ class Exchange:
         plans = [wire.tpdo[tpdo_cob_id(node)] for node in ORDER]
         self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
         self._unpack = [plan.unpack_si for plan in plans]
+        self._unpack_all = Joined(plans).unpack_si
         self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
         self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
         self._pack_targets = wire.targets.pack_si
-        self._values: list[tuple[float, ...]] = [(0.0, NAN, NAN), (0.0, NAN), (NAN,), (NAN,)]
-        self._latched_ns = [0, 0, 0, 0]
-        self._arrival_ns = [NAN, NAN, NAN, NAN]
-        self._late_in_row = [0, 0, 0, 0]
+        self._values: Sequence[tuple[float, ...]] = ((0.0, NAN, NAN), (0.0, NAN), (NAN,), (NAN,))
+        self._latched_ns: Sequence[int] = NONE_LATE
+        self._arrival_ns: Sequence[float] = UNHEARD
+        self._late_in_row = NONE_LATE
         self._first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
         self._told = self._doubled_sync = False
@@ -180,7 +185,7 @@ class Exchange:
 
     def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
         """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
-        sync_ns, target_ns, ends, data, beats, rows, count = whole
+        sync_ns, target_ns, inputs, beats, rows, count = whole
         if beats:
             self.link.heed(beats)
         try:
@@ -189,9 +194,9 @@ class Exchange:
             self._record(sync_ns, True, annotations)
         except StopError:  # the recorder failed; the cycle was run all the same
             with suppress(StopError):
-                self._latch(sync_ns, ends, data)
+                self._latch(sync_ns, inputs)
             raise
-        return self._latch(sync_ns, ends, data)
+        return self._latch(sync_ns, inputs)
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
         """Record the cycle that a SYNC has ended."""
@@ -249,46 +254,71 @@ class Exchange:
         if not self._reception.takes(i, values, self.rehoming):
             self._tell_refused(i, stamp_ns(message))
             return 0
-        self._values[i] = values
-        self._latched_ns[i] = sync_ns
-        self._arrival_ns[i] = stamp_ns(message) - sync_ns
+        self._keep(i, values, sync_ns, stamp_ns(message))
         return 1 << i
 
-    def _keep_all(self, sync_ns: int, ends: Sequence[int], data: Sequence[Any]) -> int:
-        """Keep the TPDOs of `ORDER` that ended at `ends`; the bits of those that are not taken."""
-        values = [unpack(each) for unpack, each in zip(self._unpack, data, strict=True)]
-        missing, takes, rehoming, lowest = 0, self._reception.takes, self.rehoming, self._no_value
-        for i, each in enumerate(values):
-            if each[0] <= lowest[i] or not takes(i, each, rehoming):
-                missing |= 1 << i
-        if not missing:
-            self._values, self._latched_ns = values, [sync_ns] * 4
-            self._arrival_ns = [end - sync_ns for end in ends]
+    def _keep_all(self, sync_ns: int, frames: Any) -> int:
+        """Keep the TPDOs of `ORDER`, as `eds.plan.Joined` takes them; the bits of those that are not taken."""
+        ends, values = self._unpack_all(frames)
+        servo, knee, start, end = values
+        if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
+                and self._reception.takes_all(servo[1], knee[1], start[0], end[0])):
+            self._values, self._latched_ns = values, (sync_ns, sync_ns, sync_ns, sync_ns)
+            self._arrival_ns = (ends[0] - sync_ns, ends[1] - sync_ns, ends[2] - sync_ns, ends[3] - sync_ns)
             return 0
+        return self._keep_singly(sync_ns, ends, values)
+
+    def _keep_singly(self, sync_ns: int, ends: Sequence[int], values: Sequence[tuple[float, ...]]) -> int:
+        """The same where one of them, this time or the last, is not taken."""
+        self._reception.begin()
+        missing = 0
         for i, each in enumerate(values):
-            if not missing >> i & 1:
-                self._values[i], self._latched_ns[i], self._arrival_ns[i] = each, sync_ns, ends[i] - sync_ns
-            elif each[0] > lowest[i]:
+            if each[0] <= self._no_value[i] or not self._reception.takes(i, each, self.rehoming):
+                missing |= 1 << i
+            else:
+                self._keep(i, each, sync_ns, ends[i])
+        for i, each in enumerate(values):
+            if missing >> i & 1 and each[0] > self._no_value[i]:
                 self._tell_refused(i, ends[i])
         return missing
+
+    def _keep(self, i: int, values: tuple[float, ...], sync_ns: int, stamp: int) -> None:
+        """Values of `ORDER[i]`, latched by `sync_ns`."""
+        kept, latched, arrival = list(self._values), list(self._latched_ns), list(self._arrival_ns)
+        kept[i], latched[i], arrival[i] = values, sync_ns, stamp - sync_ns
+        self._values, self._latched_ns, self._arrival_ns = kept, latched, arrival
 
     def _tell_refused(self, i: int, stamp: int) -> None:
         self.log.event(stamp, "miss", "master",
                        f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
 
-    def _latch(self, sync_ns: int, ends: Sequence[int] = (), data: Sequence[Any] = ()) -> Inputs:
+    def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
 
-        `ends` and `data` are time stamps and data, in `ORDER`, where all of them are there already.
+        `frames`, as `eds.plan.Joined` takes them, where all of them are there already.
         """
-        self._arrival_ns = [NAN, NAN, NAN, NAN]
-        self._told = False
+        self._arrival_ns = UNHEARD
+        self._told = self._doubled_sync = False
+        missing = self._collect(sync_ns) if frames is None else self._keep_all(sync_ns, frames)
+        if missing and frames is not None:
+            missing = self._collect(sync_ns, missing)
+        servo, knee, start, end = self._values
+        self.inputs = inputs = Inputs(
+            sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
+        )
+        self._derive(inputs)
+        late = self._late_in_row
+        if missing or late != NONE_LATE:
+            self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
+        self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
+        return inputs
+
+    def _collect(self, sync_ns: int, missing: int = 0b1111) -> int:
+        """Receive the missing PDOs of one SYNC until its deadline; the bits of those that have not come."""
         deadline = sync_ns + self._budget_ns
-        receive, slots, missing = self.link.receive, self._slots, 0b1111
-        self._doubled_sync = False
-        self._reception.begin()
-        if ends:
-            missing = self._keep_all(sync_ns, ends, data)
+        receive, slots = self.link.receive, self._slots
+        if missing == 0b1111:
+            self._reception.begin()
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id in slots:
@@ -302,16 +332,7 @@ class Exchange:
             elif can_id == SYNC_COB_ID and self.link.watch is not None:
                 self.link.watch.doubled(stamp_ns(message), self._count, "SYNC")
                 self._doubled_sync = True
-        servo, knee, start, end = self._values
-        self.inputs = inputs = Inputs(
-            sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
-        )
-        self._derive(inputs)
-        late = self._late_in_row
-        if missing or any(late):
-            self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
-        self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
-        return inputs
+        return missing
 
     def _derive(self, inputs: Inputs) -> None:
         if inputs.missing & 1:

@@ -23,6 +23,8 @@ REACH_M: Final = 1.0
 POSITION_STEP_M: Final = 1e-3
 KNEE_REACH_RAD: Final = 3.2
 KNEE_STEP_RAD: Final = 0.03
+NEW: Final = [0, 0, 0, 0]
+"""Ages of values that were all taken in the cycle before."""
 
 
 class Bounds(NamedTuple):
@@ -50,6 +52,22 @@ class Reception:
         self._age = [0] * 4
         self._wrong = [math.nan] * 4
         self._fast = tuple((b.column, b.low, b.high, b.step, b.rate) for b in self.bounds)
+        self._greatest = [b.step + b.rate for b in self.bounds]
+
+    def takes_all(self, servo: float, knee: float, start: float, end: float) -> bool:
+        """Take one cycle's four values at once, in place of `begin` and `takes`; False, and nothing done, where not.
+
+        So it is where one was not taken the cycle before, or is not taken now: then they are asked for one by one.
+        """
+        a, b, c, d = self._last
+        most = self._greatest
+        if (self._age == NEW and -REACH_M <= servo <= REACH_M and -KNEE_REACH_RAD <= knee <= KNEE_REACH_RAD
+                and -SPAN_N <= start <= SPAN_N and -SPAN_N <= end <= SPAN_N
+                and -most[0] <= servo - a <= most[0] and -most[1] <= knee - b <= most[1]
+                and -most[2] <= start - c <= most[2] and -most[3] <= end - d <= most[3]):
+            self._last = [servo, knee, start, end]
+            return True
+        return False
 
     def begin(self) -> None:
         """Another cycle begins: what was heard last is a cycle older."""

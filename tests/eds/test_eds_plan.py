@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eds import dictionary
 from eds.datatype import DataType
 from eds.dictionary import Dictionary, Entry, key
-from eds.plan import compile_plan, overlay
+from eds.plan import JOINED_BYTES, Joined, compile_plan, overlay
 from parameters import InputError
 
 NODE = 5
@@ -54,6 +54,25 @@ def by_canopen(peer, chosen, values):
         if word >> 16 >= 0x1000:
             variable.raw = next(rest)
     return bytes(pdo.data), tuple(v.raw for w, v in zip(chosen, pdo.map, strict=True) if w >> 16 >= 0x1000)
+
+
+@given(st.lists(st.tuples(maps(), st.integers(-2**63, 2**63 - 1)), min_size=1, max_size=4))
+def test_frames_decoded_in_one_call_say_what_each_says_alone(cases):
+    plans, stamps, buffer = [], [], b""
+    for (name, chosen, values), stamp in cases:
+        scales = {word >> 8: 0.25 for word in chosen[::2]}
+        plans.append(compile_plan(FILES[name], chosen, 0x180, scales))
+        stamps.append(stamp)
+        buffer += struct.pack("<q8s", stamp, plans[-1].pack(*values))
+    assert len(buffer) == JOINED_BYTES * len(plans)
+    together = Joined(plans)
+    times, found = together.unpack_si(memoryview(buffer))
+    frames = [buffer[16 * n + 8:16 * n + 16] for n in range(len(plans))]
+    alone = [plan.unpack(frame) if plan.struct else (frame,) for plan, frame in zip(plans, frames, strict=True)]
+    assert together.unpack(buffer) == tuple(
+        value for stamp, values in zip(stamps, alone, strict=True) for value in (stamp, *values))
+    assert times == tuple(stamps)
+    assert found == tuple(plan.unpack_si(frame) for plan, frame in zip(plans, frames, strict=True))
 
 
 @given(maps())

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import can
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eds.bench import END, KNEE, SERVO, START, Network, wire
 from eds.cia301 import NmtCommand
@@ -129,6 +131,28 @@ def test_values_that_cannot_be_are_not_taken() -> None:
     assert reception.refused[1] == ENOUGH
     assert reception.takes(1, (0x27, -0.49), False)
     assert reception.refused == [0, 0, 0, 0]
+
+
+_REAL = st.floats(allow_nan=True, allow_infinity=True)
+_CYCLES = st.lists(st.tuples(_REAL | st.floats(-2e-3, 2e-3), _REAL | st.floats(-0.03, 0.03), _REAL | st.floats(-40, 40),
+                             _REAL | st.floats(-40, 40)), max_size=12)
+
+
+@given(_CYCLES)
+def test_four_values_at_once_are_taken_as_one_by_one(cycles: list[tuple[float, float, float, float]]) -> None:
+    once, singly = Reception(1e-3, Limits()), Reception(1e-3, Limits())
+    for servo, knee, start, end in cycles:
+        frames = (0x27, servo, 0.0), (0x27, knee), (start,), (end,)
+        singly.begin()
+        taken = [singly.takes(i, values, False) for i, values in enumerate(frames)]
+        if once.takes_all(servo, knee, start, end):
+            assert all(taken)
+        else:
+            once.begin()
+            assert [once.takes(i, values, False) for i, values in enumerate(frames)] == taken
+        assert once.refused == singly.refused
+        for i in range(4):
+            assert once.refusal(i) == singly.refusal(i)
 
 
 def test_a_position_that_is_counted_from_elsewhere_is_taken() -> None:
