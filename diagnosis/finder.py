@@ -34,7 +34,7 @@ class Diagnosis:
     """The verdict and its figures; `as_json` gives exactly the published keys.
 
     `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
-    split the class, by `verdict`'s thresholds for that.
+    split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
     """
 
     verdict: str
@@ -50,6 +50,7 @@ class Diagnosis:
     found: Found | None = field(default=None, repr=False)
     split: bool = False
     simulation: dict[str, Any] | None = None
+    rate_hz: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return what `bowden diagnose --json` prints: undefined is None."""
@@ -155,7 +156,7 @@ class Finder:
         return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
                          warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
                          reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
-                         simulation=judgement.judged(judge, trials, holdout, healthy))
+                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz)
 
 
 def diagnose(

@@ -32,13 +32,23 @@ LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "
 
 @dataclass(frozen=True)
 class Evidence:
-    """Where one scalar comes from: 95 % interval, R² of its fit (NaN: none), ISO date, trial."""
+    """Where one scalar comes from: 95 % interval, R² of its fit (NaN: none), ISO date, trial.
+
+    The interval counts the model's own error; `repeatability` is half of the narrower one within which the value comes
+    out again on the same bench by the same model (95 %, ISO 5725; NaN: the interval's).
+    """
 
     low: float
     high: float
     r_squared: float = math.nan
     date: str = ""
     trial: str = ""
+    repeatability: float = math.nan
+
+    def again(self, value: float) -> tuple[float, float]:
+        """Where `value` comes out again, by its repeatability; by its interval where that is not known."""
+        by = self.repeatability
+        return (value - by, value + by) if math.isfinite(by) else (self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -153,7 +163,7 @@ def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dic
         values[p.name] = _value(where, key, p, row)
         low, high = _interval(where, key, row)
         evidence[p.name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
-                                    str(row.get("trial", "")))
+                                    str(row.get("trial", "")), float(row.get("repeatability", math.nan)))
     return values, evidence
 
 
@@ -220,6 +230,8 @@ def rows(values: Mapping[str, float], evidence: Mapping[str, Evidence]) -> list[
         lines += ["", f"[parameters.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
         if known is not None and math.isfinite(known.low + known.high):
             lines.append(f"interval = [{known.low!r}, {known.high!r}]")
+        if known is not None and math.isfinite(known.repeatability):
+            lines.append(f"repeatability = {known.repeatability!r}")
         if known is not None and math.isfinite(known.r_squared):
             lines.append(f"r_squared = {known.r_squared!r}")
         if known is not None:

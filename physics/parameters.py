@@ -51,8 +51,9 @@ class Parameter:
     have in common and others have not, so that healthy trials alone move it; `ideal`: in a rigid, frictionless
     transmission with true sensors (none: nominal); `search`: bounds of a fit on such a bench; `any_rig`: bounds on
     rigs of any size, given for each quantity that a relation reads; `free`: on an unknown rig it is whatever the data
-    say; `bench_only`: its law holds for this bench's geometry alone; `likely`: range under a fault; `neutral`: the
-    value at which a fault is absent (none: only a calibration knows).
+    say; `nameless`: free there, and no effect of the catalogue says it; `bench_only`: its law holds for this bench's
+    geometry alone; `likely`: range under a fault; `neutral`: the value at which a fault is absent (none: only a
+    calibration knows).
 
     For simulated benches: `made`: tolerance of manufacture, `daily`: change from day to day.
     """
@@ -78,6 +79,7 @@ class Parameter:
     bench_only: bool = False
     made: Tolerance | None = None
     daily: Tolerance | None = None
+    nameless: bool = False
 
     @property
     def in_relations(self) -> bool:
@@ -166,7 +168,7 @@ _FRICTION: Final = (
     _P("tension_ratio", "", "START per tension behind the cable without friction", 1.0, -10.0, 10.0,
        "a rope hands its tension on", any_rig=(-10.0, 10.0), free=True),
     _P("coulomb", "N", "friction that no load changes", 0.0, -1e3, 1e3, "paper, 3.1: capstan friction only",
-       any_rig=(-1e3, 1e3), free=True),
+       any_rig=(-1e3, 1e3), free=True, nameless=True),
     _P("pull_sign", "", "1 where a growing rope position pulls, −1 where it releases", 1.0, -1.0, 1.0,
        "signal table", any_rig=(-1.0, 1.0)),
     _P("slack_below", "N", "tension below which the rope counts as slack", 0.3, -INFINITE, 10.0,

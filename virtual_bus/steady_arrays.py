@@ -81,7 +81,8 @@ class Arrays:
         self.f: Any = np.zeros(law.F_SIZE)
         self._integers: Any = np.zeros(law.I_SIZE, np.int64)
         frames: Any = np.zeros((law.ROWS, 3), np.uint64)
-        self.call = (self.f, self._integers, frames, np.zeros(law.F_KEPT), np.zeros(law.I_KEPT, np.int64))
+        self._rings: Any = np.zeros((law.GAUGES, RING, 2))
+        self.call = (self.f, self._integers, frames, self._rings, np.zeros(law.F_KEPT), np.zeros(law.I_KEPT, np.int64))
         self.i: Any = memoryview(cast(Any, self._integers))
         self._bytes: Any = self.i.cast("B")
         self.rows: Any = memoryview(frames).cast("B")
@@ -104,8 +105,8 @@ class Arrays:
         for k, gauge in enumerate(self._machine.gauges):
             cast(TensionSensor, gauge.sensor).adopt(_part(f, law.F_CHANNEL, k, channel_law.SIZE))
             converter = cast(Converter, gauge.converter)
-            converter.adopt(_part(f, law.F_CONVERTER, k, law.CONVERTER),
-                            _part(f, law.F_RING, k, 2 * RING).reshape(RING, 2), _part(f, law.F_SENSOR, k, law.SENSOR))
+            converter.adopt(_part(f, law.F_CONVERTER, k, law.CONVERTER), self._rings[k],
+                            _part(f, law.F_SENSOR, k, law.SENSOR))
             i[law.SEED + k] = np.uint64(converter.seed).astype(np.int64)
 
     # ---- in ----

@@ -5,7 +5,8 @@ ticks, converters, channels, set-points and stuffing are the functions that the 
 Whatever it does not know ends it with everything as it was: then the cycle is run the other way.
 
 Everything lives in two flat arrays: `f`, float64, and `i`, int64 (times in ns); `rows` gets the frames, three words
-each, as `trial.mcap_file.cdr.FRAME_ROW` has them.
+each, as `trial.mcap_file.cdr.FRAME_ROW` has them.  `rings` are the converters' rings, (`GAUGES`, `RING`, 2), an array
+of their own: compiling one `reshape` in here took two seconds, for the text of its error.
 """
 
 from __future__ import annotations
@@ -55,8 +56,7 @@ F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
 ACTION_WIDTH: Final = 3
 """Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
 F_SENSOR: Final = F_ACTION + ACTION_WIDTH * TAKES
-F_RING: Final = F_SENSOR + GAUGES * SENSOR
-F_SIZE: Final = F_RING + GAUGES * 2 * converter.RING
+F_SIZE: Final = F_SENSOR + GAUGES * SENSOR
 
 # ---- i: what a cycle changes first ----
 NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, \
@@ -131,7 +131,7 @@ def digest() -> int:
 
 
 @njit
-def act(f: Any, i: Any, now: int) -> bool:
+def act(f: Any, i: Any, rings: Any, now: int) -> bool:
     """Bring the plant up to `now`, tick the drives, sample the sensors that are due; False where one has an event."""
     steps = (now - i[PLANT_NS]) // step.STEP_NS
     i[PLANT_NS] += steps * step.STEP_NS
@@ -152,17 +152,16 @@ def act(f: Any, i: Any, now: int) -> bool:
         if i[SAMPLE_NS + k] == now:
             i[SAMPLE_NS + k] = now + i[INTERVAL + k]
             c = f[F_CHANNEL + k * channel_law.SIZE:F_CHANNEL + (k + 1) * channel_law.SIZE]
-            ring = f[F_RING + k * 2 * converter.RING:F_RING + (k + 1) * 2 * converter.RING].reshape(converter.RING, 2)
             state = f[F_CONVERTER + k * CONVERTER:F_CONVERTER + (k + 1) * CONVERTER]
             p = f[F_SENSOR + k * SENSOR:F_SENSOR + (k + 1) * SENSOR]
-            counts = int(_convert(state, ring, p, np.uint64(i[SEED + k]), now, m[SLOT.out_start + k]))
+            counts = int(_convert(state, rings[k], p, np.uint64(i[SEED + k]), now, m[SLOT.out_start + k]))
             if _sample(c, counts, 0) != c[channel_law.VERDICT]:
                 return False
     return True
 
 
-@njit
-def put(i: Any, ready: int, can_id: int, size: int, data: int, sender: int) -> None:
+@njit(inline="always")
+def put(i: Any, ready: int, can_id: int, size: int, data: Any, sender: int) -> None:
     """Let a frame wait for the wire."""
     at = PENDING + i[WAITING] * PENDING_WIDTH
     i[at], i[at + 1], i[at + 2], i[at + 3], i[at + 4] = ready, can_id, size, data, sender
@@ -196,7 +195,7 @@ def latch(f: Any, i: Any, now: int) -> bool:
     return True
 
 
-@njit
+@njit(inline="always")
 def latched(f: Any, i: Any, node: int, source: int) -> Any:
     """Return the raw value that a node latched: one of an axis' counts, or a channel's integer."""
     if node >= AXES:
@@ -262,7 +261,7 @@ def synchronise(f: Any, i: Any, now: int) -> bool:
     return True
 
 
-@njit
+@njit(inline="always")
 def beat(i: Any, now: int) -> None:
     """Let every node whose heartbeat is due send it."""
     for node in range(NODES):
@@ -273,7 +272,7 @@ def beat(i: Any, now: int) -> None:
             put(i, now + i[NODE_NS], i[at], 1, i[at + 1], FROM_NODE - node)
 
 
-@njit
+@njit(inline="always")
 def watch(i: Any, now: int) -> None:
     """Let every node that watches over the master hear its heartbeat."""
     for node in range(NODES):
@@ -313,7 +312,7 @@ def winner(i: Any, now: int) -> int:
     return best
 
 
-@njit
+@njit(inline="always")
 def earliest(i: Any) -> Any:
     """Return when the first of the waiting frames is ready."""
     first = NEVER
@@ -322,7 +321,7 @@ def earliest(i: Any) -> Any:
     return first
 
 
-@njit
+@njit(inline="always")
 def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
     """Keep a frame for the recorder."""
     row = i[LAST_ROW]
@@ -359,7 +358,7 @@ def begin(i: Any, rows: Any) -> Any:
     return True
 
 
-@njit
+@njit(inline="always")
 def beat_own(i: Any, now: int) -> None:
     """Send the master's heartbeat, now."""
     i[OWN_NS], i[OWN_AT] = now + i[OWN_PERIOD], now
@@ -393,7 +392,7 @@ def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
     return hear(f, i, now, can_id, data)
 
 
-@njit
+@njit(inline="always")
 def next_beat(i: Any) -> Any:
     """Return when the first of the nodes' heartbeats is due."""
     first = NEVER
@@ -415,7 +414,7 @@ def arbitrate(i: Any, now: int, sending: int) -> Any:
 
 
 @njit
-def run(f: Any, i: Any, rows: Any) -> int:
+def run(f: Any, i: Any, rows: Any, rings: Any) -> int:
     """Run events in the kernel's order until every input of the next SYNC has been sent."""
     if not begin(i, rows):
         return LATE
@@ -429,7 +428,7 @@ def run(f: Any, i: Any, rows: Any) -> int:
             return LATE
         i[NOW] = now
         if tick == now:
-            if not act(f, i, now):
+            if not act(f, i, rings, now):
                 return UNKNOWN
         elif end == now:
             end = NEVER
@@ -456,14 +455,18 @@ def run(f: Any, i: Any, rows: Any) -> int:
 
 def _compile(sources: int) -> Any:
     @njit(cache=True)
-    def cycle(f: Any, i: Any, rows: Any, before_f: Any, before_i: Any) -> int:
+    def cycle(f: Any, i: Any, rows: Any, rings: Any, before_f: Any, before_i: Any) -> int:
         _ = sources
-        before_f[:] = f[:F_KEPT]
-        before_i[:] = i[:I_KEPT]
-        ended = run(f, i, rows)
+        for n in range(F_KEPT):  # as slices these four would each take half a second to compile
+            before_f[n] = f[n]
+        for n in range(I_KEPT):
+            before_i[n] = i[n]
+        ended = run(f, i, rows, rings)
         if ended != DONE:
-            f[:F_KEPT] = before_f
-            i[:I_KEPT] = before_i
+            for n in range(F_KEPT):
+                f[n] = before_f[n]
+            for n in range(I_KEPT):
+                i[n] = before_i[n]
             i[FIRST_ROW], i[LAST_ROW] = 0, before_i[LAST_ROW] - before_i[FIRST_ROW]
         i[RETURNED] = ended
         return int(ended)
@@ -472,12 +475,12 @@ def _compile(sources: int) -> Any:
 
 
 cycle: Any = _compile(digest())
-"""`cycle(f, i, rows, before_f, before_i)` → `DONE`, or why everything is as it was."""
+"""`cycle(f, i, rows, rings, before_f, before_i)` → `DONE`, or why everything is as it was."""
 
 
 def prepare() -> bool:
     """Compile the cycle, or load it from numba's cache; return whether it had to be compiled."""
     before = sum(cycle.stats.cache_misses.values())
-    cycle(np.zeros(F_SIZE), np.zeros(I_SIZE, np.int64), np.zeros((ROWS, 3), np.uint64), np.zeros(F_KEPT),
-          np.zeros(I_KEPT, np.int64))
+    cycle(np.zeros(F_SIZE), np.zeros(I_SIZE, np.int64), np.zeros((ROWS, 3), np.uint64),
+          np.zeros((GAUGES, converter.RING, 2)), np.zeros(F_KEPT), np.zeros(I_KEPT, np.int64))
     return bool(sum(cycle.stats.cache_misses.values()) > before)

@@ -66,14 +66,29 @@ class Judge:
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _likelier(self, lesser: Model, model: Model) -> bool:
-        """Whether a model pays on a rig of which no scatter is known: by the ratio of likelihoods, n·ln(χ²₀/χ²₁).
+        """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
+
+        Where a constant that no effect names (load-free friction, say) takes too little beside the effect to be needed,
+        the effect is judged without it: a name of the catalogue comes before a constant that is free to stand in.
+        """
+        if self._takes(lesser, model):
+            return True
+        for name in self.setting.nameless if lesser.effects else ():
+            bare = self.search.lacking(model, name)
+            if not self._takes(bare, model) and self._takes(self.search.lacking(lesser, name), bare):
+                return True
+        return False
+
+    def _takes(self, lesser: Model, model: Model) -> bool:
+        """Whether a model is likelier than a lesser one, by the ratio of likelihoods n·ln(χ²₀/χ²₁), in some relation.
 
         n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
         """
         base = self.search.baseline
         for n, share in verdict.cut(lesser, model).items():
             left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
-            least = verdict.MISMATCH_ELSEWHERE * base.by_relation[n]
+            least = max(verdict.MISMATCH_ELSEWHERE * base.by_relation[n],
+                        verdict.FURTHER_ELSEWHERE * lesser.by_relation[n] if lesser.effects else 0.0)
             if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < least:
                 continue
             if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
@@ -178,7 +193,8 @@ class Judge:
         """Return every relation's figures, those that were not checked marked so."""
         lacking = blocks.allowed(self.holdout) if self.holdout else {}
         ahead = blocks.blocks_of(
-            self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut) if lacking else []
+            self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut,
+            self.setting.rate_hz) if lacking else []
         ahead = self.setting.learnt.corrected(ahead) if self.setting.learnt is not None else ahead
         return {name: self._figures(name, ahead) for name in RELATIONS}
 

@@ -157,9 +157,14 @@ def allowed(tables: Iterable[Table]) -> dict[str, tuple[str, ...]]:
             for name, relation in RELATIONS.items()}
 
 
-def blocks_of(tables: Sequence[Table], names: Iterable[str], taut_n: float | None = None) -> list[Block]:
-    """Return the blocks of relations `names` on all trials; `taut_n`: relations of angle only where END pulls more."""
-    rate = working_rate(tables)
+def blocks_of(tables: Sequence[Table], names: Iterable[str], taut_n: float | None = None, rate_hz: float | None = None
+              ) -> list[Block]:
+    """Return the blocks of relations `names` on all trials; `taut_n`: relations of angle only where END pulls more.
+
+    `rate_hz`: the rate at which all that is compared is looked at (none: `working_rate` of these trials alone).  What
+    friction does right after a reversal depends on it, through the noise of the motion.
+    """
+    rate = working_rate(tables) if rate_hz is None else rate_hz
     names = tuple(names)
     made: list[Block] = []
     first = 0

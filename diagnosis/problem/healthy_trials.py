@@ -18,7 +18,8 @@ from physics.parameters import RELATION_PARAMETERS
 
 SECONDS: Final = 5.0
 """Length of all trials together that the simulation is fitted on, s."""
-Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...]]
+RATES_HZ: Final = (50.0, 62.5, 80.0, 100.0, 125.0)
+Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...], float]
 
 
 class HealthyTrials:
@@ -35,11 +36,20 @@ class HealthyTrials:
     def __iter__(self) -> Iterator[Table]:
         return iter(self.tables)
 
-    def fit(self, checked: Sequence[str], known: Reference) -> Learnt:
+    def rate(self, trials: Sequence[Table]) -> float:
+        """Return the rate, Hz, at which `trials` and these are looked at, that of the longest among them.
+
+        Rates are those of `RATES_HZ`, so that trials of about one length share a fit.
+        """
+        least = min(blocks.working_rate(group) for group in (trials, *([t] for t in self.tables)) if group)
+        return max((r for r in RATES_HZ if r <= least), default=least)
+
+    def fit(self, checked: Sequence[str], known: Reference, rate_hz: float | None = None) -> Learnt:
         """Return what these trials say of the relations `checked`; `known` is one point to start from."""
-        key = tuple(checked), tuple(sorted(known.values.items()))
+        rate = self.rate(()) if rate_hz is None else rate_hz
+        key = tuple(checked), tuple(sorted(known.values.items())), rate
         if key not in self._fits:
-            self._fits[key] = self._learn(tuple(checked), known)
+            self._fits[key] = self._learn(tuple(checked), known, rate)
         return self._fits[key]
 
     def simulated(self, learnt: Learnt) -> dict[str, float]:
@@ -50,9 +60,9 @@ class HealthyTrials:
                 self.tables, values, learnt.sigma, learnt.reference.nuisance, SECONDS / max(len(self.tables), 1))
         return self._simulated[id(learnt)]
 
-    def _learn(self, checked: tuple[str, ...], known: Reference) -> Learnt:
+    def _learn(self, checked: tuple[str, ...], known: Reference, rate: float) -> Learnt:
         own = of_bench(None)
-        taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N)
+        taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N, rate)
                   for t in self.tables]
         columns = [t.columns for t in self.tables]
         near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)

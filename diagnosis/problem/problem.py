@@ -23,6 +23,7 @@ from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATI
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learning import Learnt
 from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
+from physics.parameters import RELATION_PARAMETERS
 from physics.relations.relation import RELATIONS
 
 CORRELATED_S = 0.09
@@ -33,7 +34,8 @@ UNEXPLAINED_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Setting:
-    """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench."""
+    """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench;
+    `rate_hz`: the rate at which trials are looked at."""
 
     any_rig: bool
     missing: Mapping[str, tuple[str, ...]]
@@ -46,6 +48,7 @@ class Setting:
     floors: Mapping[str, float] | None
     offered: list[Candidate]
     learnt: Learnt | None = None
+    rate_hz: float | None = None
 
     @property
     def problem(self) -> Problem:
@@ -54,6 +57,12 @@ class Setting:
     @property
     def taut(self) -> float | None:
         return None if self.any_rig else relations.TAUT_N
+
+    @property
+    def nameless(self) -> tuple[str, ...]:
+        """Return the constants that are free on a rig that nothing is known of and that no effect names."""
+        return tuple(f.name for f in self.reference.nuisance if f.name in RELATION_PARAMETERS
+                     and math.isinf(f.sigma) and RELATION_PARAMETERS[f.name].nameless)
 
     def samples(self, relation: str) -> int:
         return sum(b.keep.size for b in self.blocks if b.relation.name == relation)
@@ -73,38 +82,40 @@ def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: 
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
     checked = tuple(n for n, lacks in missing.items() if not lacks and not (any_rig and RELATIONS[n].bench_only))
-    blocks = relations.blocks_of(trials, checked, None if any_rig else relations.TAUT_N)
+    rate = healthy.rate(trials) if healthy and not any_rig else relations.working_rate(trials)
+    blocks = relations.blocks_of(trials, checked, None if any_rig else relations.TAUT_N, rate)
     checked = tuple(n for n in checked if any(b.relation.name == n and b.keep.size for b in blocks))
     blocks = [b for b in blocks if b.relation.name in checked]
     folds = folds_of(np.concatenate([b.cycle for b in blocks])) if blocks else []
     if any_rig:
-        return _unknown(missing, checked, blocks, folds)
-    return _bench(missing, checked, blocks, folds, healthy, calibration)
+        return _unknown(missing, checked, blocks, folds, rate)
+    return _bench(missing, checked, blocks, folds, healthy, calibration, rate)
 
 
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-           folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
+           folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None, rate: float
+           ) -> Setting:
     reference = of_bench(calibration)
     if healthy:
-        return _learnt(missing, checked, blocks, folds, healthy.fit(checked, reference))
+        return _learnt(missing, checked, blocks, folds, healthy.fit(checked, reference, rate), rate)
     floors = {n: FLOORS[n] for n in checked}
     weights = {n: floors[n] * math.sqrt(CORRELATION_LENGTH[n]) for n in checked}
     return Setting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                   candidates(checked, reference.values, reference.nuisance))
+                   candidates(checked, reference.values, reference.nuisance), rate_hz=rate)
 
 
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-            folds: list[frozenset[int]], learnt: Learnt) -> Setting:
+            folds: list[frozenset[int]], learnt: Learnt, rate: float) -> Setting:
     floors = {n: max(learnt.floor(n) if n in learnt.floors else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
     lengths = {n: learnt.correlation_length.get(n, CORRELATION_LENGTH[n]) for n in checked}
     weights = {n: floors[n] * math.sqrt(max(lengths[n], LEAST_CORRELATION_LENGTH)) for n in checked}
     values, nuisance = learnt.reference.values, learnt.reference.nuisance
     return Setting(False, missing, checked, learnt.corrected(blocks), folds, learnt.reference, values, weights, floors,
-                   candidates(checked, values, nuisance), learnt)
+                   candidates(checked, values, nuisance), learnt, rate)
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-             folds: list[frozenset[int]]) -> Setting:
+             folds: list[frozenset[int]], rate: float) -> Setting:
     first = of_unknown_rig(blocks)
     even = {n: _deviation(blocks, n) for n in checked}
     values = solve(Problem(blocks, even), first.values, first.nuisance).values
@@ -116,7 +127,7 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
     weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
     return Setting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                   candidates(checked, reference.values, reference.nuisance, True))
+                   candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
 
 
 def _deviation(blocks: Sequence[Block], name: str) -> float:

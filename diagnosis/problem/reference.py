@@ -60,13 +60,13 @@ def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
 
 
 def _spreads(model: BenchModel) -> dict[str, float]:
-    """Return the 1σ of what a bench model tells, from the intervals of its values."""
+    """Return the 1σ of what a bench model tells, from the repeatability of its values: like is compared with like."""
     total: dict[str, float] = {}
     for measured, evidence in model.evidence.items():
         if not math.isfinite(evidence.low + evidence.high):
             continue
         low, high = (replace(model, values={**model.values, measured: end}).related()
-                     for end in (evidence.low, evidence.high))
+                     for end in evidence.again(model.values[measured]))
         for name in IDENTIFIED:
             if name in low and low[name] != high[name]:
                 total[name] = math.hypot(total.get(name, 0.0), (high[name] - low[name]) / (2.0 * 1.96))

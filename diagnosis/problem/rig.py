@@ -34,7 +34,8 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched:
     first = build_problem(healthy, HealthyTrials(), None)
     found = searched(first)
     checked = tuple(n for n in first.checked if not relations.allowed(trials)[n])
-    by_trial = [relations.blocks_of([t], checked) for t in healthy]
+    rate = min(relations.working_rate(group) for group in (trials, healthy))
+    by_trial = [relations.blocks_of([t], checked, None, rate) for t in healthy]
     alone = [solve(Problem(b, first.weights), found.values, found.free).values for b in by_trial]
     nuisance = tuple(_band(f, [a[f.name] for a in alone]) for f in found.free)
     reference = Reference("healthy", {**found.values, **{f.name: f.mean for f in nuisance}}, nuisance)
@@ -45,11 +46,11 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched:
             rests[block.relation.name].append(block.residual(values))
     floors = {n: rmse(r) for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
-    blocks: list[Block] = [b for b in relations.blocks_of(trials, checked) if b.keep.size]
+    blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, rate) if b.keep.size]
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
     offered = candidates(checked, reference.values, nuisance, True)
     return Setting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values, weights,
-                   floors, offered)
+                   floors, offered, rate_hz=rate)
 
 
 def _band(f: Free, values: Sequence[float]) -> Free:

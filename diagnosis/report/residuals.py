@@ -60,7 +60,7 @@ def compared(found: Diagnosis, trials: Sequence[Table]) -> dict[str, list[Compar
         usable = integrity.usable(trial)
         usable = usable if found.lowpass_hz is None else table.low_passed(usable, found.lowpass_hz)
         lacking = blocks.allowed([usable])
-        for block in blocks.blocks_of([usable], [n for n in checked if not lacking[n]], taut):
+        for block in blocks.blocks_of([usable], [n for n in checked if not lacking[n]], taut, found.rate_hz):
             if block.keep.size:
                 made[block.relation.name].append(Compared(
                     block, block.signals[block.relation.output][block.keep],

@@ -15,6 +15,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares, unseen
 from diagnosis.problem.fit import Fit, Free, Problem, solve
 from diagnosis.problem.screen import promises
+from physics.parameters import RELATION_PARAMETERS
 
 Values = Mapping[str, float]
 
@@ -107,6 +108,7 @@ class Search:
         self.start = dict(start)
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
+        self.lacks: dict[tuple[tuple[str, ...], str], Model] = {}
         self.baseline = self.model((), start)
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
@@ -169,6 +171,16 @@ class Search:
         known = self.tried.get(tuple(sorted(c.name for c in left)))
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
         return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
+
+    def lacking(self, model: Model, constant: str) -> Model:
+        """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
+        key = (model.names, constant)
+        if key not in self.lacks:
+            free = tuple(f for f in self.free_of(model.effects) if f.name != constant)
+            fit = solve(self.problem, {**model.fit.values, constant: RELATION_PARAMETERS[constant].in_ideal}, free,
+                        thorough=True)
+            self.lacks[key] = Model(model.effects, fit, self.problem, self.folds)
+        return self.lacks[key]
 
     def _ahead(self, grown: Iterable[Model], best: Model) -> tuple[Model, list[Model]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""

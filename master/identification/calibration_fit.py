@@ -101,6 +101,7 @@ WEIGHT = 20.0
 SLID_M = 2e-3
 BELIEVED_N = 0.3
 """Error, N, of the model over a segment, against which a doubt about an unknown counts."""
+NORMAL_95 = 1.96
 
 
 def rest(segments: Sequence[Segment]) -> Rest:
@@ -163,7 +164,8 @@ def _lag_error(segment: Segment, lag_s: float) -> float:
 def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tuple[Calibration, Mapping[str, Evidence]]:
     """The joint fit of the transfer model to every loop and swing; returns scalars and their intervals.
 
-    Intervals are 95 %, from leaving out one segment at a time (jackknife, linearised at the solution).
+    Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An
+    unknown that ends at a limit of the search, which is no zero, is known no better than before: its doubt stays.
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
@@ -184,9 +186,13 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
     rows = sum(sizes)
     fun, slopes = np.asarray(found.fun), np.asarray(found.jac)
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
-    errors = _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
-    evidence = {u.name: Evidence(float(value - 1.96 * error), float(value + 1.96 * error))
-                for u, value, error in zip(_UNKNOWNS, found.x, errors, strict=True) if u.name != END_LAG}
+    scatter = NORMAL_95 * _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
+    half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], [s.kind for s in data]), slopes[rows:], heavy)
+    near = 1e-6 * (high - low)
+    ended = ((found.x <= low + near) & (low != 0.0)) | (found.x >= high - near)
+    half = np.where(ended & doubted, np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
+    evidence = {u.name: Evidence(float(value - by), float(value + by), repeatability=float(again))
+                for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
     to = max(float(segment.start.max()) for segment in data)
     return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
 
@@ -240,6 +246,29 @@ def _slid(segment: Segment) -> Any:
     if segment.start[0] <= 2.0 * TAUT_N:
         return True
     return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
+
+
+def _lack(residuals: Array, kinds: Sequence[str]) -> float:
+    """Standard deviation, in the unit of the residuals, of the error that a segment makes in END or in position.
+
+    What is left after the fit is the model's error and not noise: it is alike along a motion, and so one number a
+    segment.  Never below `BELIEVED_N`, which is what the doubts were weighed against.
+    """
+    told = sum(1 if kind == "swing" else 2 for kind in kinds)
+    return max(WEIGHT * BELIEVED_N, math.sqrt(float(np.sum(residuals**2)) / told))
+
+
+def _errors(slopes: Array, lack: float, prior: Array, believed: float) -> Array:
+    """Standard errors of the unknowns where a segment errs by `lack` and a doubt, a row of `prior`, by `believed`.
+
+    The covariance is H⁻¹·(lack²·JᵀJ + believed²·PᵀP)·H⁻¹ with H = JᵀJ + PᵀP.  A repeat that errs alike hides the
+    model's error from a jackknife, and a doubt that decides leaves it nothing to vary: neither is so here.
+    """
+    scale = np.sqrt((slopes**2).sum(axis=0) + (prior**2).sum(axis=0) + 1e-300)
+    told, doubted = slopes / scale, prior / scale
+    inverted = np.linalg.inv(told.T @ told + doubted.T @ doubted + 1e-9 * np.eye(len(scale)))
+    between = lack**2 * told.T @ told + believed**2 * doubted.T @ doubted
+    return np.asarray(np.sqrt(np.diag(inverted @ between @ inverted)) / scale)
 
 
 def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Array) -> Array:

@@ -17,6 +17,9 @@ STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
 STRETCH_NOMINAL: Final = 2.5
 """The same for the packaged calibration, which belongs to no bench."""
+STRETCH_GUESSED: Final = 5.0
+"""The same where the bench is about to be identified: 5 to 25 mm at 60 N are benches like any other, a unit that is
+wrong by a factor of ten is none."""
 CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
@@ -49,17 +52,18 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
 def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
     """Take over what homing showed; raises `RefusedError` where it is not what the calibration says.
 
-    A `guessed` calibration is about to be measured: only what the sensors say of each other counts.
+    A `guessed` calibration is about to be measured: its stretch may be another bench's.
     """
     learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
-    sentence = (None if guessed else disagreement(learned, calibration)) or among_sensors(learned)
+    sentence = disagreement(learned, calibration, guessed=guessed) or among_sensors(learned)
     if sentence is not None:
         raise RefusedError(sentence)
 
 
-def disagreement(learned: Learned, calibration: Calibration) -> str | None:
+def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = False) -> str | None:
     """Say where homing's stretch is not the calibration's, with both numbers; None where it is."""
-    ratio, most = learned.stretch_ratio, STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
+    ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
     if not 1.0 / most <= ratio <= most:
         declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
         return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "

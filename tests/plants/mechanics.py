@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 
 import numpy as np
 from numba import njit
 
 from tests.plants import bench as b
-from tests.plants.bench import EDS_DRUM_M, END, GRAVITY, KNEE_AT_FIT, KNEES, START
+from tests.plants.bench import EDS_DRUM_M, END, GRAVITY, KNEE_AT_FIT, KNEES, MIDDLE, START
 
 STEP_NS = 50_000
 STEP_S = STEP_NS * 1e-9
@@ -140,3 +142,49 @@ def digest() -> int:
 
 
 SOURCES = digest()
+
+
+# ---- what is compiled for each method: the loops below, with its `step`, `EVERY` and `SUBSTEP_S` ----
+
+
+def _loops(sources: int, every: int, substep_s: float):
+    """The loops as written, `step` a name that `loops` gives a meaning to."""
+    def drive(count, m, k, z, p, servo_nm, knee_nm):
+        _ = sources
+        for _ in range(count):
+            move(m, k, servo_nm, knee_nm, z[START], z[MIDDLE])
+            m[DONE] += 1.0
+            if m[DONE] % every == 0.0:
+                leg = m[LEG]
+                step(z, p, paid(k, m[X]), anchor(k, leg), leg, every * STEP_S)  # noqa: F821 (bound by `loops`)
+            feel(m, k, z)
+
+    def run(k, z, p, time, encoder, knee, weight, start, middle, end, legs):
+        _ = sources
+        leg = legs[0]
+        for i in range(time.size):
+            h = time[i] - time[i - 1] if i else substep_s
+            count = max(1, math.ceil(h / max(substep_s, 1e-3)))
+            x0, q0 = (encoder[i - 1], knee[i - 1]) if i else (encoder[i], knee[i])
+            for j in range(1, count + 1):
+                x, q = x0 + (encoder[i] - x0) * j / count, q0 + (knee[i] - q0) * j / count
+                load = k[K_ARM] * z[MIDDLE] - weight * math.sin(leg)
+                leg = follow(k, leg, q, load, h / count)
+                step(z, p, paid(k, x), anchor(k, leg), leg, h / count)  # noqa: F821 (bound by `loops`)
+            start[i], middle[i], end[i], legs[i] = z[START], z[MIDDLE], z[END], leg
+
+    return drive, run
+
+
+def loops(step: Callable, method: str, every: int, substep_s: float) -> tuple[Callable, Callable]:
+    """Compile (drive, run) of a method: its path's `step(z, p, x, w, theta, dt)` in every `every`-th mechanical step.
+
+    `step` is a global of the loops and not an argument, and their names have the `method` in them: so numba's cache
+    finds each method's own on disk, which it does for no function that closes over a compiled one.
+    """
+    made = []
+    for loop in _loops(SOURCES, every, substep_s):
+        own = FunctionType(loop.__code__, {**globals(), "step": step}, loop.__name__, None, loop.__closure__)
+        own.__qualname__ = f"{method}.{loop.__name__}"
+        made.append(njit(cache=True)(own))
+    return made[0], made[1]

@@ -165,35 +165,5 @@ def step(z, p, x, w, theta, dt):
     age(z, p, before, dt)
 
 
-def _compile(sources: int):
-    @njit(cache=True)
-    def drive(count, m, k, z, p, servo_nm, knee_nm):
-        _ = sources
-        for _ in range(count):
-            mechanics.move(m, k, servo_nm, knee_nm, z[START], z[MIDDLE])
-            m[mechanics.DONE] += 1.0
-            if m[mechanics.DONE] % EVERY == 0.0:
-                leg = m[mechanics.LEG]
-                step(z, p, mechanics.paid(k, m[mechanics.X]), mechanics.anchor(k, leg), leg, EVERY * mechanics.STEP_S)
-            mechanics.feel(m, k, z)
-
-    @njit(cache=True)
-    def run(k, z, p, time, encoder, knee, weight, start, middle, end, legs):
-        _ = sources
-        leg = legs[0]
-        for i in range(time.size):
-            h = time[i] - time[i - 1] if i else SUBSTEP_S
-            count = max(1, math.ceil(h / max(SUBSTEP_S, 1e-3)))
-            x0, q0 = (encoder[i - 1], knee[i - 1]) if i else (encoder[i], knee[i])
-            for j in range(1, count + 1):
-                x, q = x0 + (encoder[i] - x0) * j / count, q0 + (knee[i] - q0) * j / count
-                load = k[mechanics.K_ARM] * z[MIDDLE] - weight * math.sin(leg)
-                leg = mechanics.follow(k, leg, q, load, h / count)
-                step(z, p, mechanics.paid(k, x), mechanics.anchor(k, leg), leg, h / count)
-            start[i], middle[i], end[i], legs[i] = z[START], z[MIDDLE], z[END], leg
-
-    return drive, run
-
-
-drive, run = _compile(mechanics.SOURCES)
+drive, run = mechanics.loops(step, __name__, EVERY, SUBSTEP_S)
 """`drive(count, …)`: so many steps under held torques; `run(…)`: the path under imposed encoder and knee motion."""
