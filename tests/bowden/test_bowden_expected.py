@@ -273,21 +273,74 @@ def telling(text, *, shown=True):
         yield lambda share: share > 0.2 and not done and (done.append(1), os.kill(os.getpid(), int(sys.argv[1])))
     return inside()
 terminal.progress = telling
-sys.exit(run(["trial", "--cycles", "3", "--period", "1.0", "-o", "a.mcap", "--json"]))
+sys.exit(run([*sys.argv[2:], "--json"]))
 """
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_trial_that_is_told_to_end_stops_safely_with_its_file_whole(here: Path, number: signal.Signals) -> None:
-    ended = subprocess.run([sys.executable, "-c", STOPPED, str(int(number))], capture_output=True, text=True,
-                           check=False)
+def stopped(number: signal.Signals, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command that is sent a signal when a fifth of it is done; it ends by itself with 128 and the number."""
+    ended = subprocess.run([sys.executable, "-c", STOPPED, str(int(number)), *arguments], capture_output=True,
+                           text=True, check=False)
     assert ended.returncode == 128 + number, ended.stderr
+    assert "Traceback" not in ended.stderr
+    return ended
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_trial_that_is_told_to_end_stops_safely_with_its_file_whole(here: Path, number: signal.Signals) -> None:
+    ended = stopped(number, "trial", "--cycles", "3", "--period", "1.0", "-o", "a.mcap")
     told = json.loads(ended.stdout)
     assert told["outcome"] == "stopped"
     assert told["stop_reason"].startswith("interrupted")
     opened = trial.open(here / "a.mcap")
     assert (opened.result or {})["outcome"] == "stopped"
     assert opened.columns["servo_position_m"][-1] < opened.columns["servo_position_m"].max()  # rope was paid out
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_an_identification_that_is_told_to_end_writes_no_calibration(here: Path, number: signal.Signals) -> None:
+    ended = stopped(number, "identify", "all", "-o", "c.toml")
+    told = json.loads(ended.stdout)
+    assert told["outcome"] == "stopped"
+    assert told["stop_reason"].startswith("interrupted")
+    assert not (here / "c.toml").exists()
+    recording, = here.glob("*.mcap")
+    assert (trial.open(recording).result or {})["reason"].startswith("interrupted")
+
+
+@pytest.mark.parametrize("number", ENDINGS)
+def test_a_sweep_that_is_told_to_end_goes_on_from_there(here: Path, number: signal.Signals) -> None:
+    sweep = ("sweep", "--grid", "peak=20,25,30", "--grid", "cycles=1", "--grid", "settle=0", "--workers", "1",
+             "-o", "t.csv")
+    ended = stopped(number, *sweep)
+    assert "goes on from there" in ended.stderr
+    assert len((here / "t.csv").read_text().splitlines()) < 1 + 3
+    again = subprocess.run([*BOWDEN, *sweep, "--json"], capture_output=True, text=True, check=False)
+    assert again.returncode == 0, again.stderr
+    assert "trials are there from before" in again.stderr
+    assert len((here / "t.csv").read_text().splitlines()) == 1 + 3
+
+
+@pytest.mark.walltime
+@pytest.mark.parametrize("number", ENDINGS)
+@pytest.mark.parametrize("command", [("bench", "--interface", "virtual", "--channel", "endings"),
+                                     ("live", "a.mcap", "--port", "0"), ("live", "a.mcap", "--port", "0", "--web", "0"),
+                                     ("record", "--interface", "virtual", "--channel", "endings", "-o", "b.mcap")],
+                         ids=" ".join)
+def test_what_serves_or_listens_ends_on_a_signal(here: Path, command: tuple[str, ...], number: signal.Signals) -> None:
+    made(here / "a.mcap")
+    process = subprocess.Popen([*BOWDEN, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline()  # it says where it is, and from then on it runs
+        process.send_signal(number)
+        rest = process.communicate()[0]
+    finally:
+        process.kill()
+    assert process.returncode == 128 + number, rest
+    assert "Traceback" not in rest
+    assert command[0] != "record" or trial.open(here / "b.mcap").result is not None  # whole, and closed
 
 
 def test_replay_after_recovery_compares_up_to_the_last_whole_cycle(here: Path, bowden: Bowden) -> None:
