@@ -133,10 +133,10 @@ def learnt(slope: float, cycles: int, disturbance: np.ndarray) -> list[float]:
 
 @pytest.mark.parametrize("slope", SLOPES_N_M)
 def test_learning_converges_as_the_bound_says(slope: float) -> None:
-    """What stays is what Q does not pass: (1 − Q)/(1 − Q·(1 − γ)), 1.5 % of it at 1 Hz and 9 % at 2.5 Hz."""
+    """What stays is what Q does not pass: (1 − Q)/(1 − Q·(1 − γ)), 2 % of it at 1 Hz and 12 % at 2.5 Hz."""
     phase = np.linspace(0.0, 2.0 * np.pi, SAMPLES, endpoint=False)
     errors = learnt(slope, 8, 3.0 * np.sin(2.0 * phase) + np.cos(5.0 * phase))
-    assert errors[-1] < 0.09 * errors[0]
+    assert errors[-1] < 0.12 * errors[0]
     assert all(later <= 0.75 * before for before, later in itertools.pairwise(errors) if before > 0.2 * errors[0])
 
 
