@@ -1,10 +1,11 @@
 """The paper's table, beside every controller here, on twenty benches: docs/results.csv and docs/results.md.
 
-    python -m benchmarks.reproduce [--quick] [--workers N] [--page]
+    python -m benchmarks.reproduce [--quick] [--benches N] [--workers N] [--page]
 
 The rule of this file: a result is a row of a sweep (`bowden.sweep.run`), so that what is interrupted goes on and
 nothing is run twice; Ctrl-C writes the page of what there is.  The page is made from docs/results.csv alone (`--page`
-does only that).  Benches are identified on day 0 and tried on day 1.  `--quick` takes two benches and writes to out/.
+does only that).  Benches are identified on day 0 and tried on day 1.  `--quick` takes two benches and writes to out/;
+`--benches` takes the first so many, and the page says which it is of.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from virtual_bus.build import GROUPS
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT, DOCS = ROOT / "out", ROOT / "docs"
-SERIALS, QUICK_SERIALS = range(1, 21), range(1, 3)
+SERIALS, QUICK_SERIALS = range(1, 1 + results_page.BENCHES), range(1, 3)
 DEPARTING, SHARED = range(1, 9), range(1, 6)
 """Benches whose knee departs, and those that the shares of the error are taken of: fewer, for the time it takes."""
 JUMPING = (1, 5, 14, 16)
@@ -149,13 +150,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run, tabulate, write the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reproduce")
     parser.add_argument("--quick", action="store_true", help="two benches, into out/")
+    parser.add_argument("--benches", type=int, default=len(SERIALS), help="only the first so many")
     parser.add_argument("--page", action="store_true", help="only write docs/results.md from docs/results.csv")
     parser.add_argument("--workers", type=int)
     options = parser.parse_args(arguments)
     folder, name = (OUT, "quick") if options.quick else (DOCS, "results")
     if not options.page:
         OUT.mkdir(exist_ok=True)
-        results = wanted(QUICK_SERIALS if options.quick else SERIALS)
+        results = wanted(QUICK_SERIALS if options.quick else SERIALS[:options.benches])
         write_csv(folder / f"{name}.csv", run(
             results, OUT / ("reproduce_quick.csv" if options.quick else "reproduce.csv"), options.workers))
     text = results_page.page(results_page.read(folder / f"{name}.csv"))

@@ -24,6 +24,8 @@ FIGURES = ("peak_n", "period_s", "serial", "rate_hz", TRUE, WINDOW, IDLE, JUMP, 
 COLUMNS = ("experiment", "case", "controller", *FIGURES)
 CONTROLLERS = ("none", "friction", "impedance", "paper", "extended")
 PEAKS_N, PERIODS_S = (40.0, 50.0, 60.0), (1.1, 2.0, 4.0)
+BENCHES = 20
+"""Benches of the own plant that `make reproduce` takes."""
 JUMP_BOUND = 1.5
 """The target of the jump at the peak, % of the peak."""
 
@@ -131,12 +133,11 @@ def page(results: Sequence[Result]) -> str:
     part = "" if len(results) == wanted else f"**Of {wanted} trials {len(results)} have been run so far.** "
     parts = [
         "# Results",
-        "Measured before the extended controller and the identification were changed for benches that they were not "
-        "made on ([Unseen benches](unseen.md)); `make reproduce` measures all of it again.",
         part +
-        f"Benches: serial {serials[0]} to {serials[-1]}, identified on day 0 by `bowden identify all`, tried on day 1. "
-        "Figures are of true END, which no controller sees. `make reproduce` runs every trial and writes this page "
-        "from [results.csv](results.csv); `python -m benchmarks.reproduce --page` writes it again from the table.",
+        f"Benches: serial {serials[0]} to {serials[-1]} of {BENCHES}, identified on day 0 by `bowden identify all`, "
+        "tried on day 1. Figures are of true END, which no controller sees. `make reproduce` runs every trial on every "
+        "bench and writes this page from [results.csv](results.csv); `python -m benchmarks.reproduce --page` writes it "
+        "again from the table. Benches that the controller was not made on: [Unseen benches](unseen.md).",
         "## Relative RMSE of the output force\n",
         "RMSE over whole gait cycles divided by the peak, in %: median / worst of the benches. The paper states one "
         "experiment, without its gait period. `extended` is judged on the two gait cycles after it has learnt for "
@@ -153,8 +154,7 @@ def page(results: Sequence[Result]) -> str:
         "controller.\n\n"
         + _shares(results),
         "## The jump at the peak\n",
-        _above(results) + " Each line takes one source away on the benches above it, at 40 N and 1.1 s; the jump is in "
-        "% of the peak.\n\n" + _jumps(results),
+        _above(results) + _jumps(results),
         "## The plant that these figures are of\n\n" + plant(),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
@@ -234,6 +234,8 @@ def _above(results: Sequence[Result]) -> str:
 
 def _jumps(results: Sequence[Result]) -> str:
     found = [r for r in results if r.experiment == "jump"]
+    if not found:
+        return ""
     serials = sorted({r.serial for r in found})
     base = [r for r in grid(results, "extended", 40.0, 1.1) if r.serial in serials]
     rows = [["nothing", *(number(jump(r)) for r in sorted(base, key=lambda r: r.serial))]]
@@ -241,7 +243,8 @@ def _jumps(results: Sequence[Result]) -> str:
         those = sorted((r for r in found if r.case == case), key=lambda r: r.serial)
         rows.append([REMOVED[case], *(number(jump(r)) for r in those)])
     table = markdown(["taken away", *(f"serial {serial}" for serial in serials)], rows)
-    return f"{table}\n\n{_decisive(base, found)}"
+    return (" Each line takes one source away on the benches above it, at 40 N and 1.1 s; the jump is in % of the peak."
+            f"\n\n{table}\n\n{_decisive(base, found)}")
 
 
 def _decisive(base: Sequence[Result], found: Sequence[Result]) -> str:

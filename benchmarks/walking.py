@@ -1,19 +1,22 @@
-"""Recorded walking on the virtual bench, stride by stride: docs/walking.md.
+"""Recorded walking on the virtual bench and on benches of the family, stride by stride: docs/walking.md.
 
-    python -m benchmarks.walking [DIRECTORY]
+    python -m benchmarks.walking [DIRECTORY] [--workers N]
 
 The rule of this file: every file of the directory (../shared/data/gait unless told) is walked as `--knee` walks it,
-and every gait cycle has its own figure (`trial.metrics.per_cycle`), true END.
+and every gait cycle has its own figure (`trial.metrics.per_cycle`), true END.  What has been walked is not again.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
+from benchmarks import family
 from benchmarks.figures import OUT, ROOT, SERIAL, identified
 from benchmarks.results_page import TRUE, markdown, number
 from bowden import configuration, session
@@ -32,16 +35,38 @@ STRIDES = 8
 PERIOD_S = 1.2
 """For files that know no time: a brisk walk, as the treadmill's."""
 PEAK_N = 40.0
+FAMILY = (16, 24, 25)
+"""Benches of the family, developed with, none like another: a chain of masses, slip cells behind a play, fronts."""
 
 
 def row(file: Path, timed: bool, calibration: Path) -> Row:
-    """Return the trial of one file."""
+    """Return the trial of one file on the own plant."""
     given: dict[str, Value] = {
-        "bench.serial": SERIAL, "bench.day": 1, "gait.controller": "extended", "gait.cycles": STRIDES,
-        "files.knee": str(file), "files.calibration": str(calibration.relative_to(ROOT))}
+        "bench.serial": SERIAL, "bench.day": 1, "files.calibration": str(calibration.relative_to(ROOT))}
+    return _whole(sweep_rows.rows(configuration.read(None), {**given, **_walk(file, timed)}, [])[0])
+
+
+def family_row(serial: int, file: Path, timed: bool) -> Row:
+    """Return the trial of one file on a bench of the family."""
+    return _whole(family.bench_row("family", serial, 1, **_walk(file, timed)))
+
+
+def _walk(file: Path, timed: bool) -> dict[str, Value]:
     period: dict[str, Value] = {} if timed else {"gait.period_s": PERIOD_S}
-    found = sweep_rows.rows(configuration.read(None), {**given, **period}, [])[0]
+    return {"gait.controller": "extended", "gait.cycles": STRIDES, "files.knee": str(file), **period}
+
+
+def _whole(found: Row) -> Row:
     return {**found, "gait.period_s": round(float(found["gait.period_s"]), 2)}
+
+
+def walked(name: str, rows: Sequence[Row], workers: int | None) -> list[list[float]]:
+    """Run the rows whose recording is missing; returns the strides of each."""
+    kept = [OUT / f"{digest(each)}.mcap" for each in rows]
+    again = not all(file.exists() for file in kept)
+    with Table(OUT / f"{name}.csv", list(rows[0]), overwrite=again) as table, run.local(workers) as crew:
+        run.sweep(rows, table, crew, OUT, keep=str(OUT))
+    return [strides(file) for file in kept]
 
 
 def strides(recording: Path) -> list[float]:
@@ -60,40 +85,57 @@ def described(curve: Curve, period_s: float) -> list[str]:
             f"{np.degrees(abs(curve.values[0] - curve.values[-1])):.1f}", f"{np.degrees(moved):.1f}", f"{period_s:g}"]
 
 
-def page(found: Sequence[tuple[Curve, float, Sequence[float]]]) -> str:
-    """Return docs/walking.md."""
+def page(
+    curves: Sequence[Curve], periods: Sequence[float], own: Sequence[Sequence[float]],
+    others: Mapping[int, Sequence[Sequence[float]]],
+) -> str:
+    """Return docs/walking.md; `own` and, by serial of the family, `others`: strides by file."""
     header = ["file", "samples", "bridged", "left out", "did not close by (°)", "closing moved it by (°)", "stride (s)",
               *(str(i) for i in range(1, STRIDES + 1))]
-    return "\n\n".join([
+    parts = [
         "# Recorded walking, stride by stride",
         "`python -m benchmarks.walking` writes this page: eleven recorded gait cycles, which do not close, and a "
         "treadmill recording with lost markers, each as `bowden trial --knee FILE --controller extended` runs it, on "
         f"the bench of serial {SERIAL}, identified on day 0 and tried on day 1. The last columns are the relative RMSE "
         "of true END, %, in each stride, which the controller learns from.",
-        markdown(header, [[*described(curve, period), *(number(value) for value in rmse)]
-                          for curve, period, rmse in found]),
+        markdown(header, [[*described(curve, period), *map(number, rmse)]
+                          for curve, period, rmse in zip(curves, periods, own, strict=True)]),
         "A gap is bridged by a straight line up to 0.1 s, or 5 % of the gait, and counted; a longer one is refused.",
-    ]) + "\n"
+        "## On benches of the family",
+        f"The same files at {PEAK_N:g} N on three benches that share no code with the controller's model "
+        "([the family](family.md)), identified on day 0 and walked on day 1. RMSE holds a loose rope's drag at END, "
+        "which no controller can take away.",
+    ]
+    for serial, found in others.items():
+        parts += [f"### Serial {serial}: {family.structure('family', serial)}", markdown(
+            ["bench", "file", *(str(i) for i in range(1, STRIDES + 1))],
+            [[f"serial {serial}", curve.path.name, *map(number, rmse)]
+             for curve, rmse in zip(curves, found, strict=True)]
+            + [[f"serial {serial}", "median", *(number(median(stride)) for stride in zip(*found, strict=True))]])]
+    return "\n\n".join(parts) + "\n"
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Walk every file, write the page."""
-    folder = Path(arguments[0]) if arguments else ROOT.parent / "shared" / "data" / "gait"
-    files = sorted(folder.glob("*.csv"))
+    """Walk every file on every bench, write the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.walking")
+    parser.add_argument("directory", nargs="?", type=Path, default=ROOT.parent / "shared" / "data" / "gait")
+    parser.add_argument("--workers", type=int)
+    options = parser.parse_args(arguments)
+    files = sorted(options.directory.glob("*.csv"))
     if not files:
-        raise SystemExit(f"{folder}: no recorded knee motion there; give its directory.")
+        raise SystemExit(f"{options.directory}: no recorded knee motion there; give its directory.")
     OUT.mkdir(parents=True, exist_ok=True)
     session.compile_laws(simulated=True)
     calibration, _ = identified()
     curves = [read_curve(file, "knee_angle_rad") for file in files]
-    rows = [row(curve.path, bool(np.isfinite(curve.stride_s)), calibration) for curve in curves]
-    kept: Mapping[int, Path] = {i: OUT / f"{digest(each)}.mcap" for i, each in enumerate(rows)}
-    again = not all(file.exists() for file in kept.values())
-    with Table(OUT / "walking.csv", list(rows[0]), overwrite=again) as table, run.local() as crew:
-        run.sweep(rows, table, crew, OUT, keep=str(OUT))
-    found = [(curve, float(each["gait.period_s"]), strides(kept[i]))
-             for i, (curve, each) in enumerate(zip(curves, rows, strict=True))]
-    (ROOT / "docs" / "walking.md").write_text(page(found), encoding="utf-8")
+    timed = [bool(np.isfinite(curve.stride_s)) for curve in curves]
+    rows = [row(curve.path, own, calibration) for curve, own in zip(curves, timed, strict=True)]
+    own = walked("walking", rows, options.workers)
+    others = {serial: walked(f"walking_{serial}", [
+        family_row(serial, curve.path, each) for curve, each in zip(curves, timed, strict=True)], options.workers)
+        for serial in FAMILY}
+    periods = [float(each["gait.period_s"]) for each in rows]
+    (ROOT / "docs" / "walking.md").write_text(page(curves, periods, own, others), encoding="utf-8")
 
 
 if __name__ == "__main__":

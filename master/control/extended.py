@@ -44,7 +44,7 @@ TARGET_CYCLES = 2
 
 class Ahead(NamedTuple):
     """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
-    exponents, slowness, slips."""
+    exponents, slowness, slips; how far the leg is from the knee's drive, rad, by the play."""
 
     position: float
     start: float
@@ -55,6 +55,7 @@ class Ahead(NamedTuple):
     knee_slow: float
     rope_slip: float
     fabric_slip: float
+    leg: float
 
     @property
     def settled(self) -> bool:
@@ -65,7 +66,8 @@ class Ahead(NamedTuple):
 class State(NamedTuple):
     """What the controller remembers.
 
-    `law` is the model with friction as `followed` so far.  `departures`: of the knee from its reference, the latest
+    `law` is the model with friction as `followed` so far.  `leg`: how far the leg is from the knee's drive, and the
+    drive's angle, rad, farthest ahead.  `departures`: of the knee from its reference, the latest
     last.  `paths`: the model's answers for this control cycle up to the farthest ahead; `wanted`: the positions, m,
     that are to be reached from this control cycle on.  `resting`: control cycles before the feedback listens again.
     `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive.  `history`:
@@ -75,6 +77,7 @@ class State(NamedTuple):
     law: Law
     followed: Followed = Followed()
     deviation_m: float = 0.0
+    leg: tuple[float, float] = (0.0, NAN)
     slip: tuple[float, ...] = tuple(inverse.Slip())
     departures: tuple[float, ...] = ()
     paths: tuple[Ahead, ...] = ()
@@ -135,7 +138,7 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     if now == 0 and state.history is not None:
         state = _on_cycle_end(state, config)
     departures = (*state.departures, seen.knee_angle_rad - gait.knee[now])[-DEPARTURES:]
-    paths, slip = _look_ahead(state, config, now, departures)
+    paths, slip, leg = _look_ahead(state, config, now, departures)
     here = paths[0]
     ratio = math.exp(here.by_sheath + here.by_knee)
     desired = gait.desired[now]
@@ -153,8 +156,8 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
         if not resting and desired > config.least_n:
             evidence = friction_evidence(
                 state.law, state.followed, seen.servo_position_m - config.zero_m,
-                seen.knee_angle_rad, unlagged,
-                here.drag, here[3:7], _way(gait, now), config.least_n)
+                seen.knee_angle_rad + here.leg, unlagged,
+                here.drag, here[3:7], _side(state, here, gait, now), config.least_n)
     speed = paths[-1].position - paths[max(-3, -len(paths))].position
     position = config.zero_m + paths[max(-2, -len(paths))].position
     feedforward = position + 0.5 * config.lag * speed
@@ -164,7 +167,7 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     fed = deviation if gait.slack[now] == 0.0 else 0.0
     history = (now, fed, missed, evidence, state.history)
     target = feedforward + force + (state.tracked[now] if state.tracked else 0.0)
-    after = State(state.law, state.followed, deviation, slip, departures, paths, wanted, resting, state.learnt,
+    after = State(state.law, state.followed, deviation, leg, slip, departures, paths, wanted, resting, state.learnt,
                   state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
@@ -184,26 +187,35 @@ def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
     return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
 
 
-def _way(gait: GaitTable, now: int) -> float:
-    """−1 or 1: which way the knee moves, 0 where it is still."""
+def _side(state: State, here: Ahead, gait: GaitTable, now: int) -> float:
+    """−1…1: where in its play the leg is; while none is known, behind the way that the knee moves."""
+    if state.followed.play > 0.0:
+        return here.leg * state.law.swing_k / state.followed.play
     moved = gait.knee[(now + 1) % gait.samples] - gait.knee[now - 1]
-    return math.copysign(1.0, moved) if moved else 0.0
+    return -math.copysign(1.0, moved) if moved else 0.0
 
 
 def _look_ahead(
     state: State, config: Config, now: int, departures: tuple[float, ...]
-) -> tuple[tuple[Ahead, ...], tuple[float, ...]]:
-    """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure."""
+) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, float]]:
+    """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
+
+    The leg follows the knee's drive with the play that was followed.
+    """
     gait, cycles = config.gait, config.ahead + 1
     then = (now + cycles) % gait.samples
     speed = (departures[-1] - departures[0]) / (DEPARTURES - 1)
     knee = gait.knee[then] + departures[-1] + cycles * speed
+    half = state.followed.play / state.law.swing_k
+    moved = 0.0 if math.isnan(state.leg[1]) else knee - state.leg[1]
+    behind = min(half, max(-half, state.leg[0] - moved))
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
-        state.law, state.slip, gait.desired[then], knee)
+        state.law, state.slip, gait.desired[then], knee + behind)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
     answer = Ahead(
-        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1])
-    return (*state.paths, answer)[-(config.ahead + 2):], slip
+        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
+        behind)
+    return (*state.paths, answer)[-(config.ahead + 2):], slip, (behind, knee)
 
 
 def _half_width(force: float, ratio: float, rate: float, resting: float, here: Ahead, config: Config) -> float:

@@ -30,17 +30,30 @@ WHOLE = 25.0
 """Samples of a gait cycle that are worth as many independent ones."""
 HUBER = 1.5
 ROUNDS = 5
-PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.05e-3)
+PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.1e-3)
 """Standard deviations from homing: fs, fk, β, z (m), w, p (m)."""
+AS_HOMED: Final = (0.01, 0.01, 0.05, 0.1e-3, 0.015, 0.1e-3)
+"""The same while homing has just measured friction."""
 LEAST_ROWS = 10
+LEAST_BOTH = 0.1
+"""Share of the evidence that must slide the other way: one way alone cannot tell friction from stretch."""
+SETTLING = 3
+"""Gait cycles with evidence until the play is known to an eighth of what it was taken for wrongly."""
 
 
 class Followed(NamedTuple):
-    """What friction has become, against what homing measured: factors of sheath and knee, breakaway added."""
+    """What the bench has become, against what homing measured.
+
+    Factors of the friction of sheath and knee, breakaway added; half of the play at the knee, m of rope.  `cycles`: how
+    many gait cycles have told of the play, at most `SETTLING`; `first`: what the next one said of both factors.
+    """
 
     sheath: float = 1.0
     knee: float = 1.0
     breakaway: float = 0.0
+    play: float = 0.0
+    cycles: int = 0
+    first: tuple[float, ...] = ()
 
 
 class Evidence(NamedTuple):
@@ -58,7 +71,7 @@ class Evidence(NamedTuple):
 
 def at(law: Law, followed: Followed) -> Law:
     """The law of homing with its friction as it was followed."""
-    sheath, knee, breakaway = followed
+    sheath, knee, breakaway = followed[:3]
     return law._replace(
         cable_exponent=sheath * law.cable_exponent, fabric_offset=knee * law.fabric_offset,
         fabric_slope=knee * law.fabric_slope, breakaway=max(0.0, law.breakaway + breakaway),
@@ -67,12 +80,13 @@ def at(law: Law, followed: Followed) -> Law:
 
 def friction_evidence(
     law: Law, followed: Followed, position: float, knee: float, start: float, drag: float,
-    exponents: tuple[float, float, float, float], way: float, least_n: float,
+    exponents: tuple[float, float, float, float], side: float, least_n: float,
 ) -> Evidence | None:
     """The evidence of one control cycle, None where START or the stretch is too small to tell.
 
     `law` is the law as followed; `exponents`: of sheath and knee by it, and their slowness; `start`, N, without lag and
-    `drag`, N, of the rope in it; `way` −1…1, the knee's; `least_n` at END.
+    `drag`, N, of the rope in it; `knee` the leg's angle, the play as followed in it; `side` −1…1: where in its play
+    the leg is; `least_n` at END.
     """
     by_sheath, by_knee, sheath_slow, knee_slow = exponents
     force = held_by_position(law, position, knee, start, drag, by_sheath)
@@ -86,27 +100,49 @@ def friction_evidence(
     zero = -1.0 / (slope * force)
     y = math.log((start - drag) / force) - by_sheath - by_knee
     y += sheath * (followed.sheath - 1.0) + on_knee * (followed.knee - 1.0) + slower * followed.breakaway
-    return Evidence(y, sheath, on_knee, slower, zero, (whole + law.rope_compliance * start) * -zero, zero * way,
+    y += zero * side * followed.play
+    return Evidence(y, sheath, on_knee, slower, zero, (whole + law.rope_compliance * start) * -zero, zero * side,
                     force / NOISE_N)
 
 
-def follow(followed: Followed, evidence: list[Evidence]) -> Followed:
-    """What friction is taken for after one more gait cycle: half of the way to the estimate."""
-    if len(evidence) < LEAST_ROWS:
-        return followed
+def estimate(evidence: list[Evidence], doubts: tuple[float, ...] = PRIOR) -> tuple[float, ...]:
+    """The six unknowns that one gait cycle tells, in the order of `PRIOR`, against the law of homing."""
     rows = np.array(evidence)
     weight = rows[:, 7] * math.sqrt(min(1.0, WHOLE / len(rows)))
-    prior = np.diag([1.0 / sigma for sigma in PRIOR])
-    found = np.zeros(len(PRIOR))
+    prior = np.diag([1.0 / sigma for sigma in doubts])
+    found = np.zeros(len(doubts))
     robust = np.ones(len(rows))
     for _ in range(ROUNDS):
         by = weight * np.sqrt(robust)
         stacked = np.vstack([rows[:, 1:7] * by[:, None], prior])
-        found = np.linalg.lstsq(stacked, np.concatenate([rows[:, 0] * by, np.zeros(len(PRIOR))]), rcond=None)[0]
+        found = np.linalg.lstsq(stacked, np.concatenate([rows[:, 0] * by, np.zeros(len(doubts))]), rcond=None)[0]
         left = np.abs(rows[:, 0] - rows[:, 1:7] @ found) * rows[:, 7]
         robust = np.minimum(1.0, HUBER / np.maximum(left, 1e-9))
-    wanted = (1.0 + float(found[0]), 1.0 + float(found[1]), float(found[2]))
-    return Followed(*(old + STEP * (new - old) for old, new in zip(followed, wanted, strict=True)))
+    return tuple(found.tolist())
+
+
+def follow(followed: Followed, evidence: list[Evidence]) -> Followed:
+    """What the bench is taken for after one more gait cycle: half of the way to what that cycle tells.
+
+    The first `SETTLING` gait cycles tell the play, which nothing has measured; how much harder the bench breaks away
+    than when it was identified is told by all of them.  Homing has just measured sliding friction: what the gait cycle
+    after those says of it is the model's error, which stays as it is, and is taken off what every later one says.
+    """
+    pulling = sum(1 for each in evidence if each.sheath > 0.0)
+    if len(evidence) < LEAST_ROWS or min(pulling, len(evidence) - pulling) < LEAST_BOTH * len(evidence):
+        return followed
+    found = estimate(evidence)
+    as_homed = estimate(evidence, AS_HOMED)
+    breakaway = followed.breakaway + STEP * (max(0.0, as_homed[2]) - followed.breakaway)
+    if followed.cycles < SETTLING:
+        play = followed.play + STEP * (max(0.0, as_homed[5]) - followed.play)
+        return followed._replace(breakaway=breakaway, play=play, cycles=followed.cycles + 1)
+    if not followed.first:
+        return followed._replace(breakaway=breakaway, first=found[:2])
+    sheath, knee = (1.0 + new - old for new, old in zip(found[:2], followed.first, strict=True))
+    return followed._replace(
+        sheath=followed.sheath + STEP * (sheath - followed.sheath),
+        knee=followed.knee + STEP * (knee - followed.knee), breakaway=breakaway)
 
 
 def evidence_of(history: Any) -> list[Evidence]:

@@ -20,7 +20,7 @@ import numpy as np
 from physics.laws import Array
 
 CUTOFF_HZ = 8.0
-GAIN = 0.7
+GAIN = 0.5
 TRACKED_HZ = 15.0
 """Cut-off of what is learnt of the drive alone: there is no rope and no friction in its loop."""
 

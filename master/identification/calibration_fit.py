@@ -102,6 +102,8 @@ SLID_M = 2e-3
 BELIEVED_N = 0.3
 """Error, N, of the model over a segment, against which a doubt about an unknown counts."""
 NORMAL_95 = 1.96
+NONE = 1e-9
+"""Bound of an unknown that is left out: the search wants some width."""
 
 
 def rest(segments: Sequence[Segment]) -> Rest:
@@ -166,6 +168,7 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
 
     Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An
     unknown that ends at a limit of the search, which is no zero, is known no better than before: its doubt stays.
+    Breakaway whose speed ends there is no breakaway, but what the model lacks about a reversal: it is left out.
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
@@ -179,18 +182,26 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
         return np.concatenate([*(_residual(made, segment, stiff, float(point[-1])) for segment in data),
                                heavy * ((point - start) / doubt)[doubted]])
 
-    found = least_squares(
-        residual, np.clip(start, low, high), bounds=(low, high), x_scale=[u.scale for u in _UNKNOWNS],
-        loss="soft_l1", f_scale=ROBUST_N, ftol=1e-5, xtol=1e-6)
+    def solved(from_: Array, high: Array) -> Any:
+        return least_squares(
+            residual, np.clip(from_, low, high), bounds=(low, high), x_scale=[u.scale for u in _UNKNOWNS],
+            loss="soft_l1", f_scale=ROBUST_N, ftol=1e-5, xtol=1e-6)
+
+    found = solved(start, high)
+    if _ended(found.x, low, high)[_place("breakaway_speed")]:
+        none = high.copy()
+        none[[_place("breakaway"), _place("fabric_breakaway")]] = NONE
+        moved = found.x.copy()
+        moved[_place("breakaway_speed")] = start[_place("breakaway_speed")]
+        found = solved(moved, none)
     sizes = [len(_residual(guess, segment, stiff, 0.0)) for segment in data]
     rows = sum(sizes)
     fun, slopes = np.asarray(found.fun), np.asarray(found.jac)
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
     scatter = NORMAL_95 * _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
     half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], [s.kind for s in data]), slopes[rows:], heavy)
-    near = 1e-6 * (high - low)
-    ended = ((found.x <= low + near) & (low != 0.0)) | (found.x >= high - near)
-    half = np.where(ended & doubted, np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
+    half = np.where(_ended(found.x, low, high) & doubted,
+                    np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
     evidence = {u.name: Evidence(float(value - by), float(value + by), repeatability=float(again))
                 for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
     to = max(float(segment.start.max()) for segment in data)
@@ -246,6 +257,16 @@ def _slid(segment: Segment) -> Any:
     if segment.start[0] <= 2.0 * TAUT_N:
         return True
     return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
+
+
+def _place(name: str) -> int:
+    return next(i for i, unknown in enumerate(_UNKNOWNS) if unknown.name == name)
+
+
+def _ended(found: Array, low: Array, high: Array) -> Any:
+    """Which unknowns ended at a limit of the search that is no zero."""
+    near = 1e-4 * (high - low)
+    return ((found <= low + near) & (low != 0.0)) | (found >= high - near)
 
 
 def _lack(residuals: Array, kinds: Sequence[str]) -> float:

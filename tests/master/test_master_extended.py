@@ -133,10 +133,10 @@ def learnt(slope: float, cycles: int, disturbance: np.ndarray) -> list[float]:
 
 @pytest.mark.parametrize("slope", SLOPES_N_M)
 def test_learning_converges_as_the_bound_says(slope: float) -> None:
-    """What stays is what Q does not pass: (1 − Q)/(1 − Q·(1 − γ)), 1.5 % of it at 1 Hz and 9 % at 2.5 Hz."""
+    """What stays is what Q does not pass: (1 − Q)/(1 − Q·(1 − γ)), 2 % of it at 1 Hz and 12 % at 2.5 Hz."""
     phase = np.linspace(0.0, 2.0 * np.pi, SAMPLES, endpoint=False)
     errors = learnt(slope, 8, 3.0 * np.sin(2.0 * phase) + np.cos(5.0 * phase))
-    assert errors[-1] < 0.09 * errors[0]
+    assert errors[-1] < 0.12 * errors[0]
     assert all(later <= 0.75 * before for before, later in itertools.pairwise(errors) if before > 0.2 * errors[0])
 
 
@@ -193,21 +193,26 @@ def test_what_the_drive_makes_of_a_target_is_learnt_and_converges(lag_hz: float,
 
 
 def evidence_of(
-    law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0
+    law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0, play_m: float = 0.0
 ) -> list[friction_following.Evidence]:
-    """What one gait cycle tells a controller that believes `law` as followed on a bench that is `true`, with noise."""
+    """What one gait cycle tells a controller that believes `law` as followed on a bench that is `true`, with noise.
+
+    `play_m`: half of the play at its knee, m of rope; the leg lies behind the way that the knee moves.
+    """
     rng = np.random.default_rng(5)
     believed_law = friction_following.at(law, followed)
     knee, desired = gait.sampled(paper_reference(40.0, 2.0), SAMPLES)
+    sides = -np.sign(np.roll(knee, -1) - np.roll(knee, 1))
     told, slip, believed = [], tuple(inverse.Slip()), tuple(inverse.Slip())
-    for angle, force in zip(knee.tolist(), desired.tolist(), strict=True):
-        position, start, *_, slip = inverse.inverse(true, slip, force, angle)
-        _, would, *exponents, believed = inverse.inverse(believed_law, believed, force, angle)
+    for angle, force, side in zip(knee.tolist(), desired.tolist(), sides.tolist(), strict=True):
+        leg = angle + side * followed.play / law.swing_k
+        position, start, *_, slip = inverse.inverse(true, slip, force, angle + side * play_m / true.swing_k)
+        _, would, *exponents, believed = inverse.inverse(believed_law, believed, force, leg)
         drag = would - force * math.exp(exponents[0] + exponents[1])
         if abs(believed[0]) > extended.SETTLED and abs(believed[1]) > extended.SETTLED and force > 12.0:
             noisy = start + float(rng.normal(0.0, 0.15))
             one = friction_following.friction_evidence(
-                believed_law, followed, position + offset_m, angle, noisy, drag, tuple(exponents), 0.0, 12.0)
+                believed_law, followed, position + offset_m, leg, noisy, drag, tuple(exponents), side, 12.0)
             told += [] if one is None else [one]
     return told
 
@@ -219,13 +224,15 @@ def exponent(law: inverse.Law) -> float:
 
 @pytest.mark.parametrize("factor", [0.95, 1.0, 1.05])
 @pytest.mark.parametrize("offset_m", [0.0, 5e-5])
-def test_friction_is_followed_from_where_homing_left_it(factor: float, offset_m: float) -> None:
-    """A third of homing's error is gone after ten cycles, whatever 0.05 mm of zero says against it."""
+def test_a_change_of_friction_is_followed(factor: float, offset_m: float) -> None:
+    """As homed in the first gait cycles, then another: a third of the change is gone after ten more, whatever 0.05 mm
+    of zero says against it."""
     law = inverse.law(nominal(), PERIOD_S)
     true = inverse.adapted(law, factor, 0.0)
     followed = Followed()
-    for _ in range(10):
-        followed = friction_following.follow(followed, evidence_of(law, followed, true, offset_m))
+    for cycle in range(friction_following.SETTLING + 11):
+        here = law if cycle <= friction_following.SETTLING else true
+        followed = friction_following.follow(followed, evidence_of(law, followed, here, offset_m))
     left = abs(exponent(friction_following.at(law, followed)) - exponent(true))
     assert left <= 0.67 * abs(exponent(law) - exponent(true)) + 0.005 * exponent(law)
 
@@ -233,17 +240,34 @@ def test_friction_is_followed_from_where_homing_left_it(factor: float, offset_m:
 @pytest.mark.parametrize("wrong", [
     {"quadratic": -2.2e-6}, {"linear": 2.75e-4}, {"constant": 9.8e-3}, {"swing_k": 0.0412}, {"drag": 1.0e4},
     {"rope_travel": 4e-4}, {"share": 0.55}, {"short": 5e-5}, {"load_slope": 0.1}])
-def test_an_error_of_the_model_does_not_walk_off_with_friction(wrong: dict[str, float]) -> None:
-    """Friction as homing measured it, the model wrong elsewhere: ten cycles move it by no more than twice its doubt,
-    and the tenth moves it by next to nothing."""
+def test_an_error_of_the_model_does_not_move_friction(wrong: dict[str, float]) -> None:
+    """Friction as homing measured it, the model wrong elsewhere: after ten cycles it is where homing left it, but for
+    what the play and the breakaway, which take their part of the error first, change in the evidence."""
     law = inverse.law(nominal(), PERIOD_S)
     true = law._replace(**wrong)
-    followed, before = Followed(), Followed()
+    followed = Followed()
     for _ in range(10):
-        before, followed = followed, friction_following.follow(followed, evidence_of(law, followed, true))
+        followed = friction_following.follow(followed, evidence_of(law, followed, true))
     moved = exponent(friction_following.at(law, followed)) / exponent(law) - 1.0
-    assert abs(moved) < 2.0 * friction_following.PRIOR[0]
-    assert abs(followed.sheath - before.sheath) < 2e-3
+    assert abs(moved) < 0.2 * friction_following.PRIOR[0]
+
+
+@pytest.mark.parametrize("play_m", [0.0, 1e-4, 2e-4])
+def test_play_at_the_knee_is_found_while_friction_is_as_homed(play_m: float) -> None:
+    """Within a third after the first gait cycles, less what its doubt draws it towards none."""
+    law = inverse.law(nominal(), PERIOD_S)
+    followed = Followed()
+    for _ in range(friction_following.SETTLING):
+        followed = friction_following.follow(followed, evidence_of(law, followed, law, play_m=play_m))
+    assert followed.play == pytest.approx((1.0 - 0.5**friction_following.SETTLING) * play_m, rel=0.33, abs=1e-5)
+
+
+def test_a_bench_that_breaks_away_harder_is_followed() -> None:
+    law = inverse.law(nominal(), PERIOD_S)
+    harder, followed = inverse.adapted(law, 1.0, 0.3), Followed()
+    for _ in range(8):
+        followed = friction_following.follow(followed, evidence_of(law, followed, harder))
+    assert 0.05 < followed.breakaway < 0.3
 
 
 def test_without_evidence_friction_stays() -> None:
