@@ -18,7 +18,7 @@ from bowden.replay.comparison import Comparison
 from eds.bench import Wire, wire
 from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
-from master.cycle.exchange import NOTHING, CycleAnnotations, Inputs
+from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import StopError
 from master.motion.experiment import Experiment, Planned
 from master.motion.home import Homed

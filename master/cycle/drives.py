@@ -11,7 +11,8 @@ import struct
 from eds.bench import KNEE, SERVO
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
 from eds.dictionary import key
-from master.cycle.exchange import Exchange, Inputs
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import Inputs
 from master.network.bringup import RefusedError
 from master.network.sdo import SdoError
 

@@ -9,25 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import can
 
-from eds.bench import END, KNEE, SERVO, START, Wire, tpdo_cob_id
+from eds.bench import SERVO, Wire, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
 from eds.plan import Joined
 from eds.scales import drum_radius_m
 from master.cycle.guard import Guard
+from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Link, stamp_ns
-from trial.signals import TRACE
 
 NAN = math.nan
-ORDER = (SERVO, KNEE, START, END)
-"""Bit i of `missing` and the PDO columns of a row stand for ORDER[i]."""
 FIRST_SENSOR = 2
 NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
@@ -36,34 +34,6 @@ NONE_LATE = [0, 0, 0, 0]
 UNHEARD = (NAN, NAN, NAN, NAN)
 NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
-
-
-class Inputs(NamedTuple):
-    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it."""
-
-    sync_ns: int
-    servo_status: int
-    servo_position_m: float
-    servo_force_n: float
-    knee_status: int
-    knee_angle_rad: float
-    start_n: float
-    end_n: float
-    missing: int
-
-
-class CycleAnnotations(NamedTuple):
-    """Columns of a row that only a controller knows: NaN elsewhere; `cycle` −1 outside the gait."""
-
-    gait_percent: float = NAN
-    desired_force_n: float = NAN
-    estimated_end_force_n: float = NAN
-    cycle: float = -1.0
-    held: float = 0.0
-    trace: tuple[float, ...] = (NAN,) * len(TRACE)
-
-
-NOTHING = CycleAnnotations()
 
 
 WholeCycle = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
@@ -114,6 +84,7 @@ class Exchange:
         self._first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
         self._told = self._doubled_sync = False
+        self._answered_ns = self._step_ns = 0
         self._misses = 0
         self._miss_text = ""
         self.rehoming = False
@@ -163,6 +134,7 @@ class Exchange:
         Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
         """
         self.targets = (servo_m, knee_rad)
+        self._step_ns = self.link.clock() - self._answered_ns
         inputs = self.inputs
         if self.kept is not None and not inputs.missing:
             self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
@@ -311,6 +283,7 @@ class Exchange:
         if missing or late != NONE_LATE:
             self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
         self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
+        self._answered_ns = self.link.clock()
         return inputs
 
     def _collect(self, sync_ns: int, missing: int = 0b1111) -> int:
@@ -375,5 +348,5 @@ class Exchange:
             estimated, cycle,
             sync_ns - latched[0], sync_ns - latched[1], sync_ns - latched[2], sync_ns - latched[3], *arrival,
             inputs.servo_status, inputs.knee_status, missing.bit_count(), 0.0 if sent else 1.0, held,
-            sync_ns - self._first_ns - count * self.wire.period_ns, NAN, *trace,
+            sync_ns - self._first_ns - count * self.wire.period_ns, self._step_ns or NAN, *trace,
         )

@@ -8,21 +8,18 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from eds.bench import END, KNEE, SERVO, START, Wire
 from eds.cia301 import Emcy, emcy_text
 from eds.cia402 import State, Status
 from master.cycle.blame import blamed
+from master.cycle.inputs import ORDER, Inputs
 from master.cycle.log import Log
+from master.cycle.plausibility import Plausibility
 from master.cycle.reception import ENOUGH, Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Emergency, Link
 from master.settings import Limits
-
-if TYPE_CHECKING:
-    from master.cycle.exchange import Inputs
-    from master.cycle.plausibility import Plausibility
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
 _REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
@@ -31,7 +28,6 @@ LIMITED_NS = 300_000_000
 """Time for which a drive may say that an internal limit holds it back (statusword bit 11)."""
 YIELDED_M = 2e-3
 """By how much further a servo that its tension bound holds back may be from where its targets lead."""
-ORDER = (SERVO, KNEE, START, END)
 _CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
 REMEMBERED = 3
 """Cycles for which a missed input still explains what a drive says of it."""

@@ -10,7 +10,8 @@ from __future__ import annotations
 from eds.bench import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
-from master.cycle.exchange import ORDER, Exchange, Inputs
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import ORDER, Inputs
 from master.cycle.safety import Reaction, StopError, reaction_to
 from master.network.bringup import RefusedError, leave
 from master.network.link import LinkError

@@ -29,7 +29,8 @@ import numpy as np
 
 from eds.bench import Network
 from master.cycle import drives
-from master.cycle.exchange import Exchange, Inputs
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import Inputs
 from master.cycle.log import Sink
 from master.cycle.run_safely import Outcome, run_safely
 from master.identification import calibration_fit

@@ -18,7 +18,8 @@ from eds.cia301 import SIGNATURE_ZERO
 from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives
-from master.cycle.exchange import ORDER, Exchange, Inputs
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import ORDER, Inputs
 from master.motion import moves
 from master.motion.home import home as find_home
 from master.network.bringup import RefusedError

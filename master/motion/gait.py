@@ -15,7 +15,8 @@ import numpy as np
 from master.control.controller import Controller, ControllerInput
 from master.control.controller_io import Trace
 from master.control.gait_table import GaitTable, tabulate
-from master.cycle.exchange import NEEDED, CycleAnnotations, Exchange, Inputs
+from master.cycle.exchange import NEEDED, Exchange
+from master.cycle.inputs import CycleAnnotations, Inputs
 from master.cycle.safety import Condition, StopError
 from master.motion import moves
 from master.settings import Homing

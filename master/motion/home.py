@@ -16,7 +16,8 @@ import numpy as np
 from eds.bench import START
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
-from master.cycle.exchange import NEEDED, Exchange, Inputs
+from master.cycle.exchange import NEEDED, Exchange
+from master.cycle.inputs import Inputs
 from master.motion import agreement, moves
 from master.network.bringup import RefusedError
 from master.network.sdo import SdoError

@@ -9,7 +9,8 @@ from collections.abc import Callable, Generator
 from typing import TypeVar
 
 from eds.bench import SERVO
-from master.cycle.exchange import Exchange, Inputs
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import Inputs
 from master.network.bringup import RefusedError
 
 T = TypeVar("T")

@@ -14,7 +14,8 @@ from typing import Final, NamedTuple
 import can
 
 from master.cycle import drives
-from master.cycle.exchange import CycleAnnotations, Exchange
+from master.cycle.exchange import Exchange
+from master.cycle.inputs import CycleAnnotations
 from master.cycle.log import Sink
 from master.cycle.run_safely import run_safely
 from master.motion import gait

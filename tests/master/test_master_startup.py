@@ -14,8 +14,9 @@ from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives
 from master.cycle.acknowledge import acknowledge
-from master.cycle.exchange import Exchange, Inputs
+from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
+from master.cycle.inputs import Inputs
 from master.cycle.log import Log
 from master.cycle.run_safely import run_safely
 from master.network import bringup

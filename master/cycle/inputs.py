@@ -1,0 +1,44 @@
+"""What one control cycle takes in, and what a row of the trial says of whoever answered it.
+
+The rule of this file: names and units only; `exchange` fills it, `guard` and the controllers read it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from eds.bench import END, KNEE, SERVO, START
+from trial.signals import TRACE
+
+NAN: Final = math.nan
+ORDER: Final = (SERVO, KNEE, START, END)
+"""Bit i of `missing` and the PDO columns of a row stand for ORDER[i]."""
+
+
+class Inputs(NamedTuple):
+    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it."""
+
+    sync_ns: int
+    servo_status: int
+    servo_position_m: float
+    servo_force_n: float
+    knee_status: int
+    knee_angle_rad: float
+    start_n: float
+    end_n: float
+    missing: int
+
+
+class CycleAnnotations(NamedTuple):
+    """Columns of a row that only a controller knows: NaN elsewhere; `cycle` −1 outside the gait."""
+
+    gait_percent: float = NAN
+    desired_force_n: float = NAN
+    estimated_end_force_n: float = NAN
+    cycle: float = -1.0
+    held: float = 0.0
+    trace: tuple[float, ...] = (NAN,) * len(TRACE)
+
+
+NOTHING = CycleAnnotations()
