@@ -61,13 +61,13 @@ class Cycles:
     def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
 
-    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
         """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
 
-        None where this cycle may hold anything else: then nothing has happened.
+        False where this cycle may hold anything else: then nothing has happened.
         """
         with self._lock:
-            return self._steady.cycle(self._asked, data, beat_ns, after_ns)
+            return self._steady.cycle(self._asked, data, beat_ns, after_ns) or False
 
 
 class BowdenBus(can.BusABC):
@@ -121,20 +121,20 @@ class BowdenBus(can.BusABC):
         return self._shared.bench
 
     def cycles(
-        self, tap: can.BusABC | None, targets_id: int, size: int, inputs: Sequence[int], budget_ns: int,
-        heartbeat: tuple[int, int, int],
+        self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
+        budget_ns: int, heartbeat: tuple[int, int, int],
     ) -> Cycles | None:
         """Offer whole control cycles at once to a master: see `Cycles`; None where this bench has none.
 
-        `tap` is the bus on which everything is recorded; `targets_id` and `size` are of the frame that the master sends
-        in each, `inputs` the frames that it then waits for, within `budget_ns` of their SYNC; `heartbeat` is its own:
-        identifier, data, period in ns.
+        `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
+        that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC; `heartbeat`
+        is its own: identifier, data, period in ns.
         """
         steady = self._steady
         if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
             return None
-        asked = Asked(self._socket, None if tap is None else tap._socket, targets_id, size, tuple(inputs), budget_ns,
-                      Heartbeat(*heartbeat))
+        asked = Asked(self._socket, None if tap is None else tap._socket, *targets, tuple([each for each, _ in inputs]),
+                      budget_ns, Heartbeat(*heartbeat))
         return Cycles(steady, asked, self._lock)
 
     @property

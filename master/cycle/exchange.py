@@ -23,7 +23,7 @@ from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
 from master.cycle.safety import Condition, StopError
-from master.network.link import Link, stamp_ns
+from master.network.link import Link, LinkError, stamp_ns
 
 NAN = math.nan
 FIRST_SENSOR = 2
@@ -45,10 +45,11 @@ and their number."""
 class WholeCycles(Protocol):
     """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
 
-    def run(self, data: bytes, beat_ns: int, after_ns: int) -> WholeCycle | None:
-        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; None: by hand.
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> WholeCycle | bool:
+        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; False: by hand.
 
-        That SYNC has to end after `after_ns`: one before is no new cycle.
+        True: the targets were sent, the rest by hand; every frame that came waits to be received.  That SYNC has to
+        end after `after_ns`: one before is no new cycle.  Raises `can.CanError` where the bus failed.
         """
 
 
@@ -94,8 +95,8 @@ class Exchange:
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
         offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
         self._whole_cycles = None if offer is None else offer(
-            log.tap, wire.targets.cob_id, wire.targets.size, [plan.cob_id for plan in plans], budget_ns,
-            link.heartbeat)
+            log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
+            wire.period_ns, budget_ns, link.heartbeat)
 
     def begin(self) -> Inputs:
         """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
@@ -141,11 +142,16 @@ class Exchange:
         data, watch = self._pack_targets(servo_m, knee_rad), self.link.watch
         if watch is not None:
             watch.sent(self.wire.targets.cob_id, data)
+        sent = False
         if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
-            whole = self._whole_cycles.run(data, self.link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
-            if whole is not None:
+            try:
+                whole = self._whole_cycles.run(data, self.link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
+            except can.CanError as error:
+                raise LinkError(f"receiving failed: {error}") from error
+            if not isinstance(whole, bool):
                 return self._at_once(whole, annotations)
-        sent = self.link.try_send(can.Message(
+            sent = whole
+        sent = sent or self.link.try_send(can.Message(
             arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()

@@ -13,13 +13,17 @@ import select
 import socket
 import struct
 from collections import deque
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, cast
 
 import can
+import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 
-from trial.mcap_file.cdr import ERROR, EXTENDED, FRAME_STRUCT, REMOTE
+from master.network import kernel_frames
+from master.network.kernel_cycles import KernelCycles
+from master.network.kernel_frames import LAST_NS, MARKED_NS, SYNC_END, SYNC_NS, TAKEN
+from trial.mcap_file.cdr import FRAME_STRUCT
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
@@ -40,8 +44,11 @@ _HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 _HEADER_END = struct.Struct("=40xQi12x")
 """Of a header: how much ancillary data there is, flags."""
 _ANCILLARY = 64
-_PLAIN = 32
-"""Ancillary bytes of a message that tells its time stamp alone."""
+_PLAIN = kernel_frames.PLAIN
+_FILTER = struct.Struct("=II")
+_ALONE: Final = _EFF | _RTR | 0x7FF
+"""Mask of a filter that passes data frames of the base format with one identifier."""
+ROW: Final = FRAME_STRUCT.size
 
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
 
@@ -67,12 +74,19 @@ class KernelBus(SocketcanBus):
         self.lost = 0
         self._readers = [self.socket]
         self._number = self.socket.fileno()
-        self._waiting: deque[KernelMessage] = deque()
+        self.waiting: deque[KernelMessage] = deque()
+        self._triggers: list[socket.socket] = []
         self._slots, self._vectors = bytearray(BATCH * _SLOT.size), bytearray(BATCH * _VECTOR.size)
         self._headers = bytearray(BATCH * _HEADER.size)
         self._template = self._laid_out()
         self._seen, self._ends = memoryview(self._slots), memoryview(self._headers)
-        self._block = bytearray()
+        self.slots: Any = np.frombuffer(self._slots, np.uint64).reshape(BATCH, kernel_frames.SLOT)
+        self.headers: Any = np.frombuffer(self._headers, np.uint64).reshape(BATCH, kernel_frames.HEADER)
+        self._rows: Any = np.zeros((2 * BATCH, kernel_frames.ROW), np.uint64)
+        self._first = 0
+        self._numbers: Any = np.full(TAKEN + 1, -1, np.int64)
+        self._told: Any = memoryview(cast(Any, self._numbers))
+        self._told[TAKEN] = 0
         self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -102,7 +116,7 @@ class KernelBus(SocketcanBus):
 
         Raises `can.CanOperationError` with the kernel's errno where the interface is down (once) or gone.
         """
-        waiting = self._waiting
+        waiting = self.waiting
         if waiting:
             return waiting.popleft()
         if timeout != 0.0:
@@ -111,40 +125,87 @@ class KernelBus(SocketcanBus):
                     return None
             except OSError as error:
                 raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
-        for frame in self._frames(self._fetch()):
-            waiting.append(self._message(*frame))
+        self.keep(self.fetch())
         return waiting.popleft() if waiting else None
+
+    def keep(self, count: int) -> None:
+        """Let the frames that were fetched wait to be received, as messages."""
+        for frame in self._frames(count):
+            self.waiting.append(self._message(*frame))
 
     def rows(self) -> Iterator[Row]:
         """Every frame that waits, as `master.cycle.log` wants them, without a message made of each."""
-        count = BATCH
-        while count == BATCH:
-            count = self._fetch()
-            for can_id, size, payload, time_ns, sent in self._frames(count):
-                flags = 0
-                if can_id > 0x7FF:
-                    flags = REMOTE * (can_id & _RTR != 0) | EXTENDED * (can_id & _EFF != 0)
-                    flags |= ERROR * (can_id & _ERR != 0)
-                    can_id &= 0x1FFFFFFF
-                    payload = bytes(8) if flags & REMOTE else payload
-                yield time_ns, can_id, payload[:size], flags, sent
+        block, _, _, _ = self.block(0)
+        for time_ns, can_id, flags, size, _, sent, payload in FRAME_STRUCT.iter_unpack(bytes(block)):
+            yield time_ns, can_id, payload[:size], flags, sent
 
     def block(self, marked_id: int) -> tuple[Any, int, int, int]:
         """Every frame that waits: bytes of `cdr.FRAME_ROW`s, their number, time stamps of the last and of `marked_id`.
 
-        A time stamp is −1 where there is no such frame.  The bytes hold until the next call.
+        A time stamp is −1 where there was never such a frame.  The bytes hold until the next call.
         """
-        block, at, marked_ns, time_ns = self._block, 0, -1, -1
-        for time_ns, can_id, data, flags, sent in self.rows():
-            if can_id == marked_id:
-                marked_ns = time_ns
-            if at == len(block):
-                block = self._block = block + bytes(BATCH * FRAME_STRUCT.size)
-            FRAME_STRUCT.pack_into(block, at, time_ns, can_id, flags, len(data), 0, sent, data)
-            at += FRAME_STRUCT.size
-        return memoryview(block)[:at], at // FRAME_STRUCT.size, time_ns, marked_ns
+        self._gather(marked_id)
+        told, first = self._told, self._first
+        count = told[TAKEN] - first
+        self._first = told[TAKEN]
+        return self._bytes(first, count), count, told[LAST_NS], told[MARKED_NS]
 
-    def _fetch(self) -> int:
+    def up_to_sync(self, marked_id: int) -> tuple[int, int, Any, int]:
+        """Give time stamps of the last `marked_id` and of a SYNC among the frames that wait, and rows up to that SYNC.
+
+        Bytes of rows, and their number; they stay for `block` until they are released.  A time stamp is −1 for none.
+        """
+        self._gather(marked_id)
+        told = self._told
+        count = max(0, told[SYNC_END] - self._first)
+        return told[MARKED_NS], told[SYNC_NS], self._bytes(self._first, count), count
+
+    def release(self, count: int) -> None:
+        """Drop the first rows, which have been recorded."""
+        self._first += count
+
+    def _bytes(self, first: int, count: int) -> Any:
+        return memoryview(self._rows).cast("B")[ROW * first:ROW * (first + count)]
+
+    def _gather(self, marked_id: int) -> None:
+        """Fetch every frame that waits into rows, behind those that nobody has taken yet."""
+        told, first = self._told, self._first
+        left = told[TAKEN] - first
+        if first:
+            self._rows[:left] = self._rows[first:first + left]
+        self._first, told[TAKEN], told[SYNC_NS], told[SYNC_END] = 0, left, -1, -1
+        count = BATCH
+        while count == BATCH:
+            count = self.fetch()
+            if told[TAKEN] + count > len(self._rows):
+                self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+            kernel_frames.rows(self.slots, self.headers, count, self._rows, told[TAKEN], marked_id, self._numbers)
+        if told[kernel_frames.LOST] >= 0:
+            self.lost = told[kernel_frames.LOST]
+
+    def cycles(
+        self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
+        budget_ns: int, heartbeat: tuple[int, int, int],
+    ) -> KernelCycles | None:
+        """Offer whole control cycles to a master, see `KernelCycles`; None with a tap of another kind.
+
+        `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
+        that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC.
+        """
+        if tap is not None and not isinstance(tap, KernelBus):
+            return None
+        return KernelCycles(self, tap, targets, inputs, period_ns, budget_ns)
+
+    def trigger(self, can_ids: Sequence[int]) -> socket.socket:
+        """Open another socket on the same interface that hears these identifiers alone; it closes with this bus."""
+        opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self._triggers.append(opened)
+        opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER,
+                          b"".join(_FILTER.pack(can_id, _ALONE) for can_id in can_ids))
+        opened.bind((self.channel,))
+        return opened
+
+    def fetch(self) -> int:
         """Take what waits into memory, at most `BATCH` frames; returns how many."""
         self._headers[:] = self._template
         count: int = _recvmmsg(self._number, self._address, BATCH, _NOW, None)
@@ -199,4 +260,6 @@ class KernelBus(SocketcanBus):
     def shutdown(self) -> None:
         """Close every socket: the broadcast manager ends what it sends for one, if its interface has not done so."""
         self._periodic_tasks.clear()
+        for opened in self._triggers:
+            opened.close()
         super().shutdown()

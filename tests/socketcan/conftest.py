@@ -97,6 +97,8 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     ended = any(report["when"] == "teardown" for report in reports_of)
     for report in reports_of if ended else [_absent(item, why)]:
         read = item.config.hook.pytest_report_from_serializable(config=item.config, data=report)
+        if isinstance(read.longrepr, list):  # a skip's place and reason, a tuple before it was written as JSON
+            read.longrepr = tuple(read.longrepr)
         item.ihook.pytest_runtest_logreport(report=read)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True

@@ -16,7 +16,9 @@ ENVIRONMENT = {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_CACH
 _COMPILE = """
 import can, tempfile
 from bowden.cli.app import run
+from master.network import kernel_frames
 from pathlib import Path
+kernel_frames.prepare()
 with tempfile.TemporaryDirectory() as folder:
     run(["trial", "--rate", "100", "--cycles", "1", "--settle", "0", "--period", "1", "--peak", "20", "--json",
          "-o", str(Path(folder, "warm.mcap"))])

@@ -1,0 +1,126 @@
+"""What compiled code reads out of the kernel's memory, against the struct module; no kernel is asked."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eds.bench import END, KNEE, SERVO, START
+from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, TPDO_BASE
+from master.network import kernel_frames as frames
+from trial.mcap_file.cdr import ERROR, EXTENDED, FRAME_ROW, REMOTE
+
+SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
+"""struct can_frame; its ancillary data: a time stamp, the count of lost frames."""
+HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
+"""struct mmsghdr (recvmmsg(2))."""
+TIMES = st.integers(0, 4 * 10**9 * 10**9)
+Frame = tuple[int, bytes, int, bool, int]
+"""Identifier with the kernel's flags, data, time stamp, own, lost frames (0: not told)."""
+NODES = (SERVO, KNEE, START, END)
+WANTED = np.array([TPDO_BASE + node for node in NODES]), np.array([8, 6, 2, 2])
+
+frames.prepare()  # compiled here, and not in the time that one example may take
+
+
+@st.composite
+def kernel_frames(draw: Any) -> Frame:
+    can_id = draw(st.sampled_from([SYNC_COB_ID, 0x201, 0x181]) | st.integers(0, 0x7FF)
+                  | st.integers(0, 0x1FFFFFFF).map(lambda each: each | frames.EFF))
+    flags = draw(st.sampled_from([0, 0, frames.RTR, frames.ERR]))
+    return (can_id | flags, draw(st.binary(max_size=8)), draw(TIMES), draw(st.booleans()),
+            draw(st.just(0) | st.integers(1, 2**32 - 1)))
+
+
+def memory(batch: list[Frame]) -> tuple[Any, Any]:
+    """Slots and headers as the kernel leaves them; bytes behind a frame's data are not zero."""
+    slots = bytearray().join(
+        SLOT.pack(can_id, len(data), data + b"\xa5" * (8 - len(data)), *divmod(time_ns, 10**9), lost)
+        for can_id, data, time_ns, _, lost in batch)
+    headers = bytearray().join(
+        HEADER.pack(0, 0, 0, 1, 0, 56 if lost else 32, frames.OWN if own else 0, 16)
+        for _, _, _, own, lost in batch)
+    return (np.frombuffer(slots, np.uint64).reshape(-1, frames.SLOT),
+            np.frombuffer(headers, np.uint64).reshape(-1, frames.HEADER))
+
+
+def row(frame: Frame) -> tuple[Any, ...]:
+    can_id, data, time_ns, own, _ = frame
+    remote = can_id & frames.RTR != 0
+    flags = REMOTE * remote | EXTENDED * (can_id & frames.EFF != 0) | ERROR * (can_id & frames.ERR != 0)
+    payload = bytes(8) if remote else data.ljust(8, b"\0")
+    return time_ns, can_id & 0x1FFFFFFF, flags, len(data), 0, own, list(payload)
+
+
+@given(st.lists(kernel_frames(), min_size=1, max_size=32), st.integers(0, 5))
+def test_rows_are_what_the_structs_hold(batch: list[Frame], at: int) -> None:
+    block = np.zeros((at + len(batch), frames.ROW), np.uint64)
+    told = np.full(frames.TAKEN + 1, -1, np.int64)
+    frames.rows(*memory(batch), len(batch), block, at, 0x201, told)
+    found = block[at:].view(FRAME_ROW)[:, 0]
+    assert [(*each.tolist()[:6], each["data"].tolist()) for each in found] == [row(frame) for frame in batch]
+    last = {can_id: (time_ns, n) for n, (can_id, _, time_ns, _, _) in enumerate(batch)}
+    sync_ns, place = last.get(SYNC_COB_ID, (-1, -2 - at))
+    assert told[[frames.SYNC_NS, frames.SYNC_END]].tolist() == [sync_ns, at + place + 1]
+    assert told[frames.MARKED_NS] == last.get(0x201, (-1, 0))[0]
+    assert told[frames.LAST_NS] == batch[-1][2]
+    assert told[frames.LOST] == ([lost for *_, lost in batch if lost] or [-1])[-1]
+    assert told[frames.TAKEN] == at + len(batch)
+
+
+SYNC: Frame = SYNC_COB_ID, b"", 1000, True, 0
+INPUTS: list[Frame] = [(TPDO_BASE + node, bytes([node] * size), 1000 + node, False, 0)
+                       for node, size in zip(NODES, (8, 6, 2, 2), strict=True)]
+BEAT: Frame = HEARTBEAT_BASE + KNEE, b"\x05", 1500, False, 0
+
+
+def heeded(*batches: list[Frame]) -> tuple[int, Any]:
+    told = np.full(frames.HEEDED, -1, np.int64)
+    told[frames.BEATS] = 0
+    status = frames.WAITING
+    for batch in batches:
+        status = frames.heed(*memory(batch), len(batch), *WANTED, told)
+    return status, told
+
+
+@given(st.permutations(INPUTS), st.integers(0, 5), st.integers(0, 6))
+def test_a_cycle_is_whole_once_sync_and_every_input_have_come(
+    inputs: list[Frame], split: int, beat: int
+) -> None:
+    batch = [SYNC, *inputs]
+    batch.insert(beat, BEAT)
+    status, told = heeded(batch[:split], batch[split:])
+    assert (status, told[frames.AT_NS]) == (frames.DONE, 1000)
+    found = struct.unpack("<" + "q8s" * 4, told[frames.FRAMES:].tobytes())
+    for (_, data, time_ns, _, _), stamp, got in zip(INPUTS, found[::2], found[1::2], strict=True):
+        assert (stamp, got[:len(data)]) == (time_ns, data)
+    assert told[frames.BEATS] == 1
+    assert told[frames.BEAT:frames.BEAT + 3].tolist() == [BEAT[0], BEAT[2], 5]
+    assert heeded([each for each in batch if each is not inputs[0]])[0] == frames.WAITING
+
+
+STRANGE: list[tuple[str, Frame]] = [
+    ("a second SYNC", SYNC), ("an input twice", INPUTS[2]), ("EMCY", (0x81, bytes(8), 1, False, 0)),
+    ("boot-up", (HEARTBEAT_BASE + KNEE, b"\0", 1, False, 0)),
+    ("another node", (HEARTBEAT_BASE + 9, b"\5", 1, False, 0)),
+    ("another master", (HEARTBEAT_BASE + 127, b"\5", 1, False, 0)), ("targets", (0x201, bytes(8), 1, False, 0)),
+    ("an extended frame", (SYNC_COB_ID | frames.EFF, b"", 1, False, 0)),
+    ("an error frame", (0x20000004, bytes(8), 1, False, 0)), ("SDO", (0x581, bytes(8), 1, False, 0)),
+    ("a remote frame", (TPDO_BASE + END | frames.RTR, bytes(2), 1, False, 0)),
+]
+
+
+@pytest.mark.parametrize(("what", "frame"), STRANGE, ids=[what for what, _ in STRANGE])
+def test_whatever_else_comes_is_left_to_be_received_singly(what: str, frame: Frame) -> None:
+    assert heeded([SYNC, *INPUTS[:3], frame, INPUTS[3]])[0] == frames.STRANGE
+
+
+def test_a_foreign_sync_a_short_input_and_one_before_sync_are_left_too() -> None:
+    assert heeded([(*SYNC[:3], False, 0), *INPUTS])[0] == frames.STRANGE
+    assert heeded([SYNC, (INPUTS[0][0], bytes(7), 1, False, 0), *INPUTS[1:]])[0] == frames.STRANGE
+    assert heeded([INPUTS[0], SYNC, *INPUTS[1:]])[0] == frames.STRANGE
