@@ -285,15 +285,21 @@ def counts(names: Sequence[str]) -> dict[str, int]:
 
 
 def page(text: str, results: Sequence[str]) -> str:
-    """Give the page with the table between its `mutants` markers made from what a run printed."""
+    """Give the page with the table between its `mutants` markers made from what a run printed.
+
+    A run of some kinds alone (`--only " Emcy."`) renews their rows; the others stay as they were run last.
+    """
     rows = [told for line in results if (told := re.match(r"(.*?) +(noticed|SURVIVES) +(.*)", line))]
     lived = [told for told in rows if told[2] == "SURVIVES"]
     made, left = (counts([told[1] for told in some]) for some in (rows, lived))
-    lines = ["| changed: each | mutants | noticed | not noticed |", "|---|---|---|---|"]
-    lines += [f"| {kind} | {made[kind]} | {made[kind] - left[kind]} | {left[kind]} |" for kind in KINDS]
-    lines += [f"| all | {len(rows)} | {len(rows) - len(lived)} | {len(lived)} |"]
-    lines += [""] * bool(lived) + [f"- `{told[1]}`: {told[3]}" for told in lived]
     before, _, rest = text.partition("<!-- mutants -->")
+    table = re.findall(r"^\| (.+?) \| (\d+) \| (\d+) \| (\d+) \|$", rest, re.MULTILINE)
+    was = {row[0]: (int(row[1]), int(row[3])) for row in table}
+    shown = {kind: (made[kind], left[kind]) if made[kind] else was.get(kind, (0, 0)) for kind in KINDS}
+    shown["all"] = (sum(number for number, _ in shown.values()), sum(number for _, number in shown.values()))
+    lines = ["| changed: each | mutants | noticed | not noticed |", "|---|---|---|---|"]
+    lines += [f"| {kind} | {number} | {number - missed} | {missed} |" for kind, (number, missed) in shown.items()]
+    lines += [""] * bool(lived) + [f"- `{told[1]}`: {told[3]}" for told in lived]
     return "\n".join([f"{before}<!-- mutants -->", *lines, rest[rest.index("<!-- end -->"):]])
 
 

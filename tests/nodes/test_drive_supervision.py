@@ -22,12 +22,25 @@ def test_a_step_beyond_what_the_speed_limit_allows_is_refused(node_id: int, limi
     rig.target = limit + 500
     rig.run(50)
     assert rig.emergencies() == [0x8612]
+    assert rig.read(0x1001) == 0x21  # generic, and the device profile's own bit
     assert abs(rig.read(0x6064)) < 50
     assert rig.state() is ENABLED
     rig.target = 200
     rig.run(200)
     assert rig.emergencies() == [0]
     assert rig.read(0x6064) == pytest.approx(200, abs=20)
+
+
+def test_a_new_mode_ends_the_refusal_of_a_step() -> None:
+    """The step was a CSP target's; the mode that opens next begins without its EMCY."""
+    rig = DriveRig(KNEE).enabled()
+    rig.target = 50_000
+    rig.run(20)
+    assert rig.emergencies() == [0x8612]
+    rig.write(0x6060, 0, Mode.CSV)
+    rig.run(500)
+    assert rig.read(0x6061) == Mode.CSV
+    assert rig.emergencies() == [0]
 
 
 def test_a_step_within_the_limit_is_drawn_out() -> None:
