@@ -98,6 +98,21 @@ class DiagnosisResult:
         return Path(path)
 
 
+def on_its_footing(
+    found: Verdict, trials: Sequence[Path], calibration: Path | None, healthy: Sequence[Path]
+) -> Verdict:
+    """Return what was found; without a cause named where nothing says what this bench is by itself.
+
+    That is so where every trial ran on the packaged calibration, without a calibration or healthy trials given now.
+    """
+    from diagnosis.data.table import NOMINAL
+    from trial.read import open as opened
+
+    measured = calibration is not None or healthy or not all(
+        path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL for path in trials)
+    return found if measured or found.verdict == "refused" else found.unnamed()
+
+
 def _several(given: Given | Iterable[Given]) -> list[Given]:
     return [given] if isinstance(given, Trial | str | Path) else list(given)
 

@@ -51,6 +51,15 @@ class Diagnosis:
     split: bool = False
     simulation: dict[str, Any] | None = None
     rate_hz: float | None = None
+    candidates: list[dict[str, Any]] = field(default_factory=list)
+
+    def unnamed(self) -> Diagnosis:
+        """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
+        if not self.causes:
+            return self
+        return replace(self, causes=[], rivals=[], experiment=None, detection_limit=None, candidates=[
+            *self.causes, *({"effect": name} for name in self.rivals
+                            if name not in {cause["effect"] for cause in self.causes})])
 
     def as_json(self) -> dict[str, Any]:
         """Return what `bowden diagnose --json` prints: undefined is None."""
@@ -58,7 +67,8 @@ class Diagnosis:
             "verdict": self.verdict, "causes": self.causes, "class": self.rivals, "experiment": self.experiment,
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
-            "lowpass_hz": self.lowpass_hz, "simulation": self.simulation}
+            "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
+            **({"candidates": self.candidates} if self.candidates else {})}
 
 
 Given = str | Path | Table

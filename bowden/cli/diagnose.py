@@ -105,7 +105,7 @@ def diagnose(
     if json:
         terminal.emit(result)
     else:
-        _tell(found, result, unmeasured=calibration is None and not healthy and _all_nominal(chosen))
+        _tell(found, result)
     return 2 if found.verdict == "refused" else 0
 
 
@@ -156,6 +156,8 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
         print(f"{trial}: {one['verdict']}")
         for cause in one["causes"]:
             _say(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
+        if one.get("candidates"):
+            _say("no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
         if len(one["class"]) > len(one["causes"]):
             _say(f"cannot be told apart: {', '.join(one['class'])}", "    ")
         todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
@@ -185,6 +187,7 @@ def _diagnosed(
     figures: Path | None, *, overwrite: bool,
 ) -> Diagnosis:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
+    from bowden import diagnosing
     from diagnosis import extension
     from diagnosis.data import table
     from diagnosis.finder import Finder
@@ -198,6 +201,7 @@ def _diagnosed(
     finder = Finder(calibration, lowpass).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
     found = finder.diagnose(groups[0], groups[2])
+    found = diagnosing.on_its_footing(found, trials, calibration, healthy)
     step("writing", WRITING)
     if found.verdict == "refused":
         return found
@@ -214,27 +218,13 @@ def _diagnosed(
     return found
 
 
-def _all_nominal(trials: list[Path]) -> bool:
-    """Say whether every trial ran on the packaged calibration, which was measured on no bench."""
-    from diagnosis.data.table import NOMINAL
-    from trial.read import open as opened
-
-    return all(path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL
-               for path in trials)
-
-
-def _tell(found: Diagnosis, result: dict[str, Any], *, unmeasured: bool = False) -> None:
+def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
     from diagnosis.report.headline import headline
 
-    if unmeasured and found.verdict in ("found", "ambiguous"):
-        _say("Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by "
-             "itself cannot be told from what is wrong with it.")
-        _say("No cause is named on this footing; --json lists the candidates, --calibration or --healthy gives a "
-             "better one.")
-    else:
-        for sentence in headline(found):
-            if sentence:
-                _say(sentence)
+    for sentence in headline(found):
+        if sentence:
+            _say(sentence)
+    if not found.candidates:
         print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
     _tell_relations(result["relations"])
     for warning in found.warnings:

@@ -29,8 +29,16 @@ class Headline(NamedTuple):
     todo: str
 
 
+UNMEASURED: Final = (
+    "Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by itself "
+    "cannot be told from what is wrong with it, and no cause is named on this footing.")
+
+
 def headline(found: Diagnosis) -> Headline:
     """Return what is wrong, what it costs in N and what to do next."""
+    if found.candidates:
+        return Headline(UNMEASURED, _cost(found), "bowden identify all -o calibration.toml, then record again or "
+                        "diagnose with --calibration calibration.toml; --healthy trials are a footing, too.")
     return Headline(_wrong(found), _cost(found), _todo(found))
 
 

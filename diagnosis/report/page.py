@@ -46,7 +46,8 @@ def build(
                 badge=(found.verdict, KINDS.get(found.verdict, "plain")))
     sides = compared(found, trials)
     _first(page, found)
-    picture.section(page, found, sides)
+    if not found.candidates:
+        picture.section(page, found, sides)
     _summary(page, found, sides)
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
@@ -54,8 +55,9 @@ def build(
         plots.measured(page, compared(found, holdout), "Held-out trials", "held-out time_s")
     if tracked is not None:
         tracking.section(page, *tracked, (BEFORE, AFTER))
-    tables.ranking(page, found)
-    tables.limits(page, found)
+    if not found.candidates:
+        tables.ranking(page, found)
+        tables.limits(page, found)
     _said(page, found)
     return page
 

@@ -17,6 +17,9 @@ from trial.report.page import number
 
 def paragraph(found: Diagnosis) -> str:
     """Return the verdict in words."""
+    if found.candidates:
+        return ("The simulation of the nominal bench leaves more than a healthy bench would; which of several effects "
+                "that is, an identification has to narrow down first.")
     opening = {
         "none": "Nothing was found that the simulation gets wrong: no effect of the catalogue pays on cycles it was "
                 "not fitted on.",

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
+from html import unescape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import trial as recorded
+from physics.effects.catalogue import CATALOGUE
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 
@@ -193,3 +197,27 @@ def test_a_dask_cluster_tells_each_trial_too(walked: Columns, bowden: Run, here:
         told = bowden("diagnose", short, "--each", "--scheduler", cluster.scheduler_address, "--json")
     assert told.status == 2, told.stderr
     assert "2 cycles" in json.loads(told.stdout)["trials"][str(short)]["warnings"][0]
+
+
+def test_on_the_packaged_calibration_no_cause_is_named_anywhere(here: Path, bowden: Run, walked: Columns) -> None:
+    """A trial that ran on it, END 3 N off: terminal, JSON, page and --each say to identify first."""
+    recorder = recorded.Recorder(here / "a.mcap", metadata={"calibration": "nominal"}, attachments={}, threaded=False)
+    for row in range(walked["time_s"].size):
+        values = {name: float(column[row]) for name, column in walked.items()}
+        recorder.cycle(round(values["time_s"] * 1e9), [values.get(name, math.nan) for name in recorded.COLUMNS])
+    recorder.close({})
+    status, out, err = bowden("diagnose", "a.mcap", "--report", "a.html", "-o", "a.toml")
+    assert (status, err) == (0, "")
+    said = " ".join(out.split())
+    assert "Run bowden identify first" in said
+    names = [name for name in CATALOGUE if name in said]
+    assert names == []
+    page = unescape((here / "a.html").read_text()).partition("<main>")[2]
+    assert "Run bowden identify first" in page
+    assert [name for name in CATALOGUE if f">{name}<" in page] == []
+    told = json.loads(bowden("diagnose", "a.mcap", "--json").stdout)
+    assert (told["causes"], told["class"], told["experiment"]) == ([], [], None)
+    assert "end_offset" in {one["effect"] for one in told["candidates"]}
+    assert "[effects." not in (here / "a.toml").read_text()
+    each = bowden("diagnose", "a.mcap", "--each", "--workers", 1).stdout
+    assert "run bowden identify first" in " ".join(each.split())
