@@ -38,6 +38,8 @@ FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
 TURNED, TURNING_FAST = 0.3, 0.002
 """Share of the feedback's gain while friction turns over; change of ln(START/END) in a control cycle that halves it."""
+REACH_M = 4.5e-3
+"""Farthest target from where the rope will be then: beyond the servo's window (0x6065, 5 mm) the drive stops."""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 
@@ -67,17 +69,18 @@ class State(NamedTuple):
     """What the controller remembers.
 
     `law` is the model with friction as `followed` so far.  `leg`: how far the leg is from the knee's drive, and the
-    drive's angle, rad, farthest ahead.  `departures`: of the knee from its reference, the latest
-    last.  `paths`: the model's answers for this control cycle up to the farthest ahead; `wanted`: the positions, m,
-    that are to be reached from this control cycle on.  `resting`: control cycles before the feedback listens again.
-    `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive.  `history`:
-    linked list (sample, feedback, tracking error, evidence, older) of the gait cycle so far.
+    drive's angle, rad, farthest ahead.  `seen_m`: where the rope was.  `departures`: of the knee from its reference,
+    the latest last.  `paths`: the model's answers for this control cycle up to the farthest ahead; `wanted`: the
+    positions, m, that are to be reached from this control cycle on.  `resting`: control cycles before the feedback
+    listens again.  `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive.
+    `history`: linked list (sample, feedback, tracking error, evidence, older) of the gait cycle so far.
     """
 
     law: Law
     followed: Followed = Followed()
     deviation_m: float = 0.0
     leg: tuple[float, float] = (0.0, NAN)
+    seen_m: float = NAN
     slip: tuple[float, ...] = tuple(inverse.Slip())
     departures: tuple[float, ...] = ()
     paths: tuple[Ahead, ...] = ()
@@ -167,8 +170,11 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     fed = deviation if gait.slack[now] == 0.0 else 0.0
     history = (now, fed, missed, evidence, state.history)
     target = feedforward + force + (state.tracked[now] if state.tracked else 0.0)
-    after = State(state.law, state.followed, deviation, leg, slip, departures, paths, wanted, resting, state.learnt,
-                  state.tracked, history)
+    moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
+    then = seen.servo_position_m + TARGET_CYCLES * moved
+    target = min(max(target, then - REACH_M), then + REACH_M)
+    after = State(state.law, state.followed, deviation, leg, seen.servo_position_m, slip, departures, paths, wanted,
+                  resting, state.learnt, state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
     return Outputs(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace

@@ -169,14 +169,27 @@ def test_feedback_rests_while_the_friction_turns_over() -> None:
 def test_knee_ahead_of_its_reference_is_led() -> None:
     """A knee that runs off at a constant speed is met where it will be when the target acts."""
     config = dataclasses.replace(configured(), gain_m_n=0.0, lag=0.0)
-    state, knee = extended.State(config.law), config.gait.knee
+    state, knee, rope = extended.State(config.law), config.gait.knee, nominal().stiffness_c
     for sample in range(1200, 1300):
         off = 0.05 + 0.2 * (sample - 1200) * PERIOD_S
-        outputs, state, _ = extended.step(ControllerInput(sample, 0.0, 0.0, knee[sample] + off, 0.0), state, config)
+        outputs, state, _ = extended.step(ControllerInput(sample, rope, 0.0, knee[sample] + off, 0.0), state, config)
+        rope += 0.1 * (outputs.servo_target_m - rope)
     then = 1299 + config.ahead
     expected = nominal().stiffness_c - config.gait.slack[then] + nominal().swing_k * (
         knee[then] + 0.05 + 0.2 * (then - 1200) * PERIOD_S - float(laws.knee_angle(13.0)))
     assert outputs.servo_target_m == pytest.approx(expected, abs=5e-6)
+
+
+def test_no_target_is_farther_from_the_rope_than_the_drive_follows() -> None:
+    """A stretch of 5 mm in the first newton asks for a leap; the drive would stop with a following error."""
+    config = configured()
+    config = dataclasses.replace(config, law=config.law._replace(short=5e-3), lag=10.0)
+    state, rope = extended.State(config.law), 0.0
+    for sample in range(150, 400):
+        look = ControllerInput(sample, rope, 0.0, config.gait.knee[sample], 0.0)
+        outputs, state, _ = extended.step(look, state, config)
+        assert abs(outputs.servo_target_m - rope) <= extended.REACH_M + extended.TARGET_CYCLES * 0.3 * PERIOD_S + 1e-9
+        rope += max(-0.3 * PERIOD_S, min(0.3 * PERIOD_S, 0.1 * (outputs.servo_target_m - rope)))
 
 
 @pytest.mark.parametrize("lag_hz", [15.0, 25.0, 40.0])
