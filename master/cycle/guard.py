@@ -29,6 +29,8 @@ LIMITED_NS = 300_000_000
 YIELDED_M = 2e-3
 """By how much further a servo that its tension bound holds back may be from where its targets lead."""
 _CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
+PATIENT = 5
+"""How many times as many cycles a node may miss while the exchange begins: programs that just started stall."""
 REMEMBERED = 3
 """Cycles for which a missed input still explains what a drive says of it."""
 
@@ -36,8 +38,9 @@ REMEMBERED = 3
 class Guard:
     """The checks of a running cycle; `enabled` says that both drives must stay in OPERATION ENABLED.
 
-    `active` False lets everything pass: during bring-up, and once a stop is under way.  `interrupted` gives the number
-    of the signal that asked for an end, 0 for none.
+    `active` False lets everything pass: during bring-up, and once a stop is under way.  `beginning` says that the
+    exchange is not established yet, drives off: what a drive says of missed cycles is told and waited through.
+    `interrupted` gives the number of the signal that asked for an end, 0 for none.
     """
 
     def __init__(
@@ -46,7 +49,7 @@ class Guard:
     ) -> None:
         self.limits = limits
         self.active = True
-        self.enabled = False
+        self.beginning = self.enabled = False
         self.plausibility: Plausibility | None = None
         self._link, self._wire, self._log = link, wire, log
         self._timeout_ns = timeout_ns
@@ -144,7 +147,7 @@ class Guard:
                                                        f"{reception.refused[i]} cycles in a row", node)
 
     def _refuse_stale(self, late_in_row: Sequence[int]) -> None:
-        limit = self.limits.stale_cycles
+        limit = self.limits.stale_cycles * (PATIENT if self.beginning else 1)
         if min(late_in_row) >= limit:
             raise StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late_in_row)} cycles")
         for node, late in zip((SERVO, START, KNEE, END), (late_in_row[i] for i in (0, 2, 1, 3)), strict=True):
@@ -173,7 +176,7 @@ class Guard:
             emergency = link.emergencies.popleft()
             text = self._described(emergency)
             self._log.event(emergency.time_ns, "emcy", self._name(emergency.node_id), text)
-            if emergency.code != Emcy.NO_ERROR:
+            if emergency.code != Emcy.NO_ERROR and not (self.beginning and emergency.code in _CONSEQUENCES):
                 first = first or self._cause(emergency, text, now_ns, reception)
         while link.boots:
             node = link.boots.popleft()

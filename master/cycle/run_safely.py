@@ -156,12 +156,14 @@ def _cycle(exchange: Exchange, described: Wire, perform: Callable[[Exchange], No
 def _establish(exchange: Exchange) -> None:
     """Hold, drives off, until the cycle has been whole `ESTABLISHED` times in a row; misses count from here on."""
     whole = 0
+    exchange.guard.beginning = True
     for _ in range(PATIENCE):
         missed = exchange.missed_cycles
         exchange.hold()
         whole = whole + 1 if exchange.missed_cycles == missed else 0
         if whole == ESTABLISHED:
             break
+    exchange.guard.beginning = False
     exchange.missed_cycles = exchange.stale_inputs = 0
 
 

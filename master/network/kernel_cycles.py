@@ -7,6 +7,7 @@ second socket, filtered to SYNC and one input, wakes; the master's own, which re
 
 from __future__ import annotations
 
+import os
 import select
 import socket
 import struct
@@ -25,10 +26,10 @@ if TYPE_CHECKING:
 
 NS: Final = 1_000_000_000
 _HEAD = struct.Struct("=IB3x")
-_ID = struct.Struct("=I")
-_SYNC: Final = _ID.pack(SYNC_COB_ID)
-_FRAME_BYTES: Final = 16
-_NOW: Final = int(socket.MSG_DONTWAIT)
+FRAME_BYTES: Final = 16
+ROW_BYTES: Final = 8 * frames.ROW
+BATCH: Final = 32
+"""Rows that the tap's memory has room for beside what one call fetches."""
 
 Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
 """Time stamps of SYNC and of the targets, ns; time stamps and data of the inputs, as `eds.plan.Joined` takes them;
@@ -49,17 +50,26 @@ class KernelCycles:
     ) -> None:
         frames.prepare()
         self.count = 0
-        self._bus, self._tap, self._period_ns, self._budget_ns = bus, tap, period_ns, budget_ns
-        self._patience_s = 1.25 * period_ns / NS
-        self._targets_id, size = targets
-        self._head, self._pad = _HEAD.pack(self._targets_id, size), bytes(8 - size)
+        self._bus, self._tap, self._period_ns = bus, tap, period_ns
+        targets_id, size = targets
         self._numbers: Any = np.zeros(frames.HEEDED, np.int64)
         self._told: Any = memoryview(cast(Any, self._numbers))
-        self._frames = self._told.cast("B")[8 * frames.FRAMES:]
-        self._ids, self._sizes = np.array([can_id for can_id, _ in inputs]), np.array([size for _, size in inputs])
-        self._last = _ID.pack(max(can_id for can_id, _ in inputs))
-        self._trigger = bus.trigger([SYNC_COB_ID, max(can_id for can_id, _ in inputs)])
-        self._wakes, self._reads = [self._trigger], [bus.socket]
+        self._inputs = self._told.cast("B")[8 * frames.FRAMES:]
+        self._last = max(can_id for can_id, _ in inputs)
+        self._trigger = bus.trigger([SYNC_COB_ID, self._last])
+        settings: Any = np.zeros(frames.SETTINGS, np.int64)
+        settings[[frames.MAIN, frames.TAP, frames.TRIGGER, frames.TARGETS, frames.PATIENCE, frames.BUDGET]] = (
+            bus.socket.fileno(), -1 if tap is None else tap.socket.fileno(), self._trigger.fileno(), targets_id,
+            period_ns + period_ns // 4, budget_ns)
+        self._settings: Any = memoryview(cast(Any, settings))
+        frame: Any = np.zeros(FRAME_BYTES, np.uint8)
+        self._data = memoryview(frame)[_HEAD.size:_HEAD.size + size]
+        memoryview(frame)[:_HEAD.size] = _HEAD.pack(targets_id, size)
+        heard = bus if tap is None else tap
+        self._tap_told, self._rows = heard.told, heard.row_bytes
+        self._call = (settings, frame, bus.slots, bus.headers, np.array([can_id for can_id, _ in inputs]),
+                      np.array([least for _, least in inputs]), self._numbers, heard.slots, heard.headers,
+                      heard.block_rows, heard.numbers)
         self._behind = True
 
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
@@ -68,83 +78,71 @@ class KernelCycles:
         False: nothing has happened, for frames wait or the heartbeat at `beat_ns` is due about now.  True: the targets
         were sent, and the frames that came wait to be received.  Raises `can.CanError` where the bus failed.
         """
-        bus = self._bus
-        if bus.waiting or beat_ns < time.time_ns() + 2 * self._period_ns:
+        if self._bus.waiting or beat_ns < time.time_ns() + 2 * self._period_ns or not self._ready():
             self._behind = True
             return False
-        try:
-            if self._behind:
-                self._catch_up()
-            bus.socket.send(self._head + data + self._pad)
-        except OSError:
+        self._data[:] = data
+        self._settings[frames.AFTER] = after_ns
+        ended = frames.cycle(*self._call)
+        told, heard = self._told, self._tap_told
+        if told[frames.DROPPED] >= 0:
+            self._bus.lost = told[frames.DROPPED]
+        if ended != frames.WHOLE and not self._mended(ended, after_ns):
             self._behind = True
-            return False
-        try:
-            whole = self._received(after_ns)
-        except OSError as error:
-            raise can.CanOperationError(f"{bus.channel}: {error.strerror}", error.errno) from error
-        if whole is None:
-            self._behind = True
-            return True
+            return ended != frames.NOT_SENT
+        self._behind = self._behind or self._settings[frames.WOKEN] != self._last
         self.count += 1
-        return whole
-
-    def _received(self, after_ns: int) -> Whole | None:
-        """Wait for SYNC, take what the tap has heard, wait for the last input, take all of them."""
-        told = self._told
-        told[frames.MISSING], told[frames.DROPPED], told[frames.BEATS] = -1, -1, 0
-        if self._woken(self._patience_s) != _SYNC:
-            return None
-        targets_ns, sync_ns, rows, count = -1, time.time_ns(), b"", 0
+        count = 0
         if self._tap is not None:
-            targets_ns, sync_ns, rows, count = self._tap.up_to_sync(self._targets_id)
-            if sync_ns < 0:
-                return None
-        deadline_ns = sync_ns + self._budget_ns
-        if self._woken((deadline_ns - time.time_ns()) / NS) != self._last:
-            self._behind = True
-        if not self._taken(deadline_ns, after_ns):
-            return None
-        if self._tap is not None:
-            self._tap.release(count)
-        beats = self._beats() if told[frames.BEATS] else ()
-        return told[frames.AT_NS], targets_ns, self._frames, beats, rows, count
+            count = heard[frames.FIRST] = heard[frames.SYNC_END]
+        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, self._beats() if told[frames.BEATS] else (),
+                self._rows[:ROW_BYTES * count], count)
 
-    def _taken(self, deadline_ns: int, after_ns: int) -> bool:
-        """Read the master's socket until every input is there; False where something else is, or one is late.
+    def _ready(self) -> bool:
+        """Whether the tap has room, and what woke cycles that were received singly is forgotten."""
+        tap, told = self._tap, self._tap_told
+        if tap is not None:
+            if tap.row_bytes is not self._rows or told[frames.TAKEN] - told[frames.FIRST] > BATCH:
+                return False
+            if told[frames.LOST] >= 0:
+                tap.lost = told[frames.LOST]
+        if self._behind:
+            self._behind = False
+            try:
+                while True:
+                    self._trigger.recv(FRAME_BYTES, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                return True
+            except OSError:  # the master's own socket fails with it, and says so
+                return False
+        return True
 
-        Then all frames of the cycle wait in the bus.
+    def _mended(self, ended: int, after_ns: int) -> bool:
+        """Whether the inputs that were not there yet come by their deadline; else all frames wait to be received.
+
+        Raises `can.CanOperationError` where a socket failed.
         """
-        bus, told = self._bus, self._told
+        bus, told, settings = self._bus, self._told, self._settings
+        if ended == frames.FAILED:
+            raise can.CanOperationError(f"{bus.channel}: {os.strerror(settings[frames.ERRNO])}", settings[frames.ERRNO])
+        if ended != frames.FETCHED:
+            return False
+        status, count = frames.STRANGE, settings[frames.COUNT]
+        if told[frames.MISSING] > 0:
+            status = frames.WAITING
+        deadline_ns = told[frames.AT_NS] + settings[frames.BUDGET]
         while True:
-            count = bus.fetch()
-            status = frames.heed(bus.slots, bus.headers, count, self._ids, self._sizes, self._numbers)
-            if told[frames.DROPPED] >= 0:
-                bus.lost = told[frames.DROPPED]
             if status == frames.DONE and told[frames.AT_NS] > after_ns:
                 bus.waiting.clear()  # what was kept below of this cycle
                 return True
             bus.keep(count)
             left_ns = deadline_ns - time.time_ns()
-            if status != frames.WAITING or left_ns <= 0 or not select.select(self._reads, (), (), left_ns / NS)[0]:
+            if status != frames.WAITING or left_ns <= 0 or not select.select([bus.socket], (), (), left_ns / NS)[0]:
                 return False
+            count = bus.fetch()
+            status = frames.heed(bus.slots, bus.headers, count, self._call[4], self._call[5], self._numbers)
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         told, first = self._told, frames.BEAT
         return tuple([(told[at], told[at + 1], told[at + 2])
                       for at in range(first, first + 3 * told[frames.BEATS], 3)])
-
-    def _woken(self, timeout_s: float) -> bytes:
-        """The identifier's bytes of the frame that wakes within so long; nothing where none does."""
-        if timeout_s <= 0.0 or not select.select(self._wakes, (), (), timeout_s)[0]:
-            return b""
-        return self._trigger.recv(_FRAME_BYTES, _NOW)[:4]
-
-    def _catch_up(self) -> None:
-        """Forget what woke cycles that were received singly."""
-        self._behind = False
-        try:
-            while True:
-                self._trigger.recv(_FRAME_BYTES, _NOW)
-        except BlockingIOError:
-            return

@@ -22,7 +22,7 @@ from can.interfaces.socketcan import SocketcanBus
 
 from master.network import kernel_frames
 from master.network.kernel_cycles import KernelCycles
-from master.network.kernel_frames import LAST_NS, MARKED_NS, SYNC_END, SYNC_NS, TAKEN
+from master.network.kernel_frames import FIRST, LAST_NS, LOST, MARKED_NS, TAKEN
 from trial.mcap_file.cdr import FRAME_STRUCT
 
 NS: Final = 1_000_000_000
@@ -82,11 +82,10 @@ class KernelBus(SocketcanBus):
         self._seen, self._ends = memoryview(self._slots), memoryview(self._headers)
         self.slots: Any = np.frombuffer(self._slots, np.uint64).reshape(BATCH, kernel_frames.SLOT)
         self.headers: Any = np.frombuffer(self._headers, np.uint64).reshape(BATCH, kernel_frames.HEADER)
-        self._rows: Any = np.zeros((2 * BATCH, kernel_frames.ROW), np.uint64)
-        self._first = 0
-        self._numbers: Any = np.full(TAKEN + 1, -1, np.int64)
-        self._told: Any = memoryview(cast(Any, self._numbers))
-        self._told[TAKEN] = 0
+        self._make_room(2 * BATCH)
+        self.numbers: Any = np.full(kernel_frames.TOLD, -1, np.int64)
+        self.told: Any = memoryview(cast(Any, self.numbers))
+        self.told[FIRST] = self.told[TAKEN] = 0
         self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -144,44 +143,25 @@ class KernelBus(SocketcanBus):
 
         A time stamp is −1 where there was never such a frame.  The bytes hold until the next call.
         """
-        self._gather(marked_id)
-        told, first = self._told, self._first
-        count = told[TAKEN] - first
-        self._first = told[TAKEN]
-        return self._bytes(first, count), count, told[LAST_NS], told[MARKED_NS]
-
-    def up_to_sync(self, marked_id: int) -> tuple[int, int, Any, int]:
-        """Give time stamps of the last `marked_id` and of a SYNC among the frames that wait, and rows up to that SYNC.
-
-        Bytes of rows, and their number; they stay for `block` until they are released.  A time stamp is −1 for none.
-        """
-        self._gather(marked_id)
-        told = self._told
-        count = max(0, told[SYNC_END] - self._first)
-        return told[MARKED_NS], told[SYNC_NS], self._bytes(self._first, count), count
-
-    def release(self, count: int) -> None:
-        """Drop the first rows, which have been recorded."""
-        self._first += count
-
-    def _bytes(self, first: int, count: int) -> Any:
-        return memoryview(self._rows).cast("B")[ROW * first:ROW * (first + count)]
-
-    def _gather(self, marked_id: int) -> None:
-        """Fetch every frame that waits into rows, behind those that nobody has taken yet."""
-        told, first = self._told, self._first
-        left = told[TAKEN] - first
-        if first:
-            self._rows[:left] = self._rows[first:first + left]
-        self._first, told[TAKEN], told[SYNC_NS], told[SYNC_END] = 0, left, -1, -1
+        told = self.told
+        kernel_frames.to_front(self.block_rows, self.numbers)
         count = BATCH
         while count == BATCH:
             count = self.fetch()
-            if told[TAKEN] + count > len(self._rows):
-                self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            kernel_frames.rows(self.slots, self.headers, count, self._rows, told[TAKEN], marked_id, self._numbers)
-        if told[kernel_frames.LOST] >= 0:
-            self.lost = told[kernel_frames.LOST]
+            if told[TAKEN] + count > len(self.block_rows):
+                self._make_room(2 * len(self.block_rows))
+            kernel_frames.rows(self.slots, self.headers, count, self.block_rows, marked_id, self.numbers)
+        if told[LOST] >= 0:
+            self.lost = told[LOST]
+        told[FIRST] = told[TAKEN]
+        return self.row_bytes[:ROW * told[TAKEN]], told[TAKEN], told[LAST_NS], told[MARKED_NS]
+
+    def _make_room(self, count: int) -> None:
+        """Have memory for so many rows, with the rows that are there."""
+        before = getattr(self, "block_rows", np.zeros((0, kernel_frames.ROW), np.uint64))
+        self.block_rows: Any = np.zeros((count, kernel_frames.ROW), np.uint64)
+        self.block_rows[:len(before)] = before
+        self.row_bytes = memoryview(cast(Any, self.block_rows)).cast("B")
 
     def cycles(
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,

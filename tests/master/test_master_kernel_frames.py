@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eds.bench import END, KNEE, SERVO, START
@@ -24,9 +24,6 @@ Frame = tuple[int, bytes, int, bool, int]
 """Identifier with the kernel's flags, data, time stamp, own, lost frames (0: not told)."""
 NODES = (SERVO, KNEE, START, END)
 WANTED = np.array([TPDO_BASE + node for node in NODES]), np.array([8, 6, 2, 2])
-
-frames.prepare()  # compiled here, and not in the time that one example may take
-
 
 @st.composite
 def kernel_frames(draw: Any) -> Frame:
@@ -57,11 +54,13 @@ def row(frame: Frame) -> tuple[Any, ...]:
     return time_ns, can_id & 0x1FFFFFFF, flags, len(data), 0, own, list(payload)
 
 
+@settings(deadline=None)  # memory is mapped and a function loaded in the first example
 @given(st.lists(kernel_frames(), min_size=1, max_size=32), st.integers(0, 5))
 def test_rows_are_what_the_structs_hold(batch: list[Frame], at: int) -> None:
     block = np.zeros((at + len(batch), frames.ROW), np.uint64)
-    told = np.full(frames.TAKEN + 1, -1, np.int64)
-    frames.rows(*memory(batch), len(batch), block, at, 0x201, told)
+    told = np.full(frames.TOLD, -1, np.int64)
+    told[frames.TAKEN] = at
+    frames.rows(*memory(batch), len(batch), block, 0x201, told)
     found = block[at:].view(FRAME_ROW)[:, 0]
     assert [(*each.tolist()[:6], each["data"].tolist()) for each in found] == [row(frame) for frame in batch]
     last = {can_id: (time_ns, n) for n, (can_id, _, time_ns, _, _) in enumerate(batch)}
@@ -88,6 +87,7 @@ def heeded(*batches: list[Frame]) -> tuple[int, Any]:
     return status, told
 
 
+@settings(deadline=None)
 @given(st.permutations(INPUTS), st.integers(0, 5), st.integers(0, 6))
 def test_a_cycle_is_whole_once_sync_and_every_input_have_come(
     inputs: list[Frame], split: int, beat: int

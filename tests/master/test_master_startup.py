@@ -103,3 +103,14 @@ def test_another_edition_of_the_device_is_refused_by_its_number(
     with pytest.raises(bringup.RefusedError, match=rf"knee \(node 2\): {name} is 0x[0-9A-F]+, its EDS .* says 0x"):
         bringup.bring_up(link, described, Log(tap, None, 0x201))
     assert State.OPERATION_ENABLED not in states(link)
+
+
+def test_a_node_that_stalls_as_the_exchange_begins_is_waited_for(composer: Composer) -> None:
+    """Half as many cycles again as stop a trial that runs; all that is told of it is that it was so."""
+    began_s = composer.run(experiment={"dry_run": True}).trial.time_ns[0] * 1e-9
+    stalled = (Limits().stale_cycles * 1.5) * 1e-3
+    ran = composer.run(experiment={"dry_run": True}, faults=[
+        {"kind": "drop", "cob_id": 0x184, "start_s": began_s - 0.0005, "stop_s": began_s + stalled}])
+    assert ran.result.stop_reason is None
+    assert ran.result.missed_cycles == 0
+    assert next(event.text for event in ran.trial.events if event.kind == "miss") == "no inputs of end."
