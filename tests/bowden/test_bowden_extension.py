@@ -88,7 +88,7 @@ def test_a_plan_says_the_smallest_of_each_effect(bowden: Run, here: Path) -> Non
     (["--plan", "two_peaks", "-o", "x.toml"], "leave -o out"),
     (["--plan", "dead_weight"], "needs an operator"),
     (["trial.mcap", "--noise", "0.1"], "--noise belongs to --plan"),
-    ([], "no trial given"),
+    (["--json"], "no trial given"),
     (["trial.mcap", "--tracked", "a.mcap", "b.mcap"], "name one with --report"),
 ])
 def test_options_that_do_not_belong_together(arguments: list[str], says: str, bowden: Run, here: Path) -> None:
