@@ -52,7 +52,7 @@ class Judge:
     def _pays(self, lesser: Model, model: Model) -> bool:
         if self.within is not None:
             return True
-        healthy = sum(self._expected(n) for n in self.setting.checked)
+        healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
         if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
             return False
         if self.setting.any_rig:
@@ -61,7 +61,14 @@ class Judge:
             return False
         if any(model.by_relation[n] - lesser.by_relation[n] > self._noise(n, lesser) for n in self.setting.checked):
             return False
-        cuts, base = verdict.cut(lesser, model), self.search.baseline
+        if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
+            return False
+        kept = 1.0 - verdict.FURTHER_ELSEWHERE
+        if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
+                                          for n in self.setting.checked):
+            return False
+        noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
+        cuts, base = verdict.cut(lesser, model, noise), self.search.baseline
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
@@ -113,9 +120,11 @@ class Judge:
                                            for f in effect.frees)
 
     def can_improve(self, model: Model) -> bool:
-        """Whether a model leaves more than healthy trials do (always, where none says)."""
-        return self.setting.floors is None or self.within is not None or any(
-            self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
+        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
+        if self.setting.floors is None or self.within is not None or model.prior_penalty > verdict.STRAINED:
+            return True
+        return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
+                   + self._noise(n, model) for n in self.setting.checked)
 
     def word(self) -> str:
         """Return none, found, ambiguous or unexplained."""
@@ -212,7 +221,7 @@ class Judge:
 
     def limits(self) -> dict[str, Mapping[str, Any]] | None:
         """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
-        if self.setting.any_rig or (self.setting.learnt is None and self.setting.reference.kind == "healthy"):
+        if self.setting.any_rig or self.setting.elsewhere:
             return None
         from diagnosis.judgement.plan import sight
 

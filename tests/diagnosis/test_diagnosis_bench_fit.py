@@ -54,13 +54,25 @@ def test_a_trial_without_end_is_fitted_and_what_it_does_not_say_is_listed(walked
 
 
 def test_a_model_is_read_as_it_was_written_and_as_a_calibration(walked: Table, tmp_path: Path) -> None:
-    from physics import calibration
+    from physics import bench_model, calibration
 
     path = tmp_path / "model.toml"
     found = bench_fit.fit([walked])
     path.write_text(found.text(), encoding="utf-8")
     assert bench_fit.read(path).values == pytest.approx(found.values)
     assert calibration.read(path).stiffness_b == pytest.approx(found.calibration.stiffness_b)
+    assert bench_model.read(path).related()["mu1"] == pytest.approx(found.values["mu1"])
+
+
+def test_a_model_with_a_table_of_constants_as_older_versions_wrote_it_opens(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    path.write_text('version = 2\nbench = ""\n[parameters.mu2]\nvalue = 0.1\nunit = ""\n[fitted]\npulls = -1\n'
+                    '[constants.mu2]\nvalue = 0.2\nunit = ""\ninterval = [0.1, 0.3]\ndetermined = false\n',
+                    encoding="utf-8")
+    found = bench_fit.read(path)
+    assert found.values["mu2"] == 0.2
+    assert found.pulls == -1
+    assert found.undetermined == ["mu2"]
 
 
 def test_a_trial_of_no_rope_over_a_knee_is_refused() -> None:
