@@ -18,6 +18,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import Setting
 from diagnosis.search.search import Found, Model, Search
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS
 from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
@@ -225,8 +226,8 @@ class Judge:
             return None
         from diagnosis.judgement.plan import sight
 
-        named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
-                 for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
+        named = {f.name: self._size(f.name) for c in (() if self._strange() else self.found.best.effects)
+                 for f in c.frees}
         # what was named is not smaller than what could have been
         told: dict[str, Mapping[str, Any]] = {}
         for limit in sight(self.setting, self.found.baseline.fit):
@@ -235,6 +236,14 @@ class Judge:
                 size = min(size, named[limit.parameter])
             told[limit.effect] = {"parameter": limit.parameter, "value": size, "unit": limit.unit}
         return told
+
+    def _size(self, parameter: str) -> float:
+        """Return how large a named parameter is: its change, or what is told less absence where that is less."""
+        at, declared = self.found.best.fit.values[parameter], self.setting.declared[parameter]
+        change = abs(at - self.setting.reference.values[parameter])
+        neutral = PARAMETERS[parameter].neutral
+        told = at + declared - self.setting.reference.values[parameter]
+        return change if neutral is None else min(change, abs(told - neutral))
 
     def on_bounds(self) -> list[str]:
         """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""
