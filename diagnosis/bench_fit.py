@@ -118,7 +118,12 @@ def read(path: str | Path) -> FittedBench:
     model = bench_model.read(path)
     rows = given.get(OLDER, given.get(BENCH, {}))
     constants = {name: _constant(row, model, name) for name, row in rows.items() if name in RELATION_PARAMETERS}
-    return FittedBench(constants, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
+    return dataclasses.replace(of_model(model), constants=constants)
+
+
+def of_model(model: BenchModel) -> FittedBench:
+    """Return what relations and simulation read of a bench model; nominal where it says nothing."""
+    return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
                        effects=model.effects, told=model.related())
 
 
