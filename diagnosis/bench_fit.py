@@ -1,8 +1,8 @@
 """model.toml: the constants of one bench as `fit` found them, each with its interval; and the fit that finds them.
 
-The rule of this file: `[constants.NAME]` is what relations and simulation run on, `[parameters.NAME]` the same as a
-calibration, `[effects.NAME]` may stand beside them as a diagnosis writes it; a constant that the data do not determine
-says so and keeps what was known beforehand.
+The rule of this file: what is written is a bench model (`physics.bench_model`): `[parameters.NAME]` is what relations,
+simulation and controller run on, `[fitted]` what the fit says of itself, `[effects.NAME]` may stand beside them as a
+diagnosis writes it; a constant that the data do not determine says so and keeps what was known beforehand.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learning import Learnt
 from diagnosis.problem.reference import of_bench
 from parameters import InputError, declarations, read_toml
-from physics.calibration import Calibration, nominal, write
+from physics import bench_model
+from physics.bench_model import FITTED, OLDER, BenchModel
+from physics.calibration import VERSION, Calibration, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
-from physics.effects.effects_table import TABLE, stated
-from physics.parameters import RELATION_PARAMETERS, healthy
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.relation import RELATIONS
 
 Values = Mapping[str, float]
 
-BENCH: Final = "constants"
-EVIDENCE: Final = "fitted"
+BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
 DETERMINED: Final = 0.7
@@ -62,6 +62,7 @@ class Constant:
 class FittedBench:
     """A bench as fitted; `figures`: START and END against the simulation, N, on what that fit had not seen.
 
+    `told`: what a file says of the relations in another form than theirs, as `bowden identify` writes it.
     `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
     """
 
@@ -72,12 +73,13 @@ class FittedBench:
     pulls: int = 1
     warnings: tuple[str, ...] = ()
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    told: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
         """Every value that relations and simulation read; nominal where the model has none."""
         brought = {name: value for row in self.effects.values() for name, value in row.items()}
-        return {**healthy(), **{n: c.value for n, c in self.constants.items()}, **brought}
+        return {**healthy(), **self.told, **{n: c.value for n, c in self.constants.items()}, **brought}
 
     @property
     def calibration(self) -> Calibration:
@@ -99,43 +101,37 @@ class FittedBench:
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD, write(self.calibration), f"[{EVIDENCE}]",
-                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}",
-                 f"pulls = {self.pulls}"]
+        lines = [HEAD, f"version = {VERSION}", 'bench = ""', "", f"[{FITTED}]",
+                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}", f"pulls = {self.pulls}"]
         lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
                   for end, row in self.figures.items() if row["rms_n"] is not None]
         for name, c in self.constants.items():
-            lines += ["", f"[{BENCH}.{name}]", f"value = {c.value!r}", f'unit = "{c.unit}"',
-                      f"interval = [{c.low!r}, {c.high!r}]", f"determined = {str(c.determined).lower()}"]
+            lines += ["", f"[{BENCH}.{name}]  # {PARAMETERS[name].meaning}", f"value = {c.value!r}",
+                      f'unit = "{c.unit}"', f"interval = [{c.low!r}, {c.high!r}]",
+                      f"determined = {str(c.determined).lower()}"]
         return "\n".join(lines) + "\n"
 
 
 def read(path: str | Path) -> FittedBench:
-    """Read a model.toml; raises `InputError` for an unknown table, constant or effect, or a value that is no number."""
+    """Read a bench model, of whichever command; raises `InputError` for what is none of its tables or no number."""
     given = read_toml(Path(path))
-    for name in given:
-        if name not in (BENCH, EVIDENCE, TABLE, "found", "version", "bench", "scalars", "parameters"):
-            raise InputError(f"{path}: unknown table {name}; expected [{BENCH}.NAME] as bowden fit writes it.")
-    rows = given.get(BENCH, {})
-    if not isinstance(rows, Mapping) or not (rows or given.get(TABLE)):
-        raise InputError(f"{path}: no [{BENCH}.NAME] in it; give a model of bowden fit -o.")
-    evidence = given.get(EVIDENCE, {})
-    return FittedBench({name: _constant(path, name, row) for name, row in rows.items()},
-                      trials=tuple(evidence.get("trials", ())), pulls=int(evidence.get("pulls", 1)),
-                      effects=stated(given, str(path)))
+    model = bench_model.read(path)
+    rows = given.get(OLDER, given.get(BENCH, {}))
+    constants = {name: _constant(row, model, name) for name, row in rows.items() if name in RELATION_PARAMETERS}
+    return dataclasses.replace(of_model(model), constants=constants)
 
 
-def _constant(path: str | Path, name: str, row: Any) -> Constant:
-    if name not in RELATION_PARAMETERS:
-        raise InputError(f"{path}: {BENCH}.{name} is no constant of a bench; expected one of "
-                         f"{', '.join(RELATION_PARAMETERS)}.")
-    value = row.get("value") if isinstance(row, Mapping) else row
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{path}: {BENCH}.{name} = {value!r} is no number; give a finite one, in "
-                         f"{RELATION_PARAMETERS[name].unit}.")
-    low, high = row.get("interval", (value, value)) if isinstance(row, Mapping) else (value, value)
-    return Constant(float(value), float(low), float(high), RELATION_PARAMETERS[name].unit,
-                    bool(row.get("determined", True)) if isinstance(row, Mapping) else True)
+def of_model(model: BenchModel) -> FittedBench:
+    """Return what relations and simulation read of a bench model; nominal where it says nothing."""
+    return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
+                       effects=model.effects, told=model.related())
+
+
+def _constant(row: Any, model: BenchModel, name: str) -> Constant:
+    value, known = model.values[name], model.evidence.get(name)
+    said = known is not None and math.isfinite(known.low + known.high)
+    low, high = (known.low, known.high) if known is not None and said else (value, value)
+    return Constant(value, low, high, RELATION_PARAMETERS[name].unit, bool(row.get("determined", True)))
 
 
 def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,

@@ -1,7 +1,8 @@
 """extended.toml: what a diagnosis found, as a model that the simulator and the controller load.
 
-The rule of this file: `[effects.NAME]` is the model (`physics.effects.effects_table` reads it), `[found]` the evidence
-it rests on; nothing is written that the diagnosis did not say.
+The rule of this file: it is a bench model (`physics.bench_model`): `[parameters.NAME]` what is known of the bench from
+its calibration or healthy trials, `[effects.NAME]` what was found, `[found]` the evidence that rests on; nothing is
+written that the diagnosis did not say.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from typing import Any, Final
 from diagnosis.data.table import Table
 from diagnosis.finder import Diagnosis
 from parameters import InputError, read_toml
+from physics.bench_model import TABLES
+from physics.calibration import VERSION, rows
 from physics.effects.catalogue import CATALOGUE, apply
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 
@@ -38,7 +41,7 @@ def text(found: Diagnosis, trials: Sequence[Table]) -> str:
         raise InputError(f"{trials[0].source if trials else 'diagnose'}: refused, so nothing was found to extend by; "
                          "mend the data first.")
     seconds = max((float(t["time_s"][-1] - t["time_s"][0]) for t in trials), default=math.nan)
-    lines = [HEAD, f"[{EVIDENCE}]", f"verdict = {_cell(found.verdict)}",
+    lines = [HEAD, *_bench(found), f"[{EVIDENCE}]", f"verdict = {_cell(found.verdict)}",
              f"on = {_cell([Path(t.source).name for t in trials])}", f"reference = {_cell(found.reference)}"]
     if found.lowpass_hz is not None:
         lines.append(f"lowpass_hz = {_cell(found.lowpass_hz)}")
@@ -50,6 +53,14 @@ def text(found: Diagnosis, trials: Sequence[Table]) -> str:
     for cause in found.causes:
         lines += _effect(cause, seconds)
     return "\n".join(lines) + "\n"
+
+
+def _bench(found: Diagnosis) -> list[str]:
+    """Return what is known of the bench as the rows of a bench model; none where it is nobody's or another rig's."""
+    if found.bench is None or not found.bench.values:
+        return []
+    return [f"version = {VERSION}", f'bench = "{found.bench.bench}"',
+            *rows(found.bench.values, found.bench.evidence), ""]
 
 
 def _effect(cause: Mapping[str, Any], seconds: float) -> list[str]:
@@ -81,7 +92,7 @@ def read(path: str | Path) -> Extension:
     """Read an extended.toml; raises `InputError` for what is none, or states an effect that the catalogue has not."""
     given = read_toml(Path(path))
     for name in given:
-        if name not in (TABLE, EVIDENCE):
+        if name not in TABLES:
             raise InputError(f"{path}: unknown table {name}; expected [{EVIDENCE}] and [{TABLE}.NAME].")
     evidence = given.get(EVIDENCE, {})
     if not isinstance(evidence, Mapping):

@@ -26,6 +26,8 @@ from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import Found
 from parameters import InputError, read_toml
 from physics import bench_model
+from physics.bench_model import BenchModel
+from physics.calibration import Evidence
 from physics.relations.relation import RELATIONS
 
 
@@ -35,6 +37,7 @@ class Diagnosis:
 
     `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
     split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
+    `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.
     """
 
     verdict: str
@@ -52,6 +55,7 @@ class Diagnosis:
     simulation: dict[str, Any] | None = None
     rate_hz: float | None = None
     candidates: list[dict[str, Any]] = field(default_factory=list)
+    bench: BenchModel | None = field(default=None, repr=False)
 
     def unnamed(self) -> Diagnosis:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
@@ -159,14 +163,26 @@ class Finder:
         if unfit:
             named = ", ".join(h.source for h in healthy)
             return Diagnosis("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
-        if carried.told and not settled.any_rig and not _other_rig(settled):
+        if carried.told and not settled.any_rig and not settled.elsewhere:
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
         return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
                          warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
                          reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
-                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz)
+                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
+                         bench=_bench(settled, known))
+
+
+def _bench(settled: problem.Setting, known: Mapping[str, Any] | None) -> BenchModel | None:
+    """Return the bench as its healthy trials taught it, else as its calibration has it."""
+    if settled.any_rig or settled.elsewhere:
+        return None
+    if settled.learnt is None:
+        return None if known is None else bench_model.from_tables(known, "calibration")
+    values = {n: v for n, v in settled.learnt.reference.values.items() if n in settled.learnt.sigma}
+    return BenchModel(values, {n: Evidence(v - 1.96 * settled.learnt.sigma[n], v + 1.96 * settled.learnt.sigma[n])
+                               for n, v in values.items()})
 
 
 def diagnose(
@@ -191,11 +207,6 @@ def _judge(settled: problem.Setting, trials: Sequence[Table], holdout: Sequence[
         return first
     split = Judge(settled, holdout, first)
     return split if split.found.best.effects else first
-
-
-def _other_rig(settled: problem.Setting) -> bool:
-    """Whether the trials are of a rig of another kind, known by its healthy trials alone."""
-    return settled.learnt is None and settled.reference.kind == "healthy"
 
 
 UNFIT: Final = 0.2

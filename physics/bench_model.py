@@ -22,7 +22,11 @@ from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
 
-TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE)
+FITTED: Final = "fitted"
+"""The table that `bowden fit` writes beside the parameters: what its figures are."""
+OLDER: Final = "constants"
+"""What `[parameters.NAME]` of `bowden fit` was called before it was one table."""
+TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE, FITTED, OLDER)
 """What a bench model holds; a plant model may hold tables of nominal values beside them."""
 Values = Mapping[str, float]
 
@@ -33,6 +37,7 @@ class BenchModel:
 
     `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
     date and trial by the same names; `effects`: name → parameter → value; `found`: what the effects were found on;
+    `fitted`: what `bowden fit` says of its fit (empty: the values are no fit's);
     `bench`: the bench it belongs to ("": none); `label`: the file, or "nominal".
     """
 
@@ -42,6 +47,7 @@ class BenchModel:
     found: Mapping[str, Any] = field(default_factory=dict)
     bench: str = ""
     label: str = calibration.NOMINAL
+    fitted: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def calibration(self) -> Calibration:
@@ -89,6 +95,8 @@ class BenchModel:
     def text(self) -> str:
         """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
         lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence)]
+        if self.fitted:
+            lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
         if self.found:
             lines += ["", f"[{EVIDENCE}]", *(f"{key} = {_cell(value)}" for key, value in self.found.items())]
         for name, values in self.effects.items():
@@ -137,8 +145,11 @@ def from_tables(tables: Mapping[str, Any], where: str) -> BenchModel:
     """Return the model that a file's tables state; other tables are another reader's.  Raises `InputError`."""
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
-    values, evidence = calibration.stated(tables, where)
+    values, evidence = calibration.stated(
+        tables if OLDER not in tables else {**tables, "version": VERSION, "parameters": tables[OLDER]}, where)
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):
         raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
-    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where)
+    fitted = tables.get(FITTED, {})
+    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where,
+                      fitted if isinstance(fitted, Mapping) else {})

@@ -16,7 +16,7 @@ from typing import Any
 
 from parameters import InputError, Remark, checked, declarations, read_toml
 from physics import stretch
-from physics.conversions import to_scalars
+from physics.conversions import UNRELATED, converted, to_scalars
 from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS, PARAMETERS, Parameter, assumed, current_names
 
 VERSION = 2
@@ -175,11 +175,20 @@ def _value(where: str, key: str, p: Parameter, row: Any) -> float:
     value = row["value"]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{where}: {key} = {value!r} is not a number; {p.meaning}.")
-    low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
+    low, high = _accepted(p)
     if not low <= value <= high:
         within = f"{low:g} … {high:g} {p.unit}".rstrip()
         raise InputError(f"{where}: {key} = {value!r} is outside {within}; {p.meaning}.")
     return float(value)
+
+
+def _accepted(p: Parameter) -> tuple[float, float]:
+    """Return the bounds of a value in a file: those of a measurement and, where a relation reads it, of a fit."""
+    low, high = p.rig_bounds if p.assumed is None else (p.assumed.low, p.assumed.high)
+    if p.in_relations:
+        low, high = min(low, p.rig_bounds[0]), max(high, p.rig_bounds[1])
+    # of two signals either may be the later one
+    return (min(low, -high), high) if p.name in ("end_delay", "timestamp_skew") else (low, high)
 
 
 def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, float]:
@@ -205,7 +214,8 @@ def of_values(
 
     What they do not tell has its assumed value and is named in `lacking`.
     """
-    told = to_scalars(values)
+    told = to_scalars({**converted(UNRELATED, values), **values})
+    told = {name: _inside(name, value) for name, value in told.items()}
     lacking = tuple(name for name in scalars() if name not in told)
     if "fabric_breakaway" in lacking and "breakaway" in told:
         told["fabric_breakaway"] = told["breakaway"]
@@ -214,6 +224,12 @@ def of_values(
     known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
     fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
     return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking), where=label)
+
+
+def _inside(name: str, value: float) -> float:
+    """Return a scalar within the bounds of a measurement; a fit to trials may lie beyond them."""
+    known = PARAMETERS[BY_CALIBRATION[name]].assumed
+    return value if known is None else min(max(value, known.low), known.high)
 
 
 def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, Evidence]]:

@@ -114,7 +114,7 @@ def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
         other = nothing if other is None else other[:count]
         sides[0][signal.name], sides[1][signal.name] = one, other
         columns[signal.name] = one - other
-        figures[signal.name] = _figure(signal, one, other, time_ns, gait)
+        figures[signal.name] = figure(signal, one, other, time_ns, gait)
     return Residuals(time_ns, *sides, columns, figures)
 
 
@@ -125,9 +125,10 @@ def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.isin(time_ns, recorded.time_ns[recorded.columns["cycle"] >= 0])
 
 
-def _figure(
+def figure(
     signal: Signal, one: Floats, other: Floats, time_ns: NDArray[np.int64], gait: NDArray[np.bool_]
 ) -> Residual:
+    """Return the figures of one signal from what was recorded, `one`, and simulated, `other`, NaN where unknown."""
     error = one - other
     known = np.flatnonzero(np.isfinite(error))
     one_sided = int(np.count_nonzero(np.isnan(one) != np.isnan(other)))

@@ -18,6 +18,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import Setting
 from diagnosis.search.search import Found, Model, Search
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS
 from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
@@ -52,7 +53,7 @@ class Judge:
     def _pays(self, lesser: Model, model: Model) -> bool:
         if self.within is not None:
             return True
-        healthy = sum(self._expected(n) for n in self.setting.checked)
+        healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
         if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
             return False
         if self.setting.any_rig:
@@ -61,7 +62,14 @@ class Judge:
             return False
         if any(model.by_relation[n] - lesser.by_relation[n] > self._noise(n, lesser) for n in self.setting.checked):
             return False
-        cuts, base = verdict.cut(lesser, model), self.search.baseline
+        if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
+            return False
+        kept = 1.0 - verdict.FURTHER_ELSEWHERE
+        if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
+                                          for n in self.setting.checked):
+            return False
+        noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
+        cuts, base = verdict.cut(lesser, model, noise), self.search.baseline
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
@@ -113,9 +121,11 @@ class Judge:
                                            for f in effect.frees)
 
     def can_improve(self, model: Model) -> bool:
-        """Whether a model leaves more than healthy trials do (always, where none says)."""
-        return self.setting.floors is None or self.within is not None or any(
-            self._excess(model, n) > verdict.OPEN * self._expected(n) for n in self.setting.checked)
+        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
+        if self.setting.floors is None or self.within is not None or model.prior_penalty > verdict.STRAINED:
+            return True
+        return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
+                   + self._noise(n, model) for n in self.setting.checked)
 
     def word(self) -> str:
         """Return none, found, ambiguous or unexplained."""
@@ -212,12 +222,12 @@ class Judge:
 
     def limits(self) -> dict[str, Mapping[str, Any]] | None:
         """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
-        if self.setting.any_rig or (self.setting.learnt is None and self.setting.reference.kind == "healthy"):
+        if self.setting.any_rig or self.setting.elsewhere:
             return None
         from diagnosis.judgement.plan import sight
 
-        named = {f.name: abs(self.found.best.fit.values[f.name] - self.setting.reference.values[f.name])
-                 for c in (() if self._strange() else self.found.best.effects) for f in c.frees}
+        named = {f.name: self._size(f.name) for c in (() if self._strange() else self.found.best.effects)
+                 for f in c.frees}
         # what was named is not smaller than what could have been
         told: dict[str, Mapping[str, Any]] = {}
         for limit in sight(self.setting, self.found.baseline.fit):
@@ -226,6 +236,14 @@ class Judge:
                 size = min(size, named[limit.parameter])
             told[limit.effect] = {"parameter": limit.parameter, "value": size, "unit": limit.unit}
         return told
+
+    def _size(self, parameter: str) -> float:
+        """Return how large a named parameter is: its change, or what is told less absence where that is less."""
+        at, declared = self.found.best.fit.values[parameter], self.setting.declared[parameter]
+        change = abs(at - self.setting.reference.values[parameter])
+        neutral = PARAMETERS[parameter].neutral
+        told = at + declared - self.setting.reference.values[parameter]
+        return change if neutral is None else min(change, abs(told - neutral))
 
     def on_bounds(self) -> list[str]:
         """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""

@@ -28,8 +28,7 @@ def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], heal
            ) -> dict[str, Any] | None:
     """Return `before_rms_n`, `after_rms_n` and what they are `on`; None where nothing can be simulated."""
     setting = judge.setting
-    elsewhere = setting.any_rig or (setting.learnt is None and setting.reference.kind == "healthy")
-    if elsewhere or not any(simulated.can(t) for t in (holdout or trials)):
+    if setting.any_rig or setting.elsewhere or not any(simulated.can(t) for t in (holdout or trials)):
         return None
     base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
     before, after = judge.found.baseline, judge.found.best

@@ -19,7 +19,7 @@ from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
-LEAST_FALL: Final = 40.0
+LEAST_FALL: Final = 30.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
 STRUCTURE: Final = 0.04
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
@@ -54,6 +54,9 @@ STRANGE_SHARE: Final = 0.15
 """Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
 OPEN: Final = 0.1
 """Excess of a relation over its healthy χ², in that, from which a further effect is looked for."""
+STRAINED: Final = 15.0
+"""What the nuisance pays for standing away from what is known of it, from which an effect may be behind that; and by
+which an effect may not raise it: a true cause relaxes the rest, a false one bends it."""
 CERTAIN: Final = 2.0
 """Departure from the healthy value, in 1σ of the fit, below which a value says nothing."""
 MATERIAL: Final = 0.5
@@ -88,10 +91,17 @@ def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[floa
     return 100.0 * (1.0 - math.sqrt(b.sum() / a.sum())), float(low), float(high)
 
 
-def cut(lesser: Model, model: Model) -> dict[str, float]:
-    """Return, by relation, the share of RMSE on unseen cycles that `model` takes from `lesser`."""
-    return {name: 1.0 - math.sqrt(max(model.by_relation[name], 0.0) / lesser.by_relation[name])
-            for name in lesser.by_relation if lesser.by_relation[name] > 0.0}
+def cut(lesser: Model, model: Model, noise: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Return, by relation, the share of RMSE on unseen cycles that `model` takes from `lesser`.
+
+    `noise`: χ² by relation that no law can take away.
+    """
+    shares = {}
+    for name, before in lesser.by_relation.items():
+        after, least = model.by_relation[name], noise[name] if noise else 0.0
+        if before > least:
+            shares[name] = 1.0 - math.sqrt(max(after - least, 0.0) / (before - least))
+    return shares
 
 
 def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:

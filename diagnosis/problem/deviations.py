@@ -5,8 +5,10 @@ The rule of this file: a trial's own deviation of a parameter is a parameter `NA
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,11 @@ from physics.parameters import RELATION_PARAMETERS
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
+
+WINDOW: Final = 24
+"""Samples over which noise is taken to be even: 0.2 s at the highest working rate."""
+PASSED: Final = 0.8
+"""Share of a white noise's power that the low-pass before the thinning leaves (its cut-off, of the new half rate)."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,21 @@ def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
     own = tuple(f.name for f in nuisance if f.name in block.uses)
     return Deviating(block.relation, block.signals, block.keep, block.cycle,
                      block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
+
+
+def chance(rest: Array) -> float:
+    """Return 1σ of the white part of a residual: a robust estimate from second differences over every other sample.
+
+    A sensor's noise is white at the working rate and what a law lacks is not, but for the few samples after a reversal,
+    which a median leaves out; it is taken over `WINDOW` samples, since a relation shows less noise in a slack rope than
+    in a taut one.  These differences see the middle of the band, which the low-pass of the working rate leaves as it
+    is; of the rest it leaves `PASSED`.
+    """
+    bent = np.abs(rest[4:] - 2.0 * rest[2:-2] + rest[:-4])
+    if bent.size < WINDOW:
+        return 0.0
+    local = np.median(bent[: bent.size // WINDOW * WINDOW].reshape(-1, WINDOW), axis=1)
+    return 1.4826 * math.sqrt(PASSED * float(np.mean(local**2)) / 6.0)
 
 
 def correlated(rests: Sequence[Array]) -> float:

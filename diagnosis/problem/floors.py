@@ -15,6 +15,8 @@ FLOORS: Final[Mapping[str, float]] = {
 CORRELATION_LENGTH: Final[Mapping[str, float]] = dict.fromkeys(FLOORS, 5.0)
 """Samples at the working rate that count as one."""
 LEAST_CORRELATION_LENGTH: Final = 4.0
+MOST_CORRELATION_LENGTH: Final = 30.0
+"""A quarter of a second at the highest working rate: what lasts longer is an offset of one trial, not its noise."""
 LEAST_FLOOR: Final[Mapping[str, float]] = {
     "friction": 0.02, "elasticity": 0.02, "kinematics": 2e-4, "servo": 1e-5, "drive_force": 0.05, "knee": 1e-4}
 """Below this a relation holds exactly, and its floor is the converter's."""

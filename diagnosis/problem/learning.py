@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
-from diagnosis.problem.deviations import correlated, deviating
+from diagnosis.problem.deviations import chance, correlated, deviating
 from diagnosis.problem.discrepancy import Discrepancy
 from diagnosis.problem.fit import Fit, Free, Problem, solve
-from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
+from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, MOST_CORRELATION_LENGTH
 from diagnosis.problem.reference import BAND, Reference
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
@@ -54,12 +54,15 @@ RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb
 """Slots whose tolerance among like benches is a share of their value."""
 STRUCTURE: Final = 0.5
 """Share of what the laws leave that another trial may leave in another way."""
+NOISE_LENGTH: Final = 1.25
+"""Samples of white noise behind the low-pass of the working rate that count as one."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
 COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
                  "rope_zero", "rope_per_knee")
 FULL: Final = 2
-"""Coarse fits that are carried on."""
+CLOSE: Final = 1.2
+"""Coarse fits that are carried on: so many at most, of at most this share of the best one's cost."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
 LIKELY_RATIO: Final = (0.01, 0.2)
 STRAIGHT: Final = 0.9
@@ -129,7 +132,8 @@ def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
 class Learnt:
     """What healthy trials say of a bench: values and 1σ by slot, bands about them, floors and what the laws leave.
 
-    `floors`: RMSE by relation with the discrepancy taken off, on what it was not learnt on; `plain`: without it.
+    `floors`: RMSE by relation with the discrepancy taken off, on what it was not learnt on; `plain`: without it;
+    `noise`: what of both is the sensors' noise of the healthy trials, which another trial need not have.
     """
 
     reference: Reference
@@ -140,15 +144,39 @@ class Learnt:
     correlation_length: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
     trials: int
+    noise: Mapping[str, float]
 
-    def floor(self, relation: str) -> float:
-        """Return how far a relation may be from holding on a healthy trial: like benches differ in structure, too."""
-        left, plain = self.floors[relation], self.plain[relation]
+    def structure(self, relation: str) -> float:
+        """Return how far a relation may be from holding on a healthy trial without noise, RMS.
+
+        Like benches differ in structure, too.
+        """
+        left, plain = (_less(v[relation], self.noise[relation]) for v in (self.floors, self.plain))
         return min(math.hypot(left, STRUCTURE * plain), plain)
+
+    def floor(self, relation: str, noise: float | None = None) -> float:
+        """Return the same of a trial with `noise` in the relation (none: as the healthy trials have)."""
+        return math.hypot(self.structure(relation), self.noise[relation] if noise is None else noise)
+
+    def structure_length(self, relation: str) -> float:
+        """Return how many samples of the structure count as one: what the correlation of all has beyond the noise's."""
+        left, noise = self.floors[relation], self.noise[relation]
+        beyond = left**2 * self.correlation_length[relation] - NOISE_LENGTH * noise**2
+        return min(max(beyond / _less(left, noise) ** 2, LEAST_CORRELATION_LENGTH), MOST_CORRELATION_LENGTH)
+
+    def weight(self, relation: str, noise: float) -> float:
+        """Return the residual of a sample that costs one, of a trial with `noise`: both parts with their lengths."""
+        structure = self.structure(relation) ** 2 * self.structure_length(relation)
+        return math.sqrt(structure + NOISE_LENGTH * noise**2)
 
     def corrected(self, blocks: Sequence[Block]) -> list[Block]:
         """Return blocks of another trial with the discrepancies taken off."""
         return [discrepancy.corrected(b, self.discrepancies, self.reference.values) for b in blocks]
+
+
+def _less(whole: float, noise: float) -> float:
+    """Return what of a whole RMS is not noise; a tenth of the noise at least, below which nothing is known of it."""
+    return math.sqrt(max(whole**2 - noise**2, (0.1 * noise) ** 2, 1e-24))
 
 
 def learn(trials: Sequence[Sequence[Block]], reference: Reference, floors: Mapping[str, float],
@@ -168,8 +196,9 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, floors: Mappi
     coarse = sorted((solve(Problem(short, weights), start, [f for f in wide if f.name in COARSE], 20)
                      for shape in (reference.values, *others) for start in _starts(shape, trials)),
                     key=lambda f: f.cost)
+    carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, (*wide, *deviations), thorough=True)
-                    for fit in coarse[:FULL]), key=lambda f: f.cost)
+                    for fit in carried), key=lambda f: f.cost)
     values = {n: together.values[n] for n in reference.values}
     moved = Reference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
                       _bands(reference, values, len(trials), floors))
@@ -289,14 +318,16 @@ def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, 
     plain = {n: rmse(r) for n, r in rests.items() if r}
     learnt = {n: discrepancy.learn(at[n], rests[n], groups[n]) for n in plain if _motion(n)}
     floors = {n: learnt[n].left if n in learnt else plain[n] for n in plain}
-    lengths = {}
+    lengths, noise = {}, {}
     for n in plain:
-        lengths[n] = max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)
+        noise[n] = math.sqrt(float(np.mean([chance(r) ** 2 for r in rests[n]])))
+        lengths[n] = correlated(rests[n])
         if n in learnt and learnt[n].used:
             left = [r - learnt[n].of(x) for r, x in zip(rests[n], at[n], strict=True)]
-            lengths[n] = max(correlated(left), LEAST_CORRELATION_LENGTH)
-    return Learnt(moved, _sigmas(together), floors, plain,
-                  {n: float(np.std(np.concatenate(s))) for n, s in spread.items() if s}, lengths, learnt, len(trials))
+            lengths[n] = correlated(left)
+    return Learnt(moved, sigmas(together), floors, plain,
+                  {n: float(np.std(np.concatenate(s))) for n, s in spread.items() if s}, lengths, learnt, len(trials),
+                  noise)
 
 
 def _known(values: Array) -> Array:
@@ -308,7 +339,7 @@ def _motion(relation: str) -> bool:
     return relation not in ("servo", "knee")
 
 
-def _sigmas(fit: Fit) -> dict[str, float]:
+def sigmas(fit: Fit) -> dict[str, float]:
     """Return 1σ of every slot from the curvature, what was known beforehand included."""
     scale = np.sqrt(np.maximum(np.diag(fit.curvature), 1e-300))
     covariance = np.linalg.pinv(fit.curvature / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)

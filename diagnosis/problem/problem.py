@@ -18,6 +18,7 @@ from diagnosis.problem import blocks as relations
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate, candidates
 from diagnosis.problem.cross_validation import folds_of
+from diagnosis.problem.deviations import chance
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
 from diagnosis.problem.healthy_trials import HealthyTrials
@@ -35,7 +36,7 @@ UNEXPLAINED_SHARE = 0.3
 @dataclass(frozen=True)
 class Setting:
     """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench;
-    `rate_hz`: the rate at which trials are looked at."""
+    `rate_hz`: the rate at which trials are looked at; `noise`: RMS by relation that is noise of these trials."""
 
     any_rig: bool
     missing: Mapping[str, tuple[str, ...]]
@@ -49,6 +50,7 @@ class Setting:
     offered: list[Candidate]
     learnt: Learnt | None = None
     rate_hz: float | None = None
+    noise: Mapping[str, float] | None = None
 
     @property
     def problem(self) -> Problem:
@@ -57,6 +59,11 @@ class Setting:
     @property
     def taut(self) -> float | None:
         return None if self.any_rig else relations.TAUT_N
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the trials are of a rig of another kind, known by its healthy trials alone."""
+        return self.learnt is None and self.reference.kind == "healthy"
 
     @property
     def nameless(self) -> tuple[str, ...]:
@@ -71,6 +78,10 @@ class Setting:
         """Return how many samples of a relation count as independent on a rig that nothing is known of."""
         step = float(np.median(np.diff(self.blocks[0].signals["time_s"])))
         return self.samples(relation) * min(1.0, step / CORRELATED_S)
+
+    def noise_squares(self, relation: str) -> float:
+        """Return the χ² of a relation that is the trials' own noise; 0 where nothing says it."""
+        return self.samples(relation) * (self.noise[relation] / self.weights[relation]) ** 2 if self.noise else 0.0
 
     def rmse(self, relation: str, chi_square: float) -> float:
         """Turn a relation's χ² into its RMSE."""
@@ -106,12 +117,15 @@ def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blo
 
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
             folds: list[frozenset[int]], learnt: Learnt, rate: float) -> Setting:
-    floors = {n: max(learnt.floor(n) if n in learnt.floors else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
-    lengths = {n: learnt.correlation_length.get(n, CORRELATION_LENGTH[n]) for n in checked}
-    weights = {n: floors[n] * math.sqrt(max(lengths[n], LEAST_CORRELATION_LENGTH)) for n in checked}
     values, nuisance = learnt.reference.values, learnt.reference.nuisance
-    return Setting(False, missing, checked, learnt.corrected(blocks), folds, learnt.reference, values, weights, floors,
-                   candidates(checked, values, nuisance), learnt, rate)
+    corrected = learnt.corrected(blocks)
+    noise = {n: _chance(corrected, n, values) for n in checked}
+    seen = [n for n in checked if n in learnt.floors]
+    floors = {n: max(learnt.floor(n, noise[n]) if n in seen else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
+    weights = {n: max(learnt.weight(n, noise[n]) if n in seen else FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n]),
+                      LEAST_FLOOR[n] * math.sqrt(LEAST_CORRELATION_LENGTH)) for n in checked}
+    return Setting(False, missing, checked, corrected, folds, learnt.reference, values, weights, floors,
+                   candidates(checked, values, nuisance), learnt, rate, noise)
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
@@ -128,6 +142,12 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
     return Setting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
                    candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
+
+
+def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:
+    """Return the noise in a relation, RMS over its blocks."""
+    held = [chance(b.residual(values)) ** 2 for b in blocks if b.relation.name == name]
+    return math.sqrt(float(np.mean(held)))
 
 
 def _deviation(blocks: Sequence[Block], name: str) -> float:

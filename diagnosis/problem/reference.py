@@ -48,8 +48,9 @@ def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
     model = bench_model.from_tables(calibration or {}, "calibration")
     nuisance, spreads, told, known = [], _spreads(model), model.related(), model.at_work()
     values |= known
+    measured = _measured(model)
     for name, p in RELATION_PARAMETERS.items():
-        if name in IDENTIFIED:
+        if name in measured:
             values[name] = told.get(name, p.nominal)
         values[name] = known.get(name, values[name])
         sigma = math.hypot(p.like_benches, spreads.get(name, 0.0))
@@ -57,6 +58,11 @@ def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
             at, (low, high) = values[name], p.rig_bounds
             nuisance.append(Free(name, max(low, at - BAND * sigma), min(high, at + BAND * sigma), at, sigma, sigma))
     return Reference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
+
+
+def _measured(model: BenchModel) -> tuple[str, ...]:
+    """Return what the relations take from a model: all that a fit to trials tells, else what identification does."""
+    return tuple(model.related()) if model.fitted else IDENTIFIED
 
 
 def _spreads(model: BenchModel) -> dict[str, float]:
@@ -67,7 +73,7 @@ def _spreads(model: BenchModel) -> dict[str, float]:
             continue
         low, high = (replace(model, values={**model.values, measured: end}).related()
                      for end in evidence.again(model.values[measured]))
-        for name in IDENTIFIED:
+        for name in _measured(model):
             if name in low and low[name] != high[name]:
                 total[name] = math.hypot(total.get(name, 0.0), (high[name] - low[name]) / (2.0 * 1.96))
     return total

@@ -26,6 +26,8 @@ PARAMETER: Final = 0.01
 UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
+WORTH_POLISHING: Final = 2.0
+"""Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
 LEVEL: Final = 4.0
 """How much wider than among like benches the level of a law is when the law is an effect."""
 
@@ -108,6 +110,7 @@ class Search:
         self.start = dict(start)
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
+        self.arrived: set[tuple[str, ...]] = set()
         self.lacks: dict[tuple[tuple[str, ...], str], Model] = {}
         self.baseline = self.model((), start)
 
@@ -118,15 +121,24 @@ class Search:
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
             own.values())
 
-    def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None) -> Model:
+    def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None, thorough: bool = True
+              ) -> Model:
         """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
         known_fit = near.fit if near is not None and self.near else None
-        fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=True)
+        fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=thorough)
         names = tuple(sorted(c.name for c in effects))
         known = self.tried.get(names)
         if known is None or fit.cost < known.fit.cost:
             self.tried[names] = Model(tuple(effects), fit, self.problem, self.folds)
+            (self.arrived.add if thorough else self.arrived.discard)(names)
         return self.tried[names]
+
+    def polished(self, model: Model) -> Model:
+        """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""
+        if model.names not in self.arrived:
+            self.model(model.effects, model.fit.values, model)
+            self.arrived.add(model.names)
+        return self.tried[model.names]
 
     def grow(self, model: Model, most: int) -> list[Model]:
         """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
@@ -149,10 +161,10 @@ class Search:
             self.grown.add(step)
             begun = candidate.starts[start] if start >= 0 else {}
             effects = (*model.effects, candidate)
-            self.model(effects, {**model.fit.values, **begun}, model)
+            self.model(effects, {**model.fit.values, **begun}, model, not self.near)
             # what the nuisance did in the effect's place is a way into another minimum
             kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
-            self.model(effects, {**self.start, **kept, **begun}, model)
+            self.model(effects, {**self.start, **kept, **begun}, model, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: Model) -> Model:
@@ -184,7 +196,8 @@ class Search:
 
     def _ahead(self, grown: Iterable[Model], best: Model) -> tuple[Model, list[Model]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
-        foremost = sorted(_foremost({m.names: m for m in grown}.values()), key=lambda m: m.rank)
+        foremost = sorted((self.polished(m) for m in _foremost({m.names: m for m in grown}.values())),
+                          key=lambda m: m.rank)
         return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
 
     def _ordered(self, model: Model) -> Model:
@@ -219,7 +232,10 @@ class Search:
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        best = self._ordered(self.prune(self._first(len(best.effects)))) if best.effects else best
+        best = self._ordered(self.prune(self.polished(self._first(len(best.effects))))) if best.effects else best
+        for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
+                     and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
+            self.polished(near)
         return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
 
 

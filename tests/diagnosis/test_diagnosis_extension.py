@@ -12,6 +12,9 @@ from diagnosis.data.table import Table, table
 from diagnosis.extension import read, text
 from diagnosis.finder import Diagnosis
 from parameters import InputError
+from physics import bench_model
+from physics.bench_model import BenchModel
+from physics.calibration import Evidence
 from physics.effects.catalogue import CATALOGUE, apply, complete
 from virtual_bus import plant_model
 
@@ -37,6 +40,20 @@ def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
     assert extension.evidence["gain_percent"] == {"presliding": 31.23, "end_gain": 31.23}
     assert extension.evidence["lowpass_hz"] == 20.0
     assert plant_model.read(str(path)).effects == apply(extension.effects)
+
+
+def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> None:
+    known = BenchModel({"mu1": 0.11, "rope_zero": 0.03}, {"mu1": Evidence(0.10, 0.12)})
+    found = Diagnosis("found", [cause("presliding", presliding=4e-4)], ["presliding"], reference="healthy", bench=known)
+    path = tmp_path / "extended.toml"
+    path.write_text(text(found, [TRIAL]), encoding="utf-8")
+    model = bench_model.read(path)
+    assert model.values == known.values
+    assert model.evidence["mu1"] == Evidence(0.10, 0.12)
+    assert model.effects == {"presliding": {"presliding": 4e-4}}
+    simulated = plant_model.read(str(path)).effects["plant"]
+    assert simulated["mu1"] == 0.11
+    assert simulated["presliding_m"] == 4e-4
 
 
 def test_an_effect_per_trial_says_how_long_the_trial_was(tmp_path: Path) -> None:

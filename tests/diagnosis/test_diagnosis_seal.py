@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
-from diagnosis.finder import Diagnosis, diagnose
+from diagnosis.data.table import Table, read
+from diagnosis.finder import Diagnosis, Finder, diagnose
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SEAL, TRIBOMETER = DATA / "pneumatic_seal", DATA / "tribometer"
@@ -40,3 +42,30 @@ def test_dry_friction_with_presliding_is_named_as_that() -> None:
     held = found.relations["drive_force"].holdout_after
     assert held is not None
     assert held <= 0.30
+
+
+def _again(name: str) -> list[Path]:
+    return sorted(SEAL.glob(f"*_{name}_*.csv.gz"))
+
+
+@pytest.fixture(scope="module")
+def known() -> Finder:
+    if not SEAL.is_dir():
+        pytest.skip("the seal's recordings are not beside the repository")
+    return Finder().fit(sorted(SEAL.glob("*_fit.csv.gz")) + sorted(SEAL.glob("*_hold.csv.gz")))
+
+
+@pytest.mark.parametrize("name", ["rerun1", "reconnected2"])
+def test_the_same_seal_on_another_day_is_the_same(known: Finder, name: str) -> None:
+    assert known.diagnose(_again(name)).verdict == "none"
+
+
+def test_a_seal_that_rubs_twice_as_much_is_another(known: Finder) -> None:
+    def rubs(path: Path) -> Table:
+        given = read(path)
+        end = given["tension_end_n"]
+        return dataclasses.replace(given, columns={**given.columns, "tension_start_n": end + 2.0 * (
+            given["tension_start_n"] - end)})
+
+    found = known.diagnose([rubs(path) for path in _again("rerun1")])
+    assert found.verdict in ("found", "ambiguous", "unexplained")

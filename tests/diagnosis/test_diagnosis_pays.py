@@ -1,0 +1,85 @@
+"""What an effect must do to be named: each gate with a case that it stops, beside one that passes all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnosis.data.table import table
+from diagnosis.judgement import verdict
+from diagnosis.judgement.judge import Judge
+from diagnosis.problem.deviations import chance
+from diagnosis.problem.healthy_trials import HealthyTrials
+from diagnosis.problem.problem import build_problem
+from diagnosis.search.search import Model
+from physics.effects.catalogue import CATALOGUE
+from tests.hidden.bench import Bench
+from tests.hidden.walk import trial
+
+OFFSET_N = 2.0
+
+
+@pytest.fixture(scope="module")
+def judge() -> Judge:
+    """A bench whose END reads 2 N too much, beside a healthy trial of it."""
+    shown = trial(Bench(), seed=1, cycles=4)
+    shown = {**shown, "tension_end_n": shown["tension_end_n"] + OFFSET_N}
+    taught = HealthyTrials([table("good.csv", trial(Bench(), seed=2, cycles=4))])
+    return Judge(build_problem([table("walk.csv", shown)], taught, None), ())
+
+
+def moved(model: Model, by_relation: dict[str, float] | None = None, values: dict[str, float] | None = None) -> Model:
+    """Return `model` as if its fit had left other χ² on unseen cycles, or arrived at other values."""
+    other = dataclasses.replace(model, fit=dataclasses.replace(
+        model.fit, values={**model.fit.values, **(values or {})}))
+    other.__dict__["by_relation"] = {**model.by_relation, **(by_relation or {})}
+    return other
+
+
+def test_the_offset_is_named_with_its_size_and_passes_every_gate(judge: Judge) -> None:
+    assert [c["effect"] for c in judge.causes()] == ["end_offset"]
+    told = judge.causes()[0]["parameters"]["end_offset"]
+    assert told["low"] <= OFFSET_N <= told["high"]
+    assert judge._pays(judge.found.baseline, judge.found.best)
+
+
+def test_an_effect_that_makes_a_relation_worse_by_more_than_chance_is_no_cause(judge: Judge) -> None:
+    base, best = judge.found.baseline, judge.found.best
+    worse = base.by_relation["knee"] + 1.5 * judge._noise("knee", base)
+    assert not judge._pays(base, moved(best, {"knee": worse}))
+
+
+def test_an_effect_that_bends_the_rest_away_from_what_is_known_of_it_is_no_cause(judge: Judge) -> None:
+    base, best = judge.found.baseline, judge.found.best
+    strained = {f.name: f.high for f in best.fit.free if np.isfinite(f.sigma)}
+    assert not judge._pays(base, moved(best, values=strained))
+
+
+def test_an_effect_within_what_like_benches_differ_by_is_no_cause(judge: Judge) -> None:
+    band = next(f for f in judge.setting.reference.nuisance if f.name == "end_offset")
+    assert not judge._pays(judge.found.baseline, moved(judge.found.best, values={"end_offset": 0.9 * band.high}))
+
+
+def test_what_was_named_is_not_smaller_than_what_could_have_been(judge: Judge) -> None:
+    limits = judge.limits()
+    assert limits is not None
+    assert limits["end_offset"]["value"] <= judge.causes()[0]["parameters"]["end_offset"]["value"]
+
+
+def test_a_value_near_absence_is_no_find() -> None:
+    effect = CATALOGUE["end_delay"]
+    assert not verdict.material(effect, "end_delay", 1e-3)
+    assert verdict.material(effect, "end_delay", 5e-3)
+
+
+def test_the_noise_of_a_residual_is_told_from_what_a_law_lacks() -> None:
+    time = np.arange(2000) * 8e-3
+    rng = np.random.default_rng(0)
+    lacking = 0.5 * np.sin(2.0 * np.pi * time) + np.where(np.mod(time, 1.3) < 0.02, 2.0, 0.0)
+    noise = 0.1 * rng.normal(size=time.size)
+    # the estimate stands for noise behind the low-pass, which leaves 0.8 of its power: 0.089 of 0.1; the medians of 24
+    # neighbouring differences scatter by a third, half of which their mean square keeps
+    assert chance(lacking + noise) == pytest.approx(0.089, rel=0.17)
+    assert chance(lacking) < 0.03
