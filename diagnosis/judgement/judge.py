@@ -1,7 +1,8 @@
-"""The judgement on one setting: what is searched, what pays, what is said of it.
+"""The judgement on one setting: what was found, and what is said of it.
 
-The rule of this file: thresholds are `verdict`'s, figures of the chosen model are refitted fold by fold; a
-parameter is told as its declared healthy value plus the change that the trial shows against the healthy ones.
+The rule of this file: thresholds are `verdict`'s, what leads the search is `criteria`'s.  Figures of the chosen model
+are refitted fold by fold; a parameter is told as its declared healthy value plus the change that the trial shows
+against the healthy ones.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from typing import Any, Final
 
 from diagnosis.data.table import Table
 from diagnosis.judgement import experiment_choice, verdict
+from diagnosis.judgement.criteria import SearchCriteria
 from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import Setting
-from diagnosis.search.search import Found, Model, Search
+from diagnosis.search.search import Found, Search
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS
 from physics.relations.relation import RELATIONS
@@ -36,96 +38,11 @@ class Judge:
     def __init__(self, setting: Setting, holdout: Sequence[Table], within: Judge | None = None) -> None:
         self.setting, self.holdout, self.within = setting, holdout, within
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
+        self.criteria = SearchCriteria(setting, splits=within is not None)
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
-                             setting.folds, self._pays, self.can_improve, self.needs_full_search,
-                             near=not setting.any_rig)
+                             setting.folds, self.criteria, near=not setting.any_rig)
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
-
-    def _expected(self, relation: str) -> float:
-        """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
-        floors, weights = self.setting.floors, self.setting.weights
-        return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
-
-    def _excess(self, model: Model, relation: str) -> float:
-        return max(model.by_relation[relation] - self._expected(relation), 0.0)
-
-    def _pays(self, lesser: Model, model: Model) -> bool:
-        if self.within is not None:
-            return True
-        healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
-        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
-            return False
-        if self.setting.any_rig:
-            return self._likelier(lesser, model)
-        if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
-            return False
-        if any(model.by_relation[n] - lesser.by_relation[n] > self._noise(n, lesser) for n in self.setting.checked):
-            return False
-        if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
-            return False
-        kept = 1.0 - verdict.FURTHER_ELSEWHERE
-        if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
-                                          for n in self.setting.checked):
-            return False
-        noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
-        cuts, base = verdict.cut(lesser, model, noise), self.search.baseline
-        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
-                   >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
-
-    def _likelier(self, lesser: Model, model: Model) -> bool:
-        """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
-
-        Where a constant that no effect names (load-free friction, say) takes too little beside the effect to be needed,
-        the effect is judged without it: a name of the catalogue comes before a constant that is free to stand in.
-        """
-        if self._takes(lesser, model):
-            return True
-        for name in self.setting.nameless if lesser.effects else ():
-            bare = self.search.lacking(model, name)
-            if not self._takes(bare, model) and self._takes(self.search.lacking(lesser, name), bare):
-                return True
-        return False
-
-    def _takes(self, lesser: Model, model: Model) -> bool:
-        """Whether a model is likelier than a lesser one, by the ratio of likelihoods n·ln(χ²₀/χ²₁), in some relation.
-
-        n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
-        """
-        base = self.search.baseline
-        for n, share in verdict.cut(lesser, model).items():
-            left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
-            least = max(verdict.MISMATCH_ELSEWHERE * base.by_relation[n],
-                        verdict.FURTHER_ELSEWHERE * lesser.by_relation[n] if lesser.effects else 0.0)
-            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < least:
-                continue
-            if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
-                return True
-        return False
-
-    def _noise(self, relation: str, model: Model) -> float:
-        """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
-        expected = self._expected(relation) or model.by_relation[relation]
-        return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
-
-    def _unlike(self, effect: Candidate, model: Model) -> bool:
-        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
-        if not any(abs(model.fit.values[f.name] - self.search.start[f.name])
-                   > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
-            return False
-        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
-        banded = [bands[f.name] for f in effect.frees if f.name in bands]
-        if banded:
-            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
-        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
-                                           for f in effect.frees)
-
-    def can_improve(self, model: Model) -> bool:
-        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
-        if self.setting.floors is None or self.within is not None or model.prior_penalty > verdict.STRAINED:
-            return True
-        return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
-                   + self._noise(n, model) for n in self.setting.checked)
 
     def word(self) -> str:
         """Return none, found, ambiguous or unexplained."""
@@ -136,30 +53,7 @@ class Judge:
         return "found" if len(self.rivals()) == len(self.found.best.effects) else "ambiguous"
 
     def _strange(self) -> bool:
-        return self.has_unexplained_residual(self.found.best)
-
-    def has_unexplained_residual(self, model: Model) -> bool:
-        """Whether structure remains that a model does not explain; only healthy trials can say."""
-        if self.setting.floors is None or self.within is not None:
-            return False
-        checked, rise = self.setting.checked, self._rise(model)
-        left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, self.search.baseline))
-        if rise <= verdict.STRANGE - 1.0:
-            return False
-        if not model.effects:
-            return True
-        return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
-
-    def _rise(self, model: Model) -> float:
-        """Return by how many healthy floors the RMSE of some relation exceeds one."""
-        floors = self.setting.floors or {}
-        return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
-
-    def needs_full_search(self, model: Model) -> bool:
-        """Whether the foremost effects are not enough to go by; only healthy trials can say."""
-        if self.setting.floors is None or self.within is not None:
-            return False
-        return self.has_unexplained_residual(model) or (not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+        return self.criteria.has_unexplained_residual(self.found.best, self.found.baseline)
 
     def rivals(self) -> list[str]:
         """Return the class, the chosen effects first; nothing is named where structure remains."""

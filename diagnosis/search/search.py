@@ -6,10 +6,10 @@ models are carried on together, each is offered every effect again, and what no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, Protocol
 
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares, unseen
@@ -80,10 +80,17 @@ class Model:
         return tuple(sorted(c.name for c in self.effects))
 
 
-Pays = Callable[[Model, Model], bool]
-"""Whether the second model is worth what it has more than the first."""
-Open = Callable[[Model], bool]
-"""Whether a model leaves something that a further effect could take away, or structure that it does not explain."""
+class Criteria(Protocol):
+    """What leads a search."""
+
+    def pays(self, lesser: Model, model: Model, search: Search) -> bool:
+        """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
+
+    def can_improve(self, model: Model) -> bool:
+        """Whether a model leaves something that a further effect could take away."""
+
+    def needs_full_search(self, model: Model, baseline: Model) -> bool:
+        """Whether the foremost effects left so much that all have to be fitted."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,9 @@ class Search:
     """One search over one problem; `near`: effects are small enough for slopes to outlive one more of them."""
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
-                 folds: Sequence[frozenset[int]], pays: Pays, leaves: Open, wanting: Open, near: bool = True) -> None:
+                 folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
-        self.pays, self.leaves, self.wanting, self.near = pays, leaves, wanting, near
+        self.criteria, self.near = criteria, near
         self.start = dict(start)
         self.tried: dict[tuple[str, ...], Model] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
@@ -172,7 +179,7 @@ class Search:
         while model.effects:
             lesser = [self.without(model, out) for out in model.effects]
             best = min(lesser, key=lambda m: m.score)
-            if self.pays(best, model):
+            if self.criteria.pays(best, model, self):
                 break
             model = best
         return model
@@ -220,11 +227,11 @@ class Search:
         """
         level, best = [self.baseline], self.baseline
         for depth in range(most):
-            if not self.leaves(best):
+            if not self.criteria.can_improve(best):
                 break
             ahead, grown = self._ahead((m for model in level for m in self.grow(
                 model, LATER_REFITS if depth else FIRST_REFITS)), best)
-            if depth == 0 and self.wanting(ahead):
+            if depth == 0 and self.criteria.needs_full_search(ahead, self.baseline):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
             level = grown
             if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):

@@ -42,24 +42,25 @@ def test_the_offset_is_named_with_its_size_and_passes_every_gate(judge: Judge) -
     assert [c["effect"] for c in judge.causes()] == ["end_offset"]
     told = judge.causes()[0]["parameters"]["end_offset"]
     assert told["low"] <= OFFSET_N <= told["high"]
-    assert judge._pays(judge.found.baseline, judge.found.best)
+    assert judge.criteria.pays(judge.found.baseline, judge.found.best, judge.search)
 
 
 def test_an_effect_that_makes_a_relation_worse_by_more_than_chance_is_no_cause(judge: Judge) -> None:
     base, best = judge.found.baseline, judge.found.best
-    worse = base.by_relation["knee"] + 1.5 * judge._noise("knee", base)
-    assert not judge._pays(base, moved(best, {"knee": worse}))
+    worse = base.by_relation["knee"] + 1.5 * judge.criteria.noise("knee", base)
+    assert not judge.criteria.pays(base, moved(best, {"knee": worse}), judge.search)
 
 
 def test_an_effect_that_bends_the_rest_away_from_what_is_known_of_it_is_no_cause(judge: Judge) -> None:
     base, best = judge.found.baseline, judge.found.best
     strained = {f.name: f.high for f in best.fit.free if np.isfinite(f.sigma)}
-    assert not judge._pays(base, moved(best, values=strained))
+    assert not judge.criteria.pays(base, moved(best, values=strained), judge.search)
 
 
 def test_an_effect_within_what_like_benches_differ_by_is_no_cause(judge: Judge) -> None:
     band = next(f for f in judge.setting.reference.nuisance if f.name == "end_offset")
-    assert not judge._pays(judge.found.baseline, moved(judge.found.best, values={"end_offset": 0.9 * band.high}))
+    small = moved(judge.found.best, values={"end_offset": 0.9 * band.high})
+    assert not judge.criteria.pays(judge.found.baseline, small, judge.search)
 
 
 def test_what_was_named_is_not_smaller_than_what_could_have_been(judge: Judge) -> None:

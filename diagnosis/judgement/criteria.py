@@ -1,0 +1,137 @@
+"""What a search is judged by: which effect pays, where a further one may be, what remains unexplained.
+
+The rule of this file: thresholds are `verdict`'s; a criterion sees models on unseen cycles and the setting that they
+belong to, and fits nothing but what it asks the search for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from diagnosis.judgement import verdict
+from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.problem import Setting
+from diagnosis.search.search import Model, Search
+from physics.effects.catalogue import CATALOGUE
+
+
+@dataclass(frozen=True)
+class SearchCriteria:
+    """The criteria of one setting.
+
+    `splits`: only a class found elsewhere is split, on data of which no healthy floor is known.
+    """
+
+    setting: Setting
+    splits: bool = False
+
+    def pays(self, lesser: Model, model: Model, search: Search) -> bool:
+        """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
+        if self.splits:
+            return True
+        healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
+        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+            return False
+        if self.setting.any_rig:
+            return self._likelier(lesser, model, search)
+        if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+            return False
+        if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
+            return False
+        if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
+            return False
+        kept = 1.0 - verdict.FURTHER_ELSEWHERE
+        if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
+                                          for n in self.setting.checked):
+            return False
+        noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
+        cuts, base = verdict.cut(lesser, model, noise), search.baseline
+        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
+                   >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
+
+    def _likelier(self, lesser: Model, model: Model, search: Search) -> bool:
+        """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
+
+        Where a constant that no effect names (load-free friction, say) takes too little beside the effect to be needed,
+        the effect is judged without it: a name of the catalogue comes before a constant that is free to stand in.
+        """
+        if self._takes(lesser, model, search.baseline):
+            return True
+        for name in self.setting.nameless if lesser.effects else ():
+            bare = search.lacking(model, name)
+            if not self._takes(bare, model, search.baseline) and self._takes(
+                    search.lacking(lesser, name), bare, search.baseline):
+                return True
+        return False
+
+    def _takes(self, lesser: Model, model: Model, base: Model) -> bool:
+        """Whether a model is likelier than a lesser one, by the ratio of likelihoods n·ln(χ²₀/χ²₁), in some relation.
+
+        n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
+        """
+        for n, share in verdict.cut(lesser, model).items():
+            left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
+            least = max(verdict.MISMATCH_ELSEWHERE * base.by_relation[n],
+                        verdict.FURTHER_ELSEWHERE * lesser.by_relation[n] if lesser.effects else 0.0)
+            if left <= 0.0 or share < verdict.LEAST_GAIN_ELSEWHERE or fall < least:
+                continue
+            if self.setting.independent(n) * math.log(lesser.by_relation[n] / left) >= verdict.LEAST_RATIO:
+                return True
+        return False
+
+    def noise(self, relation: str, model: Model) -> float:
+        """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
+        expected = self._expected(relation) or model.by_relation[relation]
+        return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
+
+    def _unlike(self, effect: Candidate, model: Model) -> bool:
+        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
+        if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
+                   > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
+            return False
+        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        banded = [bands[f.name] for f in effect.frees if f.name in bands]
+        if banded:
+            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
+        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
+                                           for f in effect.frees)
+
+    def can_improve(self, model: Model) -> bool:
+        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
+        if self.setting.floors is None or self.splits or model.prior_penalty > verdict.STRAINED:
+            return True
+        return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
+                   + self.noise(n, model) for n in self.setting.checked)
+
+    def has_unexplained_residual(self, model: Model, baseline: Model) -> bool:
+        """Whether structure remains that a model does not explain; only healthy trials can say."""
+        if self.setting.floors is None or self.splits:
+            return False
+        checked, rise = self.setting.checked, self._rise(model)
+        left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, baseline))
+        if rise <= verdict.STRANGE - 1.0:
+            return False
+        if not model.effects:
+            return True
+        return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
+
+    def needs_full_search(self, model: Model, baseline: Model) -> bool:
+        """Whether the foremost effects are not enough to go by; only healthy trials can say."""
+        if self.setting.floors is None or self.splits:
+            return False
+        return self.has_unexplained_residual(model, baseline) or (
+            not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+
+    def _rise(self, model: Model) -> float:
+        """Return by how many healthy floors the RMSE of some relation exceeds one."""
+        floors = self.setting.floors or {}
+        return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
+
+    def _expected(self, relation: str) -> float:
+        """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
+        floors, weights = self.setting.floors, self.setting.weights
+        return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
+
+    def _excess(self, model: Model, relation: str) -> float:
+        return max(model.by_relation[relation] - self._expected(relation), 0.0)
