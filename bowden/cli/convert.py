@@ -50,6 +50,7 @@ def import_(
         if columns is not None:
             raise InputError("--guess writes a map and --map reads one; leave one of them out.")
         return _guess(source, output, overwrite=overwrite, json=json)
+    output_files.refuse_ending(output, ".mcap", what="a trial")
     mapped = None if columns is None else read_map(columns)
     with terminal.progress(f"importing {source}", shown=not json) as update:
         report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
@@ -68,10 +69,12 @@ def import_(
 
 
 def _guess(source: Path, output: Path, *, overwrite: bool, json: bool) -> int:
+    from bowden import output_files
     from parameters.files import write_whole
     from trial.convert import guess_map
     from trial.convert.imports import table_of
 
+    output_files.refuse_ending(output, ".toml", what="a map")
     sheet = table_of(source)
     write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
     found = guess_map.guesses(sheet)

@@ -25,7 +25,10 @@ def recover(
     """
     from dataclasses import asdict
 
+    from bowden import output_files
     from trial.recover import recover as recovered
+
+    output_files.refuse_ending(output, ".mcap", what="a recording")
 
     with terminal.progress(f"recovering {torn}", shown=not json) as update:
         found = recovered(torn, output, overwrite=overwrite, progress=update)

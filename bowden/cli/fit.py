@@ -38,11 +38,13 @@ def fit(
     """
     from bowden import output_files
     from diagnosis import bench_fit
+    from parameters.files import write_whole
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite, inputs=[*trials, calibration])
+    output_files.refuse_ending(output, ".toml", what="a bench model")
     with terminal.waiting("fitting", shown=not json):
         found = bench_fit.fit(trials, calibration, lowpass)
-    output.write_text(found.text(), encoding="utf-8")
+    write_whole(output, found.text(), overwrite=True)
     result: dict[str, Any] = {"model": str(output), **found.as_json()}
     terminal.emit(result) if json else _tell(output, found)
     return 0

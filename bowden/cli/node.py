@@ -48,6 +48,7 @@ def backup(
     from parameters.files import write_whole
 
     output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse_ending(output, ".dcf", what="a node's parameters")
     with _bench(name, reached, config) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []

@@ -78,7 +78,7 @@ def replay(
 
     Example: bowden replay trial.mcap --onto controller
     """
-    from bowden import buses, recorded
+    from bowden import buses, output_files, recorded
     from bowden.replay import onto_bus
     from bowden.replay.schedule import Selection
     from trial.read import open as opened
@@ -86,6 +86,7 @@ def replay(
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
+    output_files.refuse_ending(output, ".mcap", what="residuals")
     given = opened(trial)
     _refuse_imported(given, onto)
     if onto == "controller":

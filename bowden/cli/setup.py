@@ -32,10 +32,12 @@ def init(
     Example: bowden init -o bench.toml
     """
     from bowden import configuration, output_files
+    from parameters.files import write_whole
 
     output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse_ending(output, ".toml", what="a configuration")
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
-    output.write_text(configuration.as_template(told), encoding="utf-8")
+    write_whole(output, configuration.as_template(told), overwrite=True)
     print(f"Configuration: {output}")
     return 0
 

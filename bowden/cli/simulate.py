@@ -41,7 +41,9 @@ def simulate(
     from diagnosis import bench_fit, simulation
     from diagnosis.data import table
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial, model])
+    if output is not None:
+        output_files.refuse_ending(output, ".csv", what="a table")
     used = bench_fit.FittedBench({}) if model is None else bench_fit.read(model)
     given = table.read(trial)
     with terminal.waiting("simulating", shown=not json):
@@ -55,17 +57,22 @@ def simulate(
 
 
 def _write(output: Path, given: Table, told: Simulated) -> None:
+    import io
+
     import numpy as np
 
     from diagnosis.simulation import SIGNALS
+    from parameters.files import write_whole
 
     columns = {"time_s": given["time_s"]}
     for name in SIGNALS:
         if name in given:
             columns[name] = given[name]
         columns[f"simulated_{name}"] = getattr(told, name)
-    np.savetxt(output, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
+    text = io.StringIO()
+    np.savetxt(text, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="",
                fmt="%.9g")
+    write_whole(output, text.getvalue(), overwrite=True)
 
 
 def _tell(result: dict[str, Any], figures: dict[str, Any], used: FittedBench) -> None:

@@ -32,7 +32,7 @@ class Table:
     def __init__(self, path: Path, parameters: Sequence[str], *, overwrite: bool = False) -> None:
         """Open `path`; raises `InputError` where it cannot be written or has other parameters."""
         if path.suffix not in FORMS:
-            raise InputError(f"{path}: a table is {' or '.join(FORMS)}; give such a name.")
+            raise InputError(f"{path}: a table is written as {' or '.join(FORMS)}; give a name that ends so.")
         if not path.parent.is_dir():
             raise InputError(f"{path}: {path.parent} is no directory; make it first.")
         self.path, self.parameters = path, tuple(parameters)

@@ -181,6 +181,8 @@ INPUTS = {  # commands that write, with the input named as the output
     "diagnose -o": ("diagnose", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
     "replay": ("replay", "a.mcap", "--onto", "plant", "-o", "a.mcap"),
     "cut": ("cut", "a.mcap", "--to", "1", "-o", "a.mcap"),
+    "fit": ("fit", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
+    "simulate": ("simulate", "a.csv", "-o", "a.csv"), "merge": ("merge", "a.mcap", "c.mcap", "-o", "a.mcap"),
     "trial": ("trial", "--config", "c.mcap", "-o", "c.mcap"), "recover": ("recover", "a.mcap", "-o", "a.mcap"),
     "identify": ("identify", "all", "--from", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
 }
@@ -211,15 +213,26 @@ def test_an_output_that_is_an_input_is_refused_by_whatever_name(
 @pytest.mark.parametrize("arguments", [
     ("trial", "-o", "x.csv"), ("trial", "-o", "a.mcap", "--picture", "x.txt"), ("report", "a.mcap", "-o", "r.pdf"),
     ("diagnose", "a.mcap", "--report", "r.pdf"), ("diagnose", "a.mcap", "-o", "x.mcap"),
+    ("replay", "a.mcap", "--onto", "plant", "-o", "x.csv"), ("sweep", "--grid", "peak=20", "-o", "x.mcap"),
+    ("import", "a.csv", "-o", "x.csv"), ("import", "a.csv", "--guess", "-o", "x.csv"), ("init", "-o", "x.mcap"),
+    ("recover", "a.mcap", "-o", "x.csv"), ("cut", "a.mcap", "--to", "1", "-o", "x.csv"),
+    ("merge", "a.mcap", "a.mcap", "-o", "x.csv"), ("record", "--interface", "virtual", "-o", "x.csv"),
+    ("verify", "e.toml", "-o", "x.csv"), ("compare", "a.mcap", "a.mcap", "--report", "x.pdf"),
+    ("fit", "a.mcap", "-o", "x.csv"), ("simulate", "a.mcap", "-o", "x.toml"),
+    ("node", "backup", "servo", "-o", "x.csv"),
     ("identify", "all", "-o", "x.csv"), ("identify", "all", "-o", "c.toml", "--picture", "x.xyz"),
 ], ids=" ".join)
 def test_an_ending_that_contradicts_the_format_is_refused_before_anything_runs(
     here: Path, bowden: Bowden, arguments: tuple[str, ...]
 ) -> None:
+    present = {made(here / "a.mcap").name}
+    (here / "a.csv").write_text("time_s,tension_end_n\n0,1\n1,2\n")
+    (here / "e.toml").write_text("[effects.end_offset]\noffset_n = 1.0\n")
+    present |= {"a.csv", "e.toml"}
     status, out, err = bowden(*arguments)
     assert (status, out, err.count("\n")) == (2, "", 1)
-    assert "is written as" in err
-    assert os.listdir() == []
+    assert "written as" in err
+    assert set(os.listdir()) == present
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
