@@ -276,9 +276,10 @@ def _group(chosen: Sequence[Mapping[str, Any]]) -> str:
         if "failed" in bench:
             text += f"\n\nSerial {bench['serial']} was not identified: {bench['failed']}"
         for period in PERIODS_S:
-            ended = bench.get(f"{period:g}", {}).get("outcome", "completed")
-            if ended != "completed":
-                text += f"\n\nSerial {bench['serial']} at {period:g} s: {ended}."
+            walk = bench.get(f"{period:g}", {})
+            if walk.get("outcome", "completed") != "completed":
+                reason = walk.get("stop_reason") or "the reason was not kept"
+                text += f"\n\nSerial {bench['serial']} at {period:g} s was stopped: {reason}."
     return text + "\n"
 
 
@@ -526,7 +527,7 @@ def _short(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.5g}") if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {key: _short(each) for key, each in value.items() if key not in ("date", "trial", "unit", "stop_reason")}
+        return {key: _short(each) for key, each in value.items() if key not in ("date", "trial", "unit")}
     return [_short(each) for each in value] if isinstance(value, list) else value
 
 
