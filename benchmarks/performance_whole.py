@@ -94,7 +94,7 @@ def processes() -> Iterator[Row]:
 def _cluster(count: int) -> Iterator[sweep_run.Workers]:
     from distributed import LocalCluster
 
-    with (LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) as made,
+    with (LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=":0") as made,
           sweep_run.cluster(made.scheduler_address) as workers):
         yield workers
 
