@@ -217,8 +217,8 @@ class Exchange:
         return True
 
     def _note_doubled(self, message: can.Message, i: int) -> None:
-        """An input of this cycle that came twice, where SYNC did not."""
-        if self.link.watch is not None and not self._doubled_sync:
+        """An input that came twice in a cycle, where SYNC did not; at the beginning a node that stalled catches up."""
+        if self.link.watch is not None and not (self._doubled_sync or self.guard.beginning):
             self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {self.wire.nodes[ORDER[i]].name}")
 
     def _take(self, message: can.Message, sync_ns: int) -> int:
