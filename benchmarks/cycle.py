@@ -28,11 +28,11 @@ import can
 import canopen
 
 from benchmarks.paired import Compared, DoneError, Turn, compare
-from eds.bench import DRIVES, FILES, Network, wire
+from eds.bench_network import DRIVES, FILES, Network, wire
 from eds.cia301 import SYNC_COB_ID
 from eds.dictionary import packaged
 from eds.setup import RPDO, Pdo
-from master.motion.experiment import Experiment, run
+from master.motion.experiment_run import ExperimentSetup, run
 from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
@@ -65,7 +65,7 @@ class Paced:
 def ours(turn: Turn, **options: Any) -> None:
     """A trial on the virtual bench, as `bowden trial` runs it."""
     network, reference = Network(), paper_reference(PEAK_N, PERIOD_S)
-    experiment = Experiment(reference, network, gait=Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=200, settle=0))
+    experiment = ExperimentSetup(reference, network, gait=Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=200, settle=0))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bus = BowdenBus("cycle", rate_hz=network.rate_hz, truth=str(folder / "truth.mcap"), **options)

@@ -22,7 +22,7 @@ from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from master.identification import identify
 from physics.calibration import write
 from trial import read
@@ -63,7 +63,7 @@ def recorded_trials(calibration: Path) -> dict[str, Columns]:
     rows = list(wanted.values())
     files = {name: OUT / f"{digest(row)}.mcap" for name, row in wanted.items()}
     again = not all(file.exists() for file in files.values())
-    with Table(OUT / "trials.csv", list(rows[0]), overwrite=again) as table, run.local() as crew:
+    with SweepTable(OUT / "trials.csv", list(rows[0]), overwrite=again) as table, run.local() as crew:
         run.sweep(rows, table, crew, OUT, keep=str(OUT))
     return {name: read.open(file).columns for name, file in files.items()}
 

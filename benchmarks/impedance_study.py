@@ -18,7 +18,7 @@ from bowden import configuration, session
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.rows import Row, Value
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from physics import laws
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -159,7 +159,7 @@ def main() -> None:
     (ROOT / "out").mkdir(exist_ok=True)
     wanted = rows()
     session.compile_laws(simulated=True)
-    with Table(ROOT / "out" / "impedance.csv", list(wanted[0])) as table, run.local() as crew:
+    with SweepTable(ROOT / "out" / "impedance.csv", list(wanted[0])) as table, run.local() as crew:
         run.sweep(wanted, table, crew, ROOT / "out" / "impedance.calibrations")
         bench = [(name, table.found(row) or {}) for name, row in zip(BENCH, wanted, strict=True)]
     (ROOT / "docs" / "impedance.md").write_text(page(bench), encoding="utf-8")

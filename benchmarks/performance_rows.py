@@ -24,10 +24,10 @@ from benchmarks import cycle
 from benchmarks import trial as recorded
 from benchmarks.paired import Turn, compare
 from eds import bus_load
-from eds.bench import FILES, SERVO, Network, wire
+from eds.bench_network import FILES, SERVO, Network, wire
 from eds.dictionary import packaged
-from eds.plan import Joined
-from master.motion.experiment import Experiment, run
+from eds.pdo_plan import Joined
+from master.motion.experiment_run import ExperimentSetup, run
 from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
@@ -193,7 +193,7 @@ def _columns_mb(opened: trial.read.Trial, path: Path) -> tuple[float, str]:
 def simulate(seconds: int, folder: Path | None = None) -> None:
     """Run a trial about that long into `folder`."""
     with tempfile.TemporaryDirectory() as name:
-        experiment = Experiment(
+        experiment = ExperimentSetup(
             paper_reference(40.0, 2.0), Network(), gait=Gait(cycles=max(1, (seconds - 4) // 2), settle=0))
         bus, tap = BowdenBus("simulate"), BowdenBus("simulate")
         bus.set_filters(WANTED)

@@ -25,7 +25,7 @@ from bowden.cli import terminal
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from master.control.controller import CONTROLLERS
 from virtual_bus.build import GROUPS
 
@@ -111,7 +111,7 @@ def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict
     columns = list(dict.fromkeys(name for each in rows for name in each))
     filled = [{name: each[name] if name in each else _nominal(name) for name in columns} for each in rows]
     session.compile_laws(simulated=True)
-    with Table(path, columns) as table, sweep_run.local(workers) as crew:
+    with SweepTable(path, columns) as table, sweep_run.local(workers) as crew:
         if table.commits - {provenance.commit()}:
             terminal.remark(f"{path} has trials by other commits; remove it to run them again.")
         with terminal.progress("reproduce") as update, suppress(KeyboardInterrupt):

@@ -23,7 +23,7 @@ def resident_mb() -> float:
 def piece(path: Path, number: int, cycles: int) -> float:
     """Run one trial; returns its simulated seconds."""
     from master import settings
-    from master.motion import experiment
+    from master.motion import experiment_run
     from master.network.link import Link
     from physics.reference import paper_reference
     from trial.record import Recorder
@@ -33,9 +33,9 @@ def piece(path: Path, number: int, cycles: int) -> float:
     bus = BowdenBus(channel, serial=number % 7, day=number % 5, seed=number)
     tap = BowdenBus(channel)
     recorder = Recorder(path, metadata={}, attachments={}, threaded=False, overwrite=True)
-    asked = experiment.Experiment(paper_reference(40.0, 2.0), gait=settings.Gait(
+    asked = experiment_run.ExperimentSetup(paper_reference(40.0, 2.0), gait=settings.Gait(
         peak_n=40.0, period_s=2.0, cycles=cycles, controller="paper"))
-    result = experiment.run(Link(bus, bus.time_ns), tap, recorder, asked)
+    result = experiment_run.run(Link(bus, bus.time_ns), tap, recorder, asked)
     recorder.close({})
     tap.shutdown()
     bus.shutdown()

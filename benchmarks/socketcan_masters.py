@@ -23,7 +23,7 @@ import canopen
 
 from benchmarks.socketcan_bus import shown, watched
 from eds import bus_load
-from eds.bench import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, Wire, wire
+from eds.bench_network import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, WireLayout, wire
 from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand
 from eds.datatype import encode
 from eds.dictionary import key, packaged
@@ -32,7 +32,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
 from master.cycle.run_safely import collector_frozen, run_safely
-from master.motion.experiment import Experiment, Planned
+from master.motion.experiment_run import ExperimentSetup, Planned
 from master.network.host_computer import prepared
 from master.network.link import WANTED, Link
 from master.network.socketcan import KernelBus
@@ -62,7 +62,7 @@ def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool 
     """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served."""
     network = Network(rate_hz=rate_hz)
     gait = Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=math.ceil(cycles / rate_hz / PERIOD_S), settle=0)
-    planned = Planned(Experiment(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
+    planned = Planned(ExperimentSetup(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
     walked = (gait.cycles + 1) * planned.table.samples + planned.rest - planned.first
     used = []
 
@@ -85,7 +85,7 @@ def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool 
     return used[0]
 
 
-def _cycle(link: Link, log: Log, described: Wire, perform: Callable[[Exchange], None]) -> None:
+def _cycle(link: Link, log: Log, described: WireLayout, perform: Callable[[Exchange], None]) -> None:
     """The cycle alone, as `conduct` runs it between bring-up and end."""
     guard = Guard(link, described, log, Limits(), 0)
     guard.active = False
@@ -128,7 +128,7 @@ def _mapped(pdo: Any, planned: Pdo) -> None:
     pdo.subscribe()
 
 
-def _brought_up(network: Any, nodes: Mapping[int, Any], described: Wire) -> None:
+def _brought_up(network: Any, nodes: Mapping[int, Any], described: WireLayout) -> None:
     network.nmt.send_command(NmtCommand.ENTER_PRE_OPERATIONAL)
     for number, node in nodes.items():
         for index, subindex, value in described.setup(number):

@@ -79,7 +79,7 @@ def family(place: int, day: int | None = None) -> dict[str, Any]:
 def identified(job: Job) -> Any:
     """Identify the job's bench on its day 0 and return the calibration."""
     from bowden import buses, identification
-    from eds.bench import Network
+    from eds.bench_network import Network
     from master import settings
 
     bench = job.bench | (family(job.number // 4, 0) if job.number % 4 == 3 else {"day": 0})
@@ -113,10 +113,10 @@ def ran(job: Job) -> Ended:
 
 def walked(job: Job, calibration: Any) -> Ended:
     """Run one trial without a recorder."""
-    from eds.bench import Network
+    from eds.bench_network import Network
     from master import settings
     from master.cycle import plausibility
-    from master.motion import experiment
+    from master.motion import experiment_run
     from master.network.link import Link
     from physics.reference import paper_reference
     from virtual_bus.bus import BowdenBus
@@ -136,11 +136,11 @@ def walked(job: Job, calibration: Any) -> Ended:
     channel = f"healthy-{job.number}"
     bus = BowdenBus(channel, rate_hz=job.rate_hz, **job.bench)
     tap = BowdenBus(channel)
-    asked = experiment.Experiment(
+    asked = experiment_run.ExperimentSetup(
         paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
         calibration=calibration,
         gait=settings.Gait(peak_n=job.peak_n, period_s=job.period_s, cycles=2, settle=0, controller=job.controller))
-    result = experiment.run(Link(bus, bus.time_ns), tap, None, asked)
+    result = experiment_run.run(Link(bus, bus.time_ns), tap, None, asked)
     tap.shutdown()
     bus.shutdown()
     return Ended(job.number, result.stop_reason, worst.tolist(), False)

@@ -25,7 +25,7 @@ from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from physics.reference import close_cycle
 from trial import read
 from trial.curves import Curve, read_curve
@@ -66,7 +66,7 @@ def walked(name: str, rows: Sequence[Row], workers: int | None) -> list[list[flo
     """Run the rows whose recording is missing; returns the strides of each."""
     kept = [OUT / f"{digest(each)}.mcap" for each in rows]
     again = not all(file.exists() for file in kept)
-    with Table(OUT / f"{name}.csv", list(rows[0]), overwrite=again) as table, run.local(workers) as crew:
+    with SweepTable(OUT / f"{name}.csv", list(rows[0]), overwrite=again) as table, run.local(workers) as crew:
         run.sweep(rows, table, crew, OUT, keep=str(OUT))
     return [strides(file) for file in kept]
 

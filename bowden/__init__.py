@@ -18,34 +18,34 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bowden.bench_model import BenchModel, nominal
-    from bowden.bench_model import read as read_model
-    from bowden.bench_model import write as write_model
     from bowden.buses import BusSettings, bus, simulated
     from bowden.diagnosing import Diagnosis, DiagnosisResult
     from bowden.experiment import Experiment, run
     from bowden.identification import StoppedError, identify
-    from bowden.planning import Walk, plan
+    from bowden.model_files import BenchModel, nominal
+    from bowden.model_files import read as read_model
+    from bowden.model_files import write as write_model
+    from bowden.planning import WalkPlan, plan
     from bowden.progress import Progress
     from bowden.recorded_trial import Trial
-    from bowden.simulation import Simulation, simulate
+    from bowden.simulating import Simulation, simulate
     from parameters import InputError
 
 _HOMES = {
-    "BenchModel": "bowden.bench_model", "BusSettings": "bowden.buses", "Diagnosis": "bowden.diagnosing",
+    "BenchModel": "bowden.model_files", "BusSettings": "bowden.buses", "Diagnosis": "bowden.diagnosing",
     "DiagnosisResult": "bowden.diagnosing", "Experiment": "bowden.experiment", "InputError": "parameters",
-    "Progress": "bowden.progress", "Simulation": "bowden.simulation", "StoppedError": "bowden.identification",
-    "Trial": "bowden.recorded_trial", "Walk": "bowden.planning", "bus": "bowden.buses",
-    "identify": "bowden.identification", "nominal": "bowden.bench_model", "plan": "bowden.planning",
-    "read_model": "bowden.bench_model:read", "run": "bowden.experiment", "simulate": "bowden.simulation",
-    "simulated": "bowden.buses", "write_model": "bowden.bench_model:write",
+    "Progress": "bowden.progress", "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
+    "Trial": "bowden.recorded_trial", "WalkPlan": "bowden.planning", "bus": "bowden.buses",
+    "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
+    "read_model": "bowden.model_files:read", "run": "bowden.experiment", "simulate": "bowden.simulating",
+    "simulated": "bowden.buses", "write_model": "bowden.model_files:write",
 }
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Progress", "Simulation",
-    "StoppedError", "Trial", "Walk", "bus", "identify", "nominal", "plan", "read_model", "run", "simulate", "simulated",
-    "write_model",
+    "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read_model", "run", "simulate",
+    "simulated", "write_model",
 ]
 
 

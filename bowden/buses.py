@@ -72,8 +72,8 @@ def simulated(
     `serial` draws the manufacturing tolerances, `day` what changes from day to day, `seed` the noise.  `plant` is a
     name of the entry-point group bowden.plants or module:callable; `plant_model` states plant parameters and effects:
     a TOML file, its tables, or a bench model.  `channel` lets other programs of this process join the bus by name;
-    without one every call opens a bench of its own.  `more`: further options of `virtual_bus.options.Options`, such as
-    `faults`.
+    without one every call opens a bench of its own.  `more`: further options of `virtual_bus.bus_options.Options`, such
+    as `faults`.
     """
     for name, value in {"serial": serial, "day": day, "seed": seed}.items():
         if not isinstance(value, int) or value < 0:
@@ -82,7 +82,7 @@ def simulated(
     if isinstance(plant_model, Path):
         model = str(plant_model)
     elif plant_model is not None and not isinstance(plant_model, str | Mapping):
-        from bowden.bench_model import tables
+        from bowden.model_files import tables
 
         model = tables(plant_model)
     arguments = {"interface": VIRTUAL, "channel": channel or BENCH, "serial": serial, "day": day, "seed": seed,

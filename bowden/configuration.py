@@ -16,7 +16,7 @@ from typing import Any
 from parameters import InputError, checked, declarations, from_table, read_toml, template
 
 SECTIONS: dict[str, tuple[str, str]] = {
-    "network": ("eds.bench", "Network"),
+    "network": ("eds.bench_network", "Network"),
     "gait": ("master.settings", "Gait"),
     "impedance": ("master.settings", "Impedance"),
     "limits": ("master.settings", "Limits"),
@@ -55,7 +55,7 @@ def read(path: Path | None) -> dict[str, Any]:
 
 
 def _node(name: str) -> int:
-    from eds.bench import NAMES
+    from eds.bench_network import NAMES
 
     return next(node for node, called in NAMES.items() if called == name)
 
@@ -76,7 +76,7 @@ def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
 
 def as_text(sections: Mapping[str, Any]) -> str:
     """The configuration that was used, as TOML: what a trial carries with it."""
-    from eds.bench import NAMES
+    from eds.bench_network import NAMES
 
     devices = {NAMES[node]: mapping for node, mapping in sections["network"].device_mappings}
     return "\n".join(f"[{name}]\n{_lines(section)}" for name, section in {**sections, **devices}.items())

@@ -1,10 +1,20 @@
 """What a controller plug-in is written with; docs/controllers.md explains it with one that runs."""
 
-from master.control.controller import Column, Conditions, Controller, ControllerInput, Outputs, Trace
+from master.control.controller import Column, Conditions, Controller, ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable
 from master.control.homing_fit import HomingFit
 from master.settings import Impedance
 from physics.calibration import Calibration
 
-__all__ = ["Calibration", "Column", "Conditions", "Controller", "ControllerInput", "GaitTable", "HomingFit",
-           "Impedance", "Outputs", "Trace"]
+__all__ = [
+           "Calibration",
+           "Column",
+           "Conditions",
+           "Controller",
+           "ControllerInput",
+           "ControllerOutput",
+           "GaitTable",
+           "HomingFit",
+           "Impedance",
+           "Trace",
+]

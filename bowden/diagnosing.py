@@ -10,14 +10,14 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bowden import bench_model
-from bowden.bench_model import BenchModel, Model
+from bowden import model_files
+from bowden.model_files import BenchModel, Model
 from bowden.recorded_trial import Trial
 from parameters import InputError
 
 if TYPE_CHECKING:
     from diagnosis.data.table import Table
-    from diagnosis.finder import Diagnosis as Verdict
+    from diagnosis.finder import DiagnosisResult as Verdict
 
 Given = Trial | str | Path
 """A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
@@ -33,9 +33,9 @@ class Diagnosis:
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None) -> None:
         from diagnosis.finder import Finder
 
-        self.model = None if model is None else bench_model.given(model)
+        self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
-        self._finder = Finder(None if known is None else bench_model.tables(known), lowpass_hz)
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
         """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
@@ -84,17 +84,17 @@ class DiagnosisResult:
         from diagnosis import extension
 
         text = extension.text(self.found, self._trials)
-        return bench_model.extended(bench_model.given(self._model), text)
+        return model_files.extended(model_files.given(self._model), text)
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""
         from bowden import output_files
-        from diagnosis.report import page
+        from diagnosis.report import diagnosis_page
 
         if self.verdict == "refused":
             raise InputError(f"{path}: the trials were refused ({self.warnings[0]}); mend the data first.")
         output_files.refuse([Path(path)], overwrite=overwrite)
-        page.write(self.found, self._trials, self._holdout, path)
+        diagnosis_page.write(self.found, self._trials, self._holdout, path)
         return Path(path)
 
 

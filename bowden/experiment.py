@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bowden import bench_model, buses, configuration, provenance, session
-from bowden.bench_model import Model
+from bowden import buses, configuration, model_files, provenance, session
 from bowden.buses import BusSettings
+from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.recorded_trial import TemporaryFolder, Trial
 
@@ -72,11 +72,11 @@ class Experiment:
         return configuration.override(section, {name: (f"Experiment({name}=…)", value)
                                                 for name, value in given.items()})
 
-    def _model(self, bus: BusSettings) -> bench_model.BenchModel:
+    def _model(self, bus: BusSettings) -> model_files.BenchModel:
         """The model, of this bench where it says which one it belongs to."""
         if isinstance(self.model, str | Path):
-            return bench_model.read(self.model, bench=bus.bench)
-        return bench_model.given(self.model)
+            return model_files.read(self.model, bench=bus.bench)
+        return model_files.given(self.model)
 
 
 def _name(controller: str | type[Any] | None) -> str | None:

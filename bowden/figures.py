@@ -11,23 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bowden import bus_load as load
+from bowden import load_prediction as load
 from bowden.progress import SILENT, Progress
 from eds import bus_load
-from eds.bench import wire
+from eds.bench_network import wire
 from parameters import InputError
 from trial import metrics, read
 from trial.signals import COLUMNS
 from trial.truth_file import open_truth
 
 if TYPE_CHECKING:
-    from master.motion.experiment import Experiment, Result
+    from master.motion.experiment_run import ExperimentSetup, Result
 
 TRUE_END = "true_end_n"
 
 
 def figures(
-    experiment: Experiment, result: Result, output: Path, truth: Path | None, wall_s: float, *,
+    experiment: ExperimentSetup, result: Result, output: Path, truth: Path | None, wall_s: float, *,
     serial: int | None, simulated: bool, kept: bool = True, progress: Progress = SILENT,
 ) -> dict[str, Any]:
     """Every key that the design names for `trial --json`, in its order.
@@ -62,7 +62,7 @@ def figures(
 
 
 def refused(
-    experiment: Experiment, result: Result, wall_s: float, *, serial: int | None, simulated: bool
+    experiment: ExperimentSetup, result: Result, wall_s: float, *, serial: int | None, simulated: bool
 ) -> dict[str, Any]:
     """The keys of `figures` for a run that ended before its first control cycle, of which no file is kept."""
     nothing = dict.fromkeys(metrics.figures(
@@ -98,7 +98,7 @@ def true_end(truth: Path, recorded: read.Trial) -> np.ndarray[Any, np.dtype[np.f
     return np.where(hit, side.columns[TRUE_END][places], np.nan)
 
 
-def picture(output: Path, path: Path, experiment: Experiment) -> None:
+def picture(output: Path, path: Path, experiment: ExperimentSetup) -> None:
     """Draw the trial."""
     from bowden.picture import draw
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bowden import bench_model, buses, configuration, provenance, recorded, session
-from bowden.bench_model import BenchModel, Model
+from bowden import buses, configuration, model_files, provenance, recorded, session
 from bowden.buses import BusSettings, opened
+from bowden.model_files import BenchModel, Model
 from bowden.progress import SILENT, Progress
 from bowden.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
@@ -114,7 +114,7 @@ def identify(
     Raises `InputError` for bad input, `StoppedError` where the bench stopped.
     """
     date = datetime.date.today().isoformat() if date is None else date
-    guess = None if model is None else bench_model.given(model).calibration
+    guess = None if model is None else model_files.given(model).calibration
     if trials:
         if bus is not None:
             raise InputError("identify: trials are fitted without a bus; leave bus out, or the trials.")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 GAIT = "gait"
 
 
-class Walk(NamedTuple):
+class WalkPlan(NamedTuple):
     """How the planned experiment is walked; None leaves a number to the configuration's default.
 
     `noise_n` is 1σ of both tension sensors.
@@ -28,10 +28,11 @@ class Walk(NamedTuple):
     noise_n: float | None = None
 
 
-AS_CONFIGURED = Walk()
+AS_CONFIGURED = WalkPlan()
 
 
-def plan(name: str, walk: Walk = AS_CONFIGURED, calibration: Path | None = None, healthy: Sequence[Path] = ()) -> Plan:
+def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = None,
+         healthy: Sequence[Path] = ()) -> Plan:
     """Simulate the experiment `name` ("gait", or one of the catalogue) and say what it would show.
 
     `calibration` is that of the bench to be examined (none: the nominal bench, which is what is simulated), `healthy`
@@ -50,7 +51,7 @@ def plan(name: str, walk: Walk = AS_CONFIGURED, calibration: Path | None = None,
     return planned(table, [data.read(path) for path in healthy], known)
 
 
-def simulate(name: str, walk: Walk, recorded: Path) -> None:
+def simulate(name: str, walk: WalkPlan, recorded: Path) -> None:
     """Record the experiment on the nominal bench, its sensors as noisy as asked for."""
     from bowden import buses, configuration, session
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bowden.configuration import as_text
 
 if TYPE_CHECKING:
-    from master.motion.experiment import Experiment
+    from master.motion.experiment_run import ExperimentSetup
     from physics.bench_model import BenchModel
     from physics.calibration import Calibration
 
@@ -25,7 +25,7 @@ CONTROLLER_MODEL = "controller_model.toml"
 PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "scipy", "zstandard")
 
 
-def metadata(experiment: Experiment, script: str = "") -> dict[str, str]:
+def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
     """What identifies the trial, as text; `script` names what was run in place of the gait."""
     gait = experiment.gait
     return {
@@ -46,7 +46,7 @@ def metadata(experiment: Experiment, script: str = "") -> dict[str, str]:
     }
 
 
-def course(experiment: Experiment) -> str:
+def course(experiment: ExperimentSetup) -> str:
     """A digest of what knee and desired force are to do, to a millionth: a replay asks whether it has the same."""
     followed = experiment.reference if experiment.motion is None else experiment.motion
     wanted = [experiment.reference.at(i / 100) for i in range(100)]
@@ -57,7 +57,7 @@ def course(experiment: Experiment) -> str:
 
 def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:
     """The files that make the trial readable alone: configuration, calibration, packages, EDS files."""
-    from eds.bench import FILES
+    from eds.bench_network import FILES
     from eds.dictionary import packaged
     from physics.calibration import write
 

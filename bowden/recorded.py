@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from master.motion.experiment import Experiment
+    from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import Calibration
     from trial.read import Trial
 
@@ -23,13 +23,13 @@ FILES = ("bench.toml", "calibration.toml")
 CURVES = ("knee", "desired")
 
 
-def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
+def experiment(recorded: Trial, *, scripts: bool = False) -> ExperimentSetup:
     """Build the experiment of a trial; raises `InputError` where the file does not carry it, or it is no gait.
 
     `scripts` also takes those that ran in place of the gait (see `script`).
     """
     from bowden import provenance, session
-    from master.motion.experiment import Experiment
+    from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import read
 
     if recorded.metadata.get("experiment") != "gait" and not (scripts and script(recorded)):
@@ -41,7 +41,7 @@ def experiment(recorded: Trial, *, scripts: bool = False) -> Experiment:
         reference, chosen["gait"], _ = session.reference(
             chosen["gait"], knee, desired, period_given=True, peak_given=False)
         model = folder / provenance.CONTROLLER_MODEL
-        made = Experiment(
+        made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
             known=session.known_effects(model if model.exists() else None),
             dry_run=recorded.metadata.get("dry_run") == "true", **chosen)

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from eds.bench import Wire
+from eds.bench_network import WireLayout
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers, rows_of
 from trial.convert.python_can import flags_of, payload_of, time_ns_of
@@ -29,7 +29,7 @@ class BusRecording:
     """Takes messages as `can.BusABC.recv` gives them; use it in a `with`, or call `close`."""
 
     def __init__(
-        self, path: Path, wire: Wire, *, about: Mapping[str, str], overwrite: bool = False,
+        self, path: Path, wire: WireLayout, *, about: Mapping[str, str], overwrite: bool = False,
         max_bytes: int | None = None, max_ns: int | None = None,
     ) -> None:
         self._path, self._overwrite, self._about = path, overwrite, dict(about)

@@ -19,7 +19,7 @@ PAPER_RMSE_PERCENT = {40.0: 2.53, 50.0: 2.16, 60.0: 2.07}
 def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, progress: Progress = SILENT) -> int:
     """Write a trial as one HTML page that needs no network; returns its bytes.  Raises `InputError`."""
     from bowden import output_files
-    from bowden.bus_load import frame_bits
+    from bowden.load_prediction import frame_bits
     from trial.report import trial_page
 
     output_files.refuse([path], overwrite=overwrite, inputs=[recorded.path])
@@ -32,7 +32,7 @@ def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, pr
 def _bound(recorded: Trial) -> float | None:
     """The sustained load, %, computed for the network that the trial carries with it; None where it has none."""
     from eds import bus_load
-    from eds.bench import Network, wire
+    from eds.bench_network import Network, wire
 
     try:
         table = tomllib.loads(recorded.attachments["bench.toml"].decode())["network"]

@@ -23,8 +23,8 @@ from trial.signals import INDEX, SIGNALS, Signal
 
 if TYPE_CHECKING:
     from master.control.effect_correction import Effects
-    from master.cycle.log import Sink
-    from master.motion.experiment import Experiment, Planned, Result
+    from master.cycle.log import CycleSink
+    from master.motion.experiment_run import ExperimentSetup, Planned, Result
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.bench_model import BenchModel
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class Watch(Protocol):
     """Who sees a trial while it is recorded."""
 
-    def beside(self, recording: Sink) -> Sink:
+    def beside(self, recording: CycleSink) -> CycleSink:
         """Return a recorder that records in `recording` and shows what it records."""
 
     def ended(self, sentence: str) -> None:
@@ -53,7 +53,7 @@ class Prepared:
     `own_signals` are the controller's own columns, behind those of every trial.
     """
 
-    experiment: Experiment
+    experiment: ExperimentSetup
     sections: Mapping[str, Any]
     chosen: BusSettings
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Prepared:
 
     def planned(self) -> Planned | Scripted:
         """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
-        from master.motion.experiment import Planned
+        from master.motion.experiment_run import Planned
         from master.motion.scripted_experiments import Scripted
 
         return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
@@ -113,9 +113,9 @@ def prepare(
     """
     from bowden import provenance
     from eds import bus_load
-    from eds.bench import wire
+    from eds.bench_network import wire
     from master.control import controller
-    from master.motion.experiment import Experiment
+    from master.motion.experiment_run import ExperimentSetup
     from master.motion.scripted_experiments import checked
     from physics.bench_model import nominal
     from physics.calibration import refuse_beyond_validity
@@ -133,8 +133,8 @@ def prepare(
     model, told = _read(calibration, bench), _read(controller_model, bench)
     measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
     refuse_beyond_validity(measured, reference.peak_n)
-    experiment = Experiment(reference=reference, calibration=measured, dry_run=dry_run,
-                            known={**known_effects(model), **known_effects(told)}, **sections)
+    experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
+                                 known={**known_effects(model), **known_effects(told)}, **sections)
     attached = controller_model or (model if known_effects(model) else None)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
                     script or "", controller.signals(kind))
@@ -193,7 +193,7 @@ def perform(
         if announce:
             progress.remark(announce)
         with progress.running("trial") as update, bus.host() as refused:
-            sink: Sink = Watched(recorder, update, prepared.laps)
+            sink: CycleSink = Watched(recorder, update, prepared.laps)
             sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)

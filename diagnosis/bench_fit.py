@@ -21,10 +21,10 @@ from threadpoolctl import threadpool_limits
 from diagnosis import simulation
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks, learning, simulated
+from diagnosis.problem import blocks, learnt_bands, simulated_blocks
+from diagnosis.problem.healthy_reference import of_bench
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learning import Learnt
-from diagnosis.problem.reference import of_bench
+from diagnosis.problem.learnt_bands import Learnt
 from parameters import InputError, declarations, read_toml
 from physics import bench_model
 from physics.bench_model import FITTED, OLDER, BenchModel
@@ -155,7 +155,7 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
             raise InputError(finding.text)
     usable = [_locked(integrity.usable(t)) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
-    tables, pulls = learning.oriented(usable)
+    tables, pulls = learnt_bands.oriented(usable)
     known = read_toml(Path(calibration)) if isinstance(calibration, str | Path) else calibration
     _refuse_other_rigs(tables)
     first, rest = [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
@@ -185,12 +185,13 @@ def _refuse_other_rigs(tables: Sequence[Table]) -> None:
             raise InputError(f"{lacking[0]}: no column {name}; a bench is fitted to the motion of its rope.")
     if not any(n in t for t in tables for n in simulation.SIGNALS):
         raise InputError(f"{source}: no column tension_start_n or tension_end_n; give one at least.")
-    found = learning.geometry([t.columns for t in tables])
+    found = learnt_bands.geometry([t.columns for t in tables])
     if found is None or not found.stretches:
         told = "too few samples above 5 N" if found is None else (
             f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
+        least, most = (1e3 * bound for bound in learnt_bands.STRETCH_AT_60_N)
         raise InputError(f"{source}: no rope that a tension stretches over a knee ({told}); expected "
-                         f"{1e3 * learning.STRETCH_AT_60_N[0]:g}…{1e3 * learning.STRETCH_AT_60_N[1]:g} mm: give trials "
+                         f"{least:g}…{most:g} mm: give trials "
                          "of such a bench, or diagnose them as another rig.")
 
 
@@ -203,7 +204,7 @@ def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
 def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
     """Return what was learnt, moved to where the simulation fits."""
     values = {n: found.reference.values[n] for n in RELATION_PARAMETERS}
-    return simulated.fitted(tables, values, found.sigma, found.reference.nuisance, SECONDS)
+    return simulated_blocks.fitted(tables, values, found.sigma, found.reference.nuisance, SECONDS)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -229,13 +230,14 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
 
 
 def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
-    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in RELATION_PARAMETERS}, **learning.WIDE,
-             "rope_per_knee": learning.KNEE_RATIO * abs(values["rope_per_knee"])}
+    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in RELATION_PARAMETERS},
+             **learnt_bands.WIDE,
+             "rope_per_knee": learnt_bands.KNEE_RATIO * abs(values["rope_per_knee"])}
     constants = {}
     for name, sigma in found.sigma.items():
         if name not in RELATION_PARAMETERS:
             continue
-        low, high = learning.bounds(name)
+        low, high = learnt_bands.bounds(name)
         half = 1.96 * sigma
         constants[name] = Constant(values[name], max(values[name] - half, low), min(values[name] + half, high),
                                    RELATION_PARAMETERS[name].unit, sigma < DETERMINED * known.get(name, math.inf))

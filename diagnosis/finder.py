@@ -16,23 +16,23 @@ from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
-from diagnosis.judgement import simulated as judgement
-from diagnosis.judgement import wire
+from diagnosis.judgement import simulator_verdict as judgement
+from diagnosis.judgement import wire_faults
 from diagnosis.judgement.judge import Judge
 from diagnosis.judgement.verdict import Figures
-from diagnosis.judgement.wire import Wire
+from diagnosis.judgement.wire_faults import WireFindings
 from diagnosis.problem import candidates, problem, rig
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.search.search import Found
+from diagnosis.search.search import SearchResult
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.bench_model import BenchModel
-from physics.calibration import Evidence
+from physics.calibration import ScalarEvidence
 from physics.relations.relation import RELATIONS
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class DiagnosisResult:
     """The verdict and its figures; `as_json` gives exactly the published keys.
 
     `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
@@ -50,14 +50,14 @@ class Diagnosis:
     seconds: float | None = None
     lowpass_hz: float | None = None
     reference: str = "none"
-    found: Found | None = field(default=None, repr=False)
+    found: SearchResult | None = field(default=None, repr=False)
     split: bool = False
     simulation: dict[str, Any] | None = None
     rate_hz: float | None = None
     candidates: list[dict[str, Any]] = field(default_factory=list)
     bench: BenchModel | None = field(default=None, repr=False)
 
-    def unnamed(self) -> Diagnosis:
+    def unnamed(self) -> DiagnosisResult:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
         if not self.causes:
             return self
@@ -114,7 +114,7 @@ class Finder:
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
         return self
 
-    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Diagnosis:
+    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> DiagnosisResult:
         """Say what the simulation gets wrong about `trials`, and why; nothing is fitted on `holdout`.
 
         Raises `InputError` for files that cannot be used; data that contradict themselves are `refused`.
@@ -126,7 +126,7 @@ class Finder:
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
 
-    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> Diagnosis:
+    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> DiagnosisResult:
         if not trials:
             raise InputError("diagnose: no trial given; name at least one.")
         held = [[_read(t) for t in group] for group in (trials, holdout)]
@@ -139,13 +139,13 @@ class Finder:
                                                                   for n in t.notes]
         refusals = [f.text for f in findings if f.refuses]
         if refusals:
-            return Diagnosis("refused", warnings=refusals + warnings)
+            return DiagnosisResult("refused", warnings=refusals + warnings)
         plain = [[integrity.usable(t) for t in group] for group in held]
         groups = [[_filtered(t, self.lowpass) for t in group] for group in plain]
-        return self._judged(groups[0], groups[1], wire.examine(plain[0], self._plain), warnings)
+        return self._judged(groups[0], groups[1], wire_faults.examine(plain[0], self._plain), warnings)
 
-    def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: Wire, warnings: list[str]
-                ) -> Diagnosis:
+    def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
+                ) -> DiagnosisResult:
         healthy, known = self._healthy, self._known(trials)
         settled = problem.build_problem(trials, healthy, known)
         if settled.any_rig and healthy and settled.checked:
@@ -153,47 +153,47 @@ class Finder:
         source = ", ".join(t.source for t in trials)
         if not settled.checked:
             lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
-            return Diagnosis("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
+            return DiagnosisResult("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
         cycles = len(np.unique(np.concatenate([b.cycle for b in settled.blocks])))
         if cycles < integrity.LEAST_CYCLES:
-            return Diagnosis("refused", warnings=[
+            return DiagnosisResult("refused", warnings=[
                 f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
                 *warnings])
         unfit = _unfit(settled)
         if unfit:
             named = ", ".join(h.source for h in healthy)
-            return Diagnosis("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
+            return DiagnosisResult("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
         if carried.told and not settled.any_rig and not settled.elsewhere:
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
-        return Diagnosis(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
-                         warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
-                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
-                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
-                         bench=_bench(settled, known))
+        return DiagnosisResult(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
+                               warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
+                               reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
+                               simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
+                               bench=_bench(settled, known))
 
 
-def _bench(settled: problem.Setting, known: Mapping[str, Any] | None) -> BenchModel | None:
+def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> BenchModel | None:
     """Return the bench as its healthy trials taught it, else as its calibration has it."""
     if settled.any_rig or settled.elsewhere:
         return None
     if settled.learnt is None:
         return None if known is None else bench_model.from_tables(known, "calibration")
     values = {n: v for n, v in settled.learnt.reference.values.items() if n in settled.learnt.sigma}
-    return BenchModel(values, {n: Evidence(v - 1.96 * settled.learnt.sigma[n], v + 1.96 * settled.learnt.sigma[n])
+    return BenchModel(values, {n: ScalarEvidence(v - 1.96 * settled.learnt.sigma[n], v + 1.96 * settled.learnt.sigma[n])
                                for n, v in values.items()})
 
 
 def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
     holdout: Sequence[Given] = (), lowpass: float | None = None,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
     return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
 
 
-def _judge(settled: problem.Setting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,
+def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,
            known: Mapping[str, Any] | None) -> Judge:
     """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
 
@@ -213,7 +213,7 @@ UNFIT: Final = 0.2
 """Share of a signal's spread that healthy trials may leave of it before they teach nothing."""
 
 
-def _unfit(settled: problem.Setting) -> list[str]:
+def _unfit(settled: problem.ProblemSetting) -> list[str]:
     """Return, as sentences, the relations that the healthy trials do not fit."""
     if settled.learnt is None:
         return []
@@ -227,16 +227,16 @@ def _unfit(settled: problem.Setting) -> list[str]:
     return told
 
 
-def _of_wire(carried: Wire, warnings: list[str]) -> Diagnosis:
+def _of_wire(carried: WireFindings, warnings: list[str]) -> DiagnosisResult:
     """Return what is at fault before the bench is: its laws are not asked of values that are late, lost or coarse."""
     names = [t.effect.name for t in carried.told]
     figures = {name: Figures(relation.unit, False) for name, relation in RELATIONS.items()} | carried.figures
-    return Diagnosis("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
-                     carried.told[0].effect.experiment if len(names) > 1 else None, figures,
-                     [*warnings, "wire and converter come first: the bench's own relations were not searched."])
+    return DiagnosisResult("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
+                           carried.told[0].effect.experiment if len(names) > 1 else None, figures,
+                           [*warnings, "wire and converter come first: the bench's own relations were not searched."])
 
 
-def _said(settled: problem.Setting, healthy: bool) -> list[str]:
+def _said(settled: problem.ProblemSetting, healthy: bool) -> list[str]:
     """Return what the reader must know of the reference and of what was not checked."""
     said = []
     if settled.any_rig:

@@ -46,7 +46,7 @@ ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radiu
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedTensions:
     """Both tensions, N, as the simulated sensors read them under a trial's motion, one per sample."""
 
     tension_start_n: Array
@@ -67,7 +67,7 @@ def plant_of(values: Values, seconds: float) -> PlantParameters:
         encoder_zero_m=values["rope_zero"] + values["slack"] - homed, friction_drift_s=max(seconds, 1.0))
 
 
-def simulate(given: Table, values: Values) -> Simulated:
+def simulate(given: Table, values: Values) -> SimulatedTensions:
     """Return what the sensors of the bench of `values` would have read under the motion of `given`.
 
     Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
@@ -85,7 +85,7 @@ def simulate(given: Table, values: Values) -> Simulated:
     progress = (time - time[0]) / whole
     end = memory_laws.lag(end, time, fresh, values["end_filter"]) if values["end_filter"] > 0.0 else end
     skew, lag = values["timestamp_skew"], values["end_delay"]
-    return Simulated(
+    return SimulatedTensions(
         values["start_gain"] * np.interp(time - skew, time, start) + values["start_offset"]
         + values["start_drift"] * progress,
         values["end_gain"] * np.interp(time - skew - lag, time, end) + values["end_offset"]
@@ -102,7 +102,7 @@ def _filled(values: Array) -> Array:
 SIGNALS: Final = ("tension_start_n", "tension_end_n")
 
 
-def compared(given: Table, told: Simulated) -> dict[str, Any]:
+def compared(given: Table, told: SimulatedTensions) -> dict[str, Any]:
     """Return, by tension signal that `given` has: RMS and mean of measured less simulated, N, in all and by class.
 
     Classes: `by_phase` (tenths of the gait, where the trial says it), `by_load` (N, of that signal), `by_direction`.

@@ -3,13 +3,13 @@
 The rule of this room: it imports nothing of ours but `parameters`, and no CAN library.
 """
 
-from eds.bench import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, Wire, wire
+from eds.bench_network import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, WireLayout, wire
 from eds.datatype import DataType, Value
 from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import Dictionary, Entry, key, packaged, read
 from eds.frame import Frame
 from eds.network import Network
-from eds.plan import Field, PdoPlan, compile_plan
+from eds.pdo_plan import Field, PdoPlan, compile_plan
 
 __all__ = [
     "DRIVES",
@@ -32,7 +32,7 @@ __all__ = [
     "SensorMapping",
     "ServoMapping",
     "Value",
-    "Wire",
+    "WireLayout",
     "compile_plan",
     "key",
     "packaged",

@@ -17,7 +17,7 @@ from enum import Enum
 from typing import Final
 
 from eds import cia301
-from eds.bench import DRIVES, MASTER, NAMES, Wire
+from eds.bench_network import DRIVES, MASTER, NAMES, WireLayout
 from parameters import InputError
 
 LOAD_GOAL_PERCENT: Final = 60.0
@@ -77,17 +77,17 @@ class Budget:
         return self.inputs_ns <= self.deadline_ns
 
 
-def bit_ns(wire: Wire) -> int:
+def bit_ns(wire: WireLayout) -> int:
     """Length of a bit; whole nanoseconds at every bit rate of `BITRATES`."""
     return 1_000_000_000 // wire.network.bitrate
 
 
-def streams(wire: Wire) -> tuple[Stream, ...]:
+def streams(wire: WireLayout) -> tuple[Stream, ...]:
     """Every stream of the bench, by priority."""
     return tuple(sorted(_streams(wire), key=lambda s: s.can_id))
 
 
-def load_percent(wire: Wire) -> float:
+def load_percent(wire: WireLayout) -> float:
     """Sustained load: cyclic frames, heartbeats and EMCY at their periods, at maximum stuffing, % of the bus."""
     kinds = (Kind.CYCLIC, Kind.HEARTBEAT, Kind.EMCY)
     return 100.0 * bit_ns(wire) * sum(s.bits() / s.period_ns for s in _streams(wire) if s.kind in kinds)
@@ -116,7 +116,7 @@ def response_ns(stream: Stream, others: Sequence[Stream], bit: int) -> int | Non
     return worst
 
 
-def budget(wire: Wire) -> Budget:
+def budget(wire: WireLayout) -> Budget:
     """Compute load, chain and response times of a network."""
     network, bit, found = wire.network, bit_ns(wire), streams(wire)
     blocking = bit * max(s.bits() for s in found if s.kind in (Kind.EVENT, Kind.HEARTBEAT))
@@ -134,7 +134,7 @@ def budget(wire: Wire) -> Budget:
     )
 
 
-def refuse(wire: Wire) -> Budget:
+def refuse(wire: WireLayout) -> Budget:
     """Return the budget of a network that keeps its deadline; `InputError` for one that cannot."""
     found, network = budget(wire), wire.network
     if not found.holds:
@@ -151,7 +151,7 @@ def _demand(stream: Stream, window_ns: int, bit: int) -> int:
     return -(-window_ns // stream.period_ns) * stream.bits() * bit
 
 
-def _streams(wire: Wire) -> Iterator[Stream]:
+def _streams(wire: WireLayout) -> Iterator[Stream]:
     network, cycle = wire.network, wire.period_ns
     latch = network.node_turnaround_us * 1000
     yield Stream("SYNC", cia301.SYNC_COB_ID, 0, cycle, Kind.CYCLIC)

@@ -12,21 +12,21 @@ from pathlib import Path
 
 from eds import check_pdos, check_profiles, check_sections, ini
 from eds.dictionary import build
-from eds.sheet import Finding, Sheet
+from eds.sheet import EdsSheet, SheetFault
 
-__all__ = ["Finding", "findings"]
+__all__ = ["SheetFault", "findings"]
 
-_SEARCHES: Sequence[Callable[[Sheet], Iterator[Finding]]] = (
+_SEARCHES: Sequence[Callable[[EdsSheet], Iterator[SheetFault]]] = (
     *check_sections.SEARCHES, *check_pdos.SEARCHES, *check_profiles.SEARCHES,
 )
 _ANY_NODE = 1
 """Node id for `$NODEID` where the file names none; no finding depends on which."""
 
 
-def findings(path: str | Path) -> list[Finding]:
+def findings(path: str | Path) -> list[SheetFault]:
     """List everything found in an EDS or DCF, by line; `InputError` only where it cannot be read at all."""
     sections = ini.read(Path(path))
     own = build(str(path), sections)
-    sheet = Sheet(str(path), sections, own if own.node_id else build(str(path), sections, _ANY_NODE))
+    sheet = EdsSheet(str(path), sections, own if own.node_id else build(str(path), sections, _ANY_NODE))
     found = {finding for search in _SEARCHES for finding in search(sheet)}
     return sorted(found, key=lambda f: (f.line, f.section, f.key, f.text))

@@ -14,8 +14,8 @@ from eds import cia301
 from eds.datatype import BY_CODE, DataType
 from eds.dictionary import Entry, key
 from eds.notation import number
-from eds.plan import FIRST_OBJECT, MAX_BITS
-from eds.sheet import Finding, Sheet
+from eds.pdo_plan import FIRST_OBJECT, MAX_BITS
+from eds.sheet import EdsSheet, SheetFault
 
 _RPDO: Final = range(0x1400, 0x1600)
 _TPDO: Final = range(0x1800, 0x1A00)
@@ -24,7 +24,7 @@ _RESERVED: Final = ((0x001, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67
 """CAN identifiers that no PDO, SYNC or EMCY may take (CiA 301, table 40)."""
 
 
-def counts(sheet: Sheet) -> Iterator[Finding]:
+def counts(sheet: EdsSheet) -> Iterator[SheetFault]:
     """NrOfRXPDO and NrOfTXPDO against the PDOs, and each PDO's two records against each other."""
     info = sheet.by_name.get("deviceinfo")
     objects = sheet.dictionary.objects
@@ -41,14 +41,14 @@ def counts(sheet: Sheet) -> Iterator[Finding]:
                 yield sheet.finding(sheet.section(here), "", text, f"add [{there:04X}]")
 
 
-def maps(sheet: Sheet) -> Iterator[Finding]:
+def maps(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Each default map: existing, mappable objects of the right length and direction, 64 bits at most, none twice."""
     for block in (_RPDO, _TPDO):
         for index in (i + _MAPPING for i in block if i + _MAPPING in sheet.dictionary.objects):
             yield from _map(sheet, index, receives=block is _RPDO)
 
 
-def _map(sheet: Sheet, index: int, receives: bool) -> Iterator[Finding]:
+def _map(sheet: EdsSheet, index: int, receives: bool) -> Iterator[SheetFault]:
     head = sheet.dictionary.entries.get(key(index))
     count = head.initial if head and head.data_type.integer else 0
     assert isinstance(count, int)
@@ -75,7 +75,7 @@ def _map(sheet: Sheet, index: int, receives: bool) -> Iterator[Finding]:
         seen.add(word >> 8)
 
 
-def _word(sheet: Sheet, index: int, sub: int) -> int | None:
+def _word(sheet: EdsSheet, index: int, sub: int) -> int | None:
     entry = sheet.dictionary.entries.get(key(index, sub))
     given = entry and (entry.default if entry.value is None else entry.value)
     return given if isinstance(given, int) else None
@@ -85,7 +85,7 @@ def _name(word: int) -> str:
     return f"{word >> 16:04X}:{word >> 8 & 0xFF:02X}"
 
 
-def _mapped(sheet: Sheet, index: int, sub: int, word: int, receives: bool) -> Iterator[Finding]:
+def _mapped(sheet: EdsSheet, index: int, sub: int, word: int, receives: bool) -> Iterator[SheetFault]:
     section, bits = sheet.section(index, sub), word & 0xFF
     target = sheet.dictionary.entries.get(word >> 8)
     if word >> 16 < FIRST_OBJECT:
@@ -100,7 +100,7 @@ def _mapped(sheet: Sheet, index: int, sub: int, word: int, receives: bool) -> It
         yield from _target(sheet, index, sub, target, bits, receives)
 
 
-def _target(sheet: Sheet, index: int, sub: int, target: Entry, bits: int, receives: bool) -> Iterator[Finding]:
+def _target(sheet: EdsSheet, index: int, sub: int, target: Entry, bits: int, receives: bool) -> Iterator[SheetFault]:
     section, kind, name = sheet.section(index, sub), target.data_type, _name(target.key << 8)
     own = sheet.section(target.index, target.subindex).name
     if not target.mappable:
@@ -115,7 +115,7 @@ def _target(sheet: Sheet, index: int, sub: int, target: Entry, bits: int, receiv
                             f"map another object, or write AccessType={right} in [{own}] if that is true of the device")
 
 
-def transmission(sheet: Sheet) -> Iterator[Finding]:
+def transmission(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Transmission types that CiA 301 reserves."""
     for index in (*_RPDO, *_TPDO):
         entry = sheet.dictionary.entries.get(key(index, 2))
@@ -125,7 +125,7 @@ def transmission(sheet: Sheet) -> Iterator[Finding]:
                                 "write 0 to 240, 254 or 255")
 
 
-def identifiers(sheet: Sheet) -> Iterator[Finding]:
+def identifiers(sheet: EdsSheet) -> Iterator[SheetFault]:
     """COB-IDs in use: none is zero or reserved, no two are the same."""
     users: dict[int, tuple[int, int]] = {}
     for index, sub in _cob_id_places(sheet):
@@ -147,7 +147,7 @@ def identifiers(sheet: Sheet) -> Iterator[Finding]:
                                 "give each its own, or set bit 31 (0x80000000) of an unused one")
 
 
-def _cob_id_places(sheet: Sheet) -> Iterator[tuple[int, int]]:
+def _cob_id_places(sheet: EdsSheet) -> Iterator[tuple[int, int]]:
     """Where COB-IDs stand; SYNC and TIME before the rest, so that it is the later one that is complained of."""
     places = [(0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1200, 1), (0x1200, 2)]
     places += [(index, 1) for index in (*_RPDO, *_TPDO)]

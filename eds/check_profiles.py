@@ -11,10 +11,10 @@ from typing import Final
 from eds.dictionary import Entry, key
 from eds.notation import number
 from eds.profiles import CIA301, MODE_OBJECTS, PROFILES, Rule
-from eds.sheet import Finding, Sheet
+from eds.sheet import EdsSheet, SheetFault
 
 
-def objects(sheet: Sheet) -> Iterator[Finding]:
+def objects(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Wrong data type or access of a profile's object, and mandatory ones that are missing."""
     device = sheet.dictionary.entries.get(key(0x1000))
     profile = device.initial & 0xFFFF if device and isinstance(device.initial, int) else 0
@@ -29,7 +29,7 @@ def objects(sheet: Sheet) -> Iterator[Finding]:
                 yield from _against(sheet, entry, rule, title)
 
 
-def _entries(sheet: Sheet, rule: Rule) -> Iterator[Entry]:
+def _entries(sheet: EdsSheet, rule: Rule) -> Iterator[Entry]:
     entries = sheet.dictionary.entries
     if rule.subindex is not None:
         if (entry := entries.get(key(rule.index, rule.subindex))) is not None:
@@ -39,7 +39,7 @@ def _entries(sheet: Sheet, rule: Rule) -> Iterator[Entry]:
         yield from (entries[key(rule.index, sub)] for sub in subs if 0 < sub < 0xFF)
 
 
-def _against(sheet: Sheet, entry: Entry, rule: Rule, title: int) -> Iterator[Finding]:
+def _against(sheet: EdsSheet, entry: Entry, rule: Rule, title: int) -> Iterator[SheetFault]:
     section = sheet.section(entry.index, entry.subindex)
     if entry.data_type is not rule.data_type:
         yield sheet.finding(section, "DataType", f"{entry.data_type.name}, but CiA {title} says {rule.data_type.name}",
@@ -50,7 +50,7 @@ def _against(sheet: Sheet, entry: Entry, rule: Rule, title: int) -> Iterator[Fin
                             f"write AccessType={allowed[0]}")
 
 
-def modes(sheet: Sheet) -> Iterator[Finding]:
+def modes(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Objects that a drive's own modes (0x6502) need."""
     supported = sheet.dictionary.entries.get(key(0x6502))
     bits = supported.initial if supported and isinstance(supported.initial, int) else 0
@@ -61,7 +61,7 @@ def modes(sheet: Sheet) -> Iterator[Finding]:
                 yield sheet.finding(sheet.section(0x6502), "DefaultValue", text, f"add [{index:04X}] or clear its bit")
 
 
-def identity(sheet: Sheet) -> Iterator[Finding]:
+def identity(sheet: EdsSheet) -> Iterator[SheetFault]:
     """VendorNumber, ProductNumber and RevisionNumber against 0x1018."""
     info = sheet.by_name.get("deviceinfo")
     if info is None:

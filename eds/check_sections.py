@@ -13,14 +13,14 @@ from eds.datatype import BY_CODE, DataType
 from eds.dictionary import ARRAY, DOMAIN_OBJECT, RECORD, VAR
 from eds.ini import Section
 from eds.notation import limit, number, object_section, value
-from eds.sheet import Finding, Sheet
+from eds.sheet import EdsSheet, SheetFault
 
 ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 _LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 _MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 
 
-def repeated(sheet: Sheet) -> Iterator[Finding]:
+def repeated(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Sections and keys that stand twice: tools differ in which of them they take."""
     seen: dict[str, int] = {}
     for section in sheet.sections:
@@ -33,7 +33,7 @@ def repeated(sheet: Sheet) -> Iterator[Finding]:
                 yield sheet.finding(section, key, f"the key stands {count} times", "keep one")
 
 
-def lists(sheet: Sheet) -> Iterator[Finding]:
+def lists(sheet: EdsSheet) -> Iterator[SheetFault]:
     """MandatoryObjects, OptionalObjects and ManufacturerObjects against the object sections."""
     listed: dict[int, str] = {}
     for name in _LISTS:
@@ -54,7 +54,8 @@ def lists(sheet: Sheet) -> Iterator[Finding]:
                                 f"add it to [{_list_of(index)}] and its SupportedObjects")
 
 
-def _listed(sheet: Sheet, section: Section, key: str, index: int | None, listed: dict[int, str]) -> Iterator[Finding]:
+def _listed(sheet: EdsSheet, section: Section, key: str, index: int | None,
+            listed: dict[int, str]) -> Iterator[SheetFault]:
     if index is None:
         yield sheet.finding(section, key, "no object index", "write it as 0x and four hexadecimal digits")
         return
@@ -72,7 +73,7 @@ def _list_of(index: int) -> str:
     return _LISTS[0 if index in _MANDATORY else 2 if 0x2000 <= index < 0x6000 else 1]
 
 
-def structure(sheet: Sheet) -> Iterator[Finding]:
+def structure(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Arrays and records: sub-index 0, SubNumber, and the highest sub-index."""
     for (index, sub), section in sheet.objects.items():
         if sub is not None:
@@ -89,7 +90,7 @@ def structure(sheet: Sheet) -> Iterator[Finding]:
                                 "write 0x8 (array) or 0x9 (record)")
 
 
-def _compound(sheet: Sheet, section: Section, subs: dict[int, Section]) -> Iterator[Finding]:
+def _compound(sheet: EdsSheet, section: Section, subs: dict[int, Section]) -> Iterator[SheetFault]:
     count = number(section.get("SubNumber"))
     if count != len(subs):
         yield sheet.finding(section, "SubNumber", f"{len(subs)} sub-objects follow, SubNumber says {count}",
@@ -105,7 +106,7 @@ def _compound(sheet: Sheet, section: Section, subs: dict[int, Section]) -> Itera
                             f"write DefaultValue={max(subs)} or add the others")
 
 
-def values(sheet: Sheet) -> Iterator[Finding]:
+def values(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Each variable: its keys are there, its numbers are numbers, its default lies in its limits."""
     for (_, sub), section in sheet.objects.items():
         kind = number(section.get("ObjectType")) or VAR
@@ -124,7 +125,7 @@ def values(sheet: Sheet) -> Iterator[Finding]:
             yield from _numbers(sheet, section, BY_CODE[code])
 
 
-def _numbers(sheet: Sheet, section: Section, kind: DataType) -> Iterator[Finding]:
+def _numbers(sheet: EdsSheet, section: Section, kind: DataType) -> Iterator[SheetFault]:
     if not (kind.integer or kind.real):
         return
     node = sheet.dictionary.node_id
@@ -149,7 +150,7 @@ def _numbers(sheet: Sheet, section: Section, kind: DataType) -> Iterator[Finding
             yield sheet.finding(section, key, text, "mend it or the limits")
 
 
-def names(sheet: Sheet) -> Iterator[Finding]:
+def names(sheet: EdsSheet) -> Iterator[SheetFault]:
     """Sections that look like objects but are none, so that every reader passes over them."""
     for section in sheet.sections:
         bare = section.name.lower().removeprefix("0x")

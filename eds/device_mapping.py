@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from eds.dictionary import Dictionary, Entry
 from eds.notation import number
-from eds.scales import scales
+from eds.scale_factors import scales
 from parameters import InputError, parameter
 
 _OBJECT: Final = "as index or index:sub-index in hexadecimal"
@@ -77,7 +77,7 @@ _TAKEN: Final = ("target", "controlword", "tension")
 """Parts that a device takes from the bus; the others it sends."""
 
 
-class Part(NamedTuple):
+class MappedPart(NamedTuple):
     """A part and the object that plays it; `scale` is SI per count."""
 
     entry: Entry
@@ -98,7 +98,7 @@ class Part(NamedTuple):
         return f"{self.scale:g} {symbol} in {self.entry.data_type.name}"
 
 
-def part(device: Dictionary, fitting: DeviceMapping, name: str) -> Part:
+def part(device: Dictionary, fitting: DeviceMapping, name: str) -> MappedPart:
     """Find the object that plays a part; `InputError` where it is missing, unfit for a PDO, or of no known unit."""
     given = str(getattr(fitting, name))
     index, _, sub = given.partition(":")
@@ -110,9 +110,9 @@ def part(device: Dictionary, fitting: DeviceMapping, name: str) -> Part:
         raise InputError(f"{device.path}: {given} {entry.name}, which should be the {name}, has PDOMapping="
                          f"{int(entry.mappable)}, AccessType={entry.access}; name another ({_OBJECT}).")
     if name not in _SCALED_BY:
-        return Part(entry, 1.0)
+        return MappedPart(entry, 1.0)
     stated = float(getattr(fitting, _SCALED_BY[name]))
     scale = stated or scales(device).get(entry.key)
     if scale is None:
         raise InputError(f"{device.path}: the unit of {given} ({name}) is not declared; give {_SCALED_BY[name]}.")
-    return Part(entry, scale)
+    return MappedPart(entry, scale)

@@ -1,6 +1,6 @@
 """An EDS as its checkers see it: the text with its lines beside the dictionary read from it.
 
-The rule of this file: a finding is a value, and only `Sheet.finding` makes one, so that each has its place.
+The rule of this file: a finding is a value, and only `EdsSheet.finding` makes one, so that each has its place.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from eds.notation import object_section
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class SheetFault:
     """One fault: `text` says what is wrong, `remedy` what to do; `key` is "" where it concerns a whole section."""
 
     file: str
@@ -29,7 +29,7 @@ class Finding:
         return f"{self.file}:{self.line}: [{self.section}]{key}: {self.text}; {self.remedy}."
 
 
-class Sheet:
+class EdsSheet:
     """The parsed text and its dictionary; sections by lower-case name, first of two counting."""
 
     def __init__(self, path: str, sections: Sequence[Section], dictionary: Dictionary) -> None:
@@ -51,9 +51,9 @@ class Sheet:
                 return self.objects[place]
         return self.sections[0]
 
-    def finding(self, section: Section, key: str, text: str, remedy: str) -> Finding:
+    def finding(self, section: Section, key: str, text: str, remedy: str) -> SheetFault:
         """Make a finding at a key of a section ("" for the section itself)."""
-        return Finding(self.path, section.name, key, text, remedy, section.line_of(key) if key else section.line)
+        return SheetFault(self.path, section.name, key, text, remedy, section.line_of(key) if key else section.line)
 
     def subsections(self, index: int) -> Iterator[tuple[int, Section]]:
         """Yield (sub-index, section) of an object's sub-objects."""

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from eds import bus_load, cia402
-from eds.bench import NAMES, SENSORS, Network, Wire, wire
+from eds.bench_network import NAMES, SENSORS, Network, WireLayout, wire
 from eds.bus_load import Kind
-from eds.plan import PdoPlan
+from eds.pdo_plan import PdoPlan
 from eds.setup import TPDO, Pdo
 
 _HEAD = """\
@@ -101,7 +101,7 @@ def _head(network: Network) -> str:
     return _HEAD.format(nodes=nodes, heartbeat=network.heartbeat_ms, timeout=network.heartbeat_timeout_ms)
 
 
-def _cycle(built: Wire) -> str:
+def _cycle(built: WireLayout) -> str:
     network, found = built.network, bus_load.budget(built)
     cyclic = sum(stream.bits() for stream, _ in found.responses if stream.kind is Kind.CYCLIC)
     text = _CYCLE.format(
@@ -113,7 +113,7 @@ def _cycle(built: Wire) -> str:
         f"{'no bound' if response is None else response // 1000} |\n" for s, response in found.responses)
 
 
-def _plans(built: Wire) -> str:
+def _plans(built: WireLayout) -> str:
     rows: Sequence[tuple[str, PdoPlan]] = (
         *((NAMES[plan.cob_id & 0x7F], plan) for plan in built.tpdo.values()),
         ("master", built.targets), ("master", built.controlwords),
@@ -127,7 +127,7 @@ def _fields(plan: PdoPlan) -> str:
         for f in plan.fields)
 
 
-def _pdos(built: Wire) -> str:
+def _pdos(built: WireLayout) -> str:
     nodes = (node for node in built.nodes if node not in SENSORS)
     return _PDOS + "".join(_pdo(NAMES[node], pdo) for node in nodes for pdo in built.pdos(node))
 

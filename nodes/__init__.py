@@ -5,7 +5,7 @@ The rule of this room: frames, samples and times go in, frames and torques come 
 
 from __future__ import annotations
 
-from eds.bench import KNEE, SENSORS, SERVO, Wire
+from eds.bench_network import KNEE, SENSORS, SERVO, WireLayout
 from nodes.axis_law import prepare
 from nodes.core.device import Application, Device
 from nodes.drive import Drive
@@ -17,7 +17,7 @@ from parameters import InputError
 __all__ = ["Application", "Device", "Drive", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
 
 
-def build(node_id: int, wire: Wire) -> tuple[Device, Drive | TensionSensor]:
+def build(node_id: int, wire: WireLayout) -> tuple[Device, Drive | TensionSensor]:
     """Make the bench's device `node_id`, not yet powered on, and the application behind it.
 
     Raises `InputError` for a node id that is no device of the bench.

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eds import scales
+from eds import scale_factors
 from eds.datatype import Value
 from eds.dictionary import Dictionary, key
 from nodes import axis_law as law
@@ -28,14 +28,14 @@ class Units:
     """How counts become SI at the axis, read from the unit objects of a dictionary."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self.position = scales.position_unit(dictionary)
-        self.velocity = scales.velocity_unit(dictionary)
-        self.resolution = self.position / scales.increments_per_unit(dictionary)
-        gear = scales.gear_ratio(dictionary)
+        self.position = scale_factors.position_unit(dictionary)
+        self.velocity = scale_factors.velocity_unit(dictionary)
+        self.resolution = self.position / scale_factors.increments_per_unit(dictionary)
+        gear = scale_factors.gear_ratio(dictionary)
         feed = dictionary.initial(0x6092, 1) / dictionary.initial(0x6092, 2) * self.position
         self.motor_speed = feed / gear / 60.0
         """m/s or rad/s at the axis per 1/min of the motor."""
-        self.torque = scales.torque_unit(dictionary) * gear
+        self.torque = scale_factors.torque_unit(dictionary) * gear
         """N·m at the output per ‰ of 0x6076."""
         self.arm_m = feed / (2.0 * math.pi)
         """Drum radius of a linear axis; 1 of a rotary one."""

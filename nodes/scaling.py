@@ -15,20 +15,20 @@ INTEGER32: Final = 32
 _REAL32_MAX: Final = (2.0 - 2.0**-23) * 2.0**127
 
 
-class Line(NamedTuple):
+class LinearScaling(NamedTuple):
     """PV = FV · factor + offset: 0x6126 and 0x6127."""
 
     factor: float
     offset: float
 
 
-def two_point(fv_1: float, pv_1: float, fv_2: float, pv_2: float) -> Line:
+def two_point(fv_1: float, pv_1: float, fv_2: float, pv_2: float) -> LinearScaling:
     """Draw the line through two calibration points (0x6120 … 0x6123); `InputError` where they give none."""
     if fv_1 == fv_2 or not all(map(math.isfinite, (fv_1, pv_1, fv_2, pv_2))):
         raise InputError(f"calibration points ({fv_1}, {pv_1}) and ({fv_2}, {pv_2}): expected two different finite "
                          "field values; write 0x6120 to 0x6123 again.")
     factor = (pv_2 - pv_1) / (fv_2 - fv_1)
-    return Line(factor, pv_1 - factor * fv_1)
+    return LinearScaling(factor, pv_1 - factor * fv_1)
 
 
 def integer(value: float, bits: int) -> int:

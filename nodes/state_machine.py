@@ -234,19 +234,20 @@ class StateMachine(Application):
         self.show()
 
 
-class Guard(NamedTuple):
+class TransitionGuard(NamedTuple):
     """What must hold, besides the event, before a row is taken."""
 
     text: str
     holds: Callable[[StateMachine], bool]
 
 
-GUARDS: Final[Mapping[int, Guard]] = MappingProxyType({
-    2: Guard("no emergency stop awaits its release", lambda machine: not machine.awaits_release),
-    4: Guard("no emergency stop awaits its release; who 0x1016 names lives; START has a value (servo)",
-             lambda machine: machine.ready()),
-    15: Guard("no cause is left: emergency stop released, rope below its trip level", lambda machine: machine.cured()),
-    16: Guard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
+GUARDS: Final[Mapping[int, TransitionGuard]] = MappingProxyType({
+    2: TransitionGuard("no emergency stop awaits its release", lambda machine: not machine.awaits_release),
+    4: TransitionGuard("no emergency stop awaits its release; who 0x1016 names lives; START has a value (servo)",
+                       lambda machine: machine.ready()),
+    15: TransitionGuard("no cause is left: emergency stop released, rope below its trip level",
+                        lambda machine: machine.cured()),
+    16: TransitionGuard("0x605A is 5 or 6", lambda machine: machine.number(0x605A) in _HOLDING and machine.ready()),
 })
 """By row."""
 

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
 from physics import calibration
-from physics.calibration import READ, VERSION, Calibration, Evidence
+from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
@@ -42,7 +42,7 @@ class BenchModel:
     """
 
     values: Values = field(default_factory=dict)
-    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
     effects: Mapping[str, Values] = field(default_factory=dict)
     found: Mapping[str, Any] = field(default_factory=dict)
     bench: str = ""

@@ -31,7 +31,7 @@ LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ScalarEvidence:
     """Where one scalar comes from: 95 % interval, R² of its fit (NaN: none), ISO date, trial.
 
     The interval counts the model's own error; `repeatability` is half of the narrower one within which the value comes
@@ -85,7 +85,7 @@ class Calibration:
     start_gain: float = assumed("start_gain")
     homed_friction: float = assumed("homed_friction")
     start_offset: float = assumed("start_offset")
-    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
     label: str = NOMINAL
     bench: str = ""
     lacking: tuple[str, ...] = ()
@@ -139,7 +139,7 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     return of_values(values, evidence, label=where, bench=owner)
 
 
-def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, Evidence]]:
+def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
     """Return values and evidence by name of the table of parameters, as a bench model's tables state them.
 
     `[parameters.NAME]`, or `[scalars.NAME]` with a calibration's names, as version 1 has it.  Raises `InputError`.
@@ -154,7 +154,7 @@ def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dic
     if name == "parameters":
         rows = current_names(rows, where)
     values: dict[str, float] = {}
-    evidence: dict[str, Evidence] = {}
+    evidence: dict[str, ScalarEvidence] = {}
     for key, row in rows.items():
         known = BY_CALIBRATION if name == "scalars" else PARAMETERS
         if key not in known:
@@ -162,8 +162,8 @@ def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dic
         p = PARAMETERS[BY_CALIBRATION[key] if name == "scalars" else key]
         values[p.name] = _value(where, key, p, row)
         low, high = _interval(where, key, row)
-        evidence[p.name] = Evidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
-                                    str(row.get("trial", "")), float(row.get("repeatability", math.nan)))
+        evidence[p.name] = ScalarEvidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
+                                          str(row.get("trial", "")), float(row.get("repeatability", math.nan)))
     return values, evidence
 
 
@@ -208,7 +208,7 @@ def _whole(values: Mapping[str, float], where: str) -> None:
 
 
 def of_values(
-    values: Mapping[str, float], evidence: Mapping[str, Evidence], *, label: str, bench: str = "",
+    values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], *, label: str, bench: str = "",
 ) -> Calibration:
     """Return the controller's view of a bench's `values`, by name of the table and in any form.
 
@@ -232,13 +232,13 @@ def _inside(name: str, value: float) -> float:
     return value if known is None else min(max(value, known.low), known.high)
 
 
-def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, Evidence]]:
+def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
     """Return a calibration's values and evidence by name of the table of parameters."""
     return ({BY_CALIBRATION[name]: float(getattr(calibration, name)) for name in scalars()},
             {BY_CALIBRATION[name]: known for name, known in calibration.evidence.items()})
 
 
-def rows(values: Mapping[str, float], evidence: Mapping[str, Evidence]) -> list[str]:
+def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence]) -> list[str]:
     """Return the lines of `[parameters.NAME]`, in the order of `values`; `stated` reads them back."""
     lines = []
     for name, value in values.items():

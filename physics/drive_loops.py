@@ -21,7 +21,7 @@ DRIVE_TICK_NS: Final = 250_000
 """The period at which a drive runs its loops."""
 
 
-class Loop(NamedTuple):
+class LoopSlots(NamedTuple):
     """Where the loops' memory lives in their state array."""
 
     position_integral: int = 0
@@ -31,7 +31,7 @@ class Loop(NamedTuple):
     velocity_demand: int = 4
 
 
-LOOP: Final = Loop()
+LOOP: Final = LoopSlots()
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,8 @@ def _nmt_rows() -> Iterator[Mutant]:
         for command in ("START", "STOP", "ENTER_PRE_OPERATIONAL", "RESET_NODE", "RESET_COMMUNICATION"):
             def patch(module: ModuleType, state: str = state, command: str = command) -> None:
                 row = module.NmtState[state], module.NmtCommand[command]
-                module.NMT_TRANSITIONS = {**module.NMT_TRANSITIONS, row: _other(module, row)}  # type: ignore[attr-defined]
+                module.NMT_TRANSITIONS = {**module.NMT_TRANSITIONS,
+                                          row: _other(module, row)}  # type: ignore[attr-defined]
             yield Mutant(f"eds.cia301 NMT {state} × {command}", "eds.cia301", _tests("nodes", core=True), patch=patch)
 
 

@@ -33,7 +33,7 @@ def _no_frames() -> NDArray[np.void]:
 
 
 @dataclass
-class Content:
+class TrialContent:
     """A trial to be: cycles at `times` (ns, rising) with columns by signal name, frames, events (time first).
 
     `signals` declares the names that may be written, in the order of the file.
@@ -47,7 +47,7 @@ class Content:
 
 
 def write(
-    target: str | Path, content: Content, *, metadata: Mapping[str, str], result: Mapping[str, object],
+    target: str | Path, content: TrialContent, *, metadata: Mapping[str, str], result: Mapping[str, object],
     attachments: Mapping[str, bytes] | None = None, overwrite: bool = False, progress: Progress = silent,
 ) -> None:
     """Write a trial; its columns are those of its signals that `content` has.  Raises `InputError`.
@@ -68,7 +68,7 @@ def write(
             raise InputError(str(error).replace(str(part), str(target))) from None
 
 
-def _record(recorder: Recorder, content: Content, table: NDArray[np.float64], progress: Progress) -> None:
+def _record(recorder: Recorder, content: TrialContent, table: NDArray[np.float64], progress: Progress) -> None:
     windows = _windows(content)
     for number, ((frame, cycle, event), (frame_end, cycle_end, event_end)) in enumerate(pairwise(windows), start=1):
         for time_ns, can_id, flags, dlc, channel, sent, data in content.frames[frame:frame_end].tolist():
@@ -81,7 +81,7 @@ def _record(recorder: Recorder, content: Content, table: NDArray[np.float64], pr
         progress(number / (len(windows) - 1))
 
 
-def _windows(content: Content) -> list[tuple[int, ...]]:
+def _windows(content: TrialContent) -> list[tuple[int, ...]]:
     """Return where in frames, cycles and events each 100 ms of the trial begins, and their ends."""
     events = np.array([event[0] for event in content.events], np.int64)
     streams = (content.frames["time_ns"], content.times, events)

@@ -20,7 +20,7 @@ from trial.read import Trial
 Floats = NDArray[np.float64]
 
 
-class Difference(NamedTuple):
+class FieldDifference(NamedTuple):
     """Something that is not the same: `a` or `b` is None where that trial does not have it."""
 
     key: str
@@ -41,14 +41,14 @@ class SignalDifference(NamedTuple):
 
 
 @dataclass
-class Comparison:
+class TrialComparison:
     """What differs between two trials; `same` where every channel is the same, bit for bit."""
 
     same: bool
     matched: str
-    metadata: list[Difference] = field(default_factory=list)
-    attachments: dict[str, list[Difference]] = field(default_factory=dict)
-    result: list[Difference] = field(default_factory=list)
+    metadata: list[FieldDifference] = field(default_factory=list)
+    attachments: dict[str, list[FieldDifference]] = field(default_factory=dict)
+    result: list[FieldDifference] = field(default_factory=list)
     signals: list[SignalDifference] = field(default_factory=list)
     only_a: list[str] = field(default_factory=list)
     only_b: list[str] = field(default_factory=list)
@@ -66,11 +66,11 @@ class Comparison:
         }
 
 
-def compare(a: Trial, b: Trial) -> Comparison:
+def compare(a: Trial, b: Trial) -> TrialComparison:
     """Compare two trials; the result lists every figure of both, the rest only what differs."""
     matched, row_of_b = _match(a, b)
     names = [name for name in a.columns if name in b.columns]
-    found = Comparison(a.digest() == b.digest(), matched, _differences(a.metadata, b.metadata))
+    found = TrialComparison(a.digest() == b.digest(), matched, _differences(a.metadata, b.metadata))
     found.attachments = _attachments(a, b)
     found.result = _all(a.result or {}, b.result or {})
     for name in names:
@@ -82,21 +82,21 @@ def compare(a: Trial, b: Trial) -> Comparison:
     return found
 
 
-def _all(a: Mapping[str, object], b: Mapping[str, object]) -> list[Difference]:
-    return [Difference(key, a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b])]
+def _all(a: Mapping[str, object], b: Mapping[str, object]) -> list[FieldDifference]:
+    return [FieldDifference(key, a.get(key), b.get(key)) for key in dict.fromkeys([*a, *b])]
 
 
-def _differences(a: Mapping[str, object], b: Mapping[str, object]) -> list[Difference]:
+def _differences(a: Mapping[str, object], b: Mapping[str, object]) -> list[FieldDifference]:
     return [row for row in _all(a, b) if row.a != row.b]
 
 
-def _attachments(a: Trial, b: Trial) -> dict[str, list[Difference]]:
+def _attachments(a: Trial, b: Trial) -> dict[str, list[FieldDifference]]:
     """Return what differs in each attached file: by key where it is TOML, else by line; one row where one has it."""
     found = {}
     for name in dict.fromkeys([*a.attachments, *b.attachments]):
         one, other = a.attachments.get(name), b.attachments.get(name)
         if one is None or other is None:
-            found[name] = [Difference("file", _size(one), _size(other))]
+            found[name] = [FieldDifference("file", _size(one), _size(other))]
         elif differences := _differences(_entries(name, one), _entries(name, other)):
             found[name] = differences
     return found

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from trial.convert import csv_file
-from trial.convert.sheet import Sheet
+from trial.convert.lab_table import LabTable
 
 Floats = NDArray[np.float64]
 
 
-class Axis(NamedTuple):
+class Abscissa(NamedTuple):
     """What runs along a curve: the longest step between samples that is bridged by a straight line."""
 
     name: str
@@ -41,7 +41,7 @@ class Quantity(NamedTuple):
     doubt: str
 
 
-AXES = {"time_s": Axis("time_s", "s", 0.1), "gait_percent": Axis("gait_percent", "%", 5.0)}
+AXES = {"time_s": Abscissa("time_s", "s", 0.1), "gait_percent": Abscissa("gait_percent", "%", 5.0)}
 _KNEE = "flexion is negative, and no knee bends past 160 degrees; mend the sign or the unit"
 KNEE_RAD = Quantity("knee_angle_rad", "rad", 1.0, -2.8, 0.35, _KNEE)
 KNEE_DEG = Quantity("knee_angle_deg", "deg", math.pi / 180, -2.8, 0.35, _KNEE)
@@ -104,7 +104,7 @@ def read_curve(path: str | Path, column: str) -> Curve:
     return Curve(path, column, percent, values[begin:end], strides, stride_s, float(along[begin]), bridged, trimmed)
 
 
-def _header(sheet: Sheet, path: Path, column: str) -> tuple[Axis, Quantity, str]:
+def _header(sheet: LabTable, path: Path, column: str) -> tuple[Abscissa, Quantity, str]:
     for axis, quantity in ACCEPTED[column]:
         if axis in sheet and quantity.name in sheet:
             return AXES[axis], quantity, axis
@@ -113,7 +113,7 @@ def _header(sheet: Sheet, path: Path, column: str) -> tuple[Axis, Quantity, str]
                      f"{expected}, name them so.")
 
 
-def _numbers(sheet: Sheet, axis: str, quantity: Quantity, path: Path) -> tuple[Floats, Floats]:
+def _numbers(sheet: LabTable, axis: str, quantity: Quantity, path: Path) -> tuple[Floats, Floats]:
     along, values = sheet.column(axis), sheet.column(quantity.name) * quantity.factor
     stated = sheet.unit(quantity.name)
     if stated and stated.replace("°", "deg") != quantity.unit:
@@ -141,7 +141,7 @@ def _trim(along: Floats, values: Floats) -> tuple[Floats, Floats, int]:
     return along[kept], values[kept], len(values) - (good[-1] + 1 - good[0])
 
 
-def _bridge(along: Floats, values: Floats, axis: Axis, path: Path) -> tuple[Floats, Floats]:
+def _bridge(along: Floats, values: Floats, axis: Abscissa, path: Path) -> tuple[Floats, Floats]:
     good = ~np.isnan(values)
     steps = np.diff(along[good])
     widest = int(np.argmax(steps))

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench import END, KNEE, NAMES, SERVO, START, Wire, tpdo_cob_id
-from eds.plan import Field, PdoPlan
-from eds.scales import drum_radius_m
+from eds.bench_network import END, KNEE, NAMES, SERVO, START, WireLayout, tpdo_cob_id
+from eds.pdo_plan import Field, PdoPlan
+from eds.scale_factors import drum_radius_m
 from trial.convert import clock
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Place(NamedTuple):
     bit: int
 
 
-class Source(NamedTuple):
+class PdoSource(NamedTuple):
     """What a PDO carries: its plan, a name to count it by, its signals, and the column of its arrival, if any."""
 
     plan: PdoPlan
@@ -58,7 +58,7 @@ class Source(NamedTuple):
     arrival: str | None
 
 
-class Cycles(NamedTuple):
+class DecodedCycles(NamedTuple):
     """Control cycles: the time of each SYNC (ns, strictly rising), columns by signal name, and what was counted."""
 
     time_ns: NDArray[np.int64]
@@ -66,7 +66,7 @@ class Cycles(NamedTuple):
     counts: dict[str, int]
 
 
-def layout(wire: Wire) -> tuple[Source, ...]:
+def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
     """Return what every PDO of a bench carries: the nodes' TPDOs, then the targets."""
     found = []
     radius = drum_radius_m(wire.nodes[SERVO].dictionary)
@@ -75,42 +75,43 @@ def layout(wire: Wire) -> tuple[Source, ...]:
         places = [Place(signals[field.key], field.scale, radius if signals[field.key] == "servo_force_n" else 1.0,
                         field.key >> 8 == TENSION, field, bit)
                   for field, bit in offsets(plan) if field.key in signals]
-        found.append(Source(plan, NAMES[node], tuple(places), f"{NAMES[node]}_pdo_arrival_ns"))
+        found.append(PdoSource(plan, NAMES[node], tuple(places), f"{NAMES[node]}_pdo_arrival_ns"))
     targets = [Place(signal, field.scale, 1.0, False, field, bit)
                for (field, bit), signal in zip(offsets(wire.targets), TARGETS, strict=True)]
-    return (*found, Source(wire.targets, "target", tuple(targets), None))
+    return (*found, PdoSource(wire.targets, "target", tuple(targets), None))
 
 
-def inputs_of(wire: Wire, node: int) -> dict[int, str]:
+def inputs_of(wire: WireLayout, node: int) -> dict[int, str]:
     """Signals by the keys of the objects that a node's TPDO carries, whichever device is in its place."""
     entry = wire.nodes[node]
     return {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items() if of == node}
 
 
-def bench_channel(rows: NDArray[np.void], wire: Wire) -> int:
+def bench_channel(rows: NDArray[np.void], wire: WireLayout) -> int:
     """Return the channel with the most SYNC and PDO frames of this bench."""
     ours = np.isin(rows["can_id"], [SYNC, wire.targets.cob_id, *wire.tpdo]) & (rows["flags"] == 0)
     return int(np.bincount(rows["channel"][ours], minlength=1).argmax())
 
 
-def cycles(rows: NDArray[np.void], wire: Wire) -> Cycles:
+def cycles(rows: NDArray[np.void], wire: WireLayout) -> DecodedCycles:
     """Decode the frames of one channel; without SYNC there are no cycles."""
     rows = rows[rows["flags"] == 0]
     sync = np.flatnonzero(rows["can_id"] == SYNC)
     times, coarse = clock.rising(rows["time_ns"][sync])
-    found = Cycles(times, {"time_s": (times - times[:1].sum()) / 1e9}, {"cycles": len(sync), "coarse_stamps": coarse})
+    found = DecodedCycles(times, {"time_s": (times - times[:1].sum()) / 1e9},
+                          {"cycles": len(sync), "coarse_stamps": coarse})
     for source in layout(wire):
         _fill(found, rows, sync, source)
     position = found.columns["servo_position_m"]
     if len(sync) > 1:
         velocity = np.diff(position, prepend=np.nan) / np.diff(found.columns["time_s"], prepend=np.nan)
         found.columns["servo_velocity_m_s"] = velocity
-    return Cycles(times, {name: column for name, column in found.columns.items() if not np.isnan(column).all()},
-                  found.counts)
+    return DecodedCycles(times, {name: column for name, column in found.columns.items() if not np.isnan(column).all()},
+                         found.counts)
 
 
 def _place(
-    found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan, name: str
+    found: DecodedCycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan, name: str
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the rows of a PDO and the cycle of each; counts what is short, early, missing or there twice."""
     every = np.flatnonzero(rows["can_id"] == plan.cob_id)
@@ -124,7 +125,7 @@ def _place(
     return whole, cycle
 
 
-def _fill(found: Cycles, rows: NDArray[np.void], sync: NDArray[np.intp], source: Source) -> None:
+def _fill(found: DecodedCycles, rows: NDArray[np.void], sync: NDArray[np.intp], source: PdoSource) -> None:
     place, cycle = _place(found, rows, sync, source.plan, source.name)
     if source.arrival is not None:
         arrival = rows["time_ns"][place] - rows["time_ns"][sync][cycle]
@@ -187,7 +188,8 @@ def _event(row: tuple[Any, ...], names: Mapping[int, str]) -> tuple[int, str, st
     return time_ns, "emcy", source, f"error code 0x{data[1] << 8 | data[0]:04X}, error register 0x{data[2]:02X}"
 
 
-def decoded_events_and_cycles(rows: NDArray[np.void], wire: Wire) -> tuple[list[tuple[int, str, str, str]], Cycles]:
+def decoded_events_and_cycles(rows: NDArray[np.void], wire: WireLayout) -> tuple[list[tuple[int, str, str, str]],
+                                                                                 DecodedCycles]:
     """Return events and cycles of the bench's channel."""
     ours = rows[rows["channel"] == bench_channel(rows, wire)]
     return events(ours), cycles(ours, wire)

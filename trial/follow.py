@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from eds.bench import NAMES, Wire
-from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, Source, layout, offsets
+from eds.bench_network import NAMES, WireLayout
+from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, PdoSource, layout, offsets
 from trial.signals import UNITS
 
 Place = tuple[int, int, float, float, bool]  # in the PDO, in the row, scale, divisor, optional
@@ -19,7 +19,7 @@ Place = tuple[int, int, float, float, bool]  # in the PDO, in the row, scale, di
 class Follower:
     """Rows of one bench's bus; `names` are their columns, `units` the units."""
 
-    def __init__(self, wire: Wire) -> None:
+    def __init__(self, wire: WireLayout) -> None:
         arrivals = [f"{NAMES[node]}_pdo_arrival_ns" for node in wire.nodes]
         self.names = ("time_s", *INPUTS.values(), *TARGETS, "servo_velocity_m_s", *arrivals)
         self.units = {name: UNITS[name] for name in self.names}
@@ -63,7 +63,8 @@ class Follower:
         self._before = (seconds, position)
 
 
-def _sources(wire: Wire, columns: Mapping[str, int]) -> dict[int, tuple[Source, tuple[Place, ...], int | None]]:
+def _sources(wire: WireLayout, columns: Mapping[str, int]) -> dict[int,
+                                                                   tuple[PdoSource, tuple[Place, ...], int | None]]:
     found = {}
     for source in layout(wire):
         order = {bit: at for at, (_, bit) in enumerate(offsets(source.plan))}

@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from trial.mcap_file import cdr
-from trial.mcap_file.blocks import EVENTS_PER_CHUNK, FRAMES_PER_CHUNK, Block, Cycles, Events, Frames, cycles_per_chunk
 from trial.mcap_file.container import Container
+from trial.mcap_file.message_blocks import (
+    EVENTS_PER_CHUNK,
+    FRAMES_PER_CHUNK,
+    Block,
+    CycleBlock,
+    Events,
+    FrameBlock,
+    cycles_per_chunk,
+)
 from trial.mcap_file.writer import Writer
 from trial.signals import SIGNALS, Signal
 
@@ -58,7 +66,7 @@ class Recorder:
         cycle = cdr.cycle_row(self.width)
         self._cycle_bytes, self._pack_cycle = cycle.size, cycle.pack_into
         self._pack_frame = cdr.FRAME_STRUCT.pack_into
-        self._frames, self._cycles, self._events = Frames(), Cycles(table, self.width), Events()
+        self._frames, self._cycles, self._events = FrameBlock(), CycleBlock(table, self.width), Events()
         self._due_ns = 0
         self._reported = False
         self._open(overwrite)
@@ -190,16 +198,16 @@ class Recorder:
             self._reported = True
             raise RecordingError(self._writer.failure)
 
-    def _fresh_frames(self) -> Frames:
+    def _fresh_frames(self) -> FrameBlock:
         full, spare = self._frames, self._writer.spare(cdr.FRAMES)
-        self._frames = spare if isinstance(spare, Frames) else Frames()
+        self._frames = spare if isinstance(spare, FrameBlock) else FrameBlock()
         self._writer.put(full)
         self._report()
         return self._frames
 
-    def _fresh_cycles(self) -> Cycles:
+    def _fresh_cycles(self) -> CycleBlock:
         full, spare = self._cycles, self._writer.spare(self._table)
-        self._cycles = spare if isinstance(spare, Cycles) else Cycles(self._table, self.width)
+        self._cycles = spare if isinstance(spare, CycleBlock) else CycleBlock(self._table, self.width)
         self._writer.put(full)
         self._report()
         return self._cycles

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from eds.bench import MASTER
+from eds.bench_network import MASTER
 from virtual_bus import outages
-from virtual_bus.faults import OF_A_FRAME, OF_TIME, Fault, Judge
+from virtual_bus.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults
 from virtual_bus.host import Host
 from virtual_bus.kernel import TIMER, Kernel
-from virtual_bus.node_station import Device, NodeStation
+from virtual_bus.node_station import BusDevice, NodeStation
 from virtual_bus.station import Medium
 from virtual_bus.wire import Wire
 
@@ -21,7 +21,7 @@ US = 1_000
 MS = 1_000_000
 
 
-class Machine(Protocol):
+class Mechanics(Protocol):
     """What moves and is measured behind the devices; see `machine.py`."""
 
     def start(self) -> None:
@@ -39,7 +39,7 @@ class Bench:
 
     def __init__(
         self,
-        devices: Iterable[Device] = (),
+        devices: Iterable[BusDevice] = (),
         *,
         channel: str = "bench",
         bitrate: int = 1_000_000,
@@ -49,10 +49,10 @@ class Bench:
         node_turnaround_ns: int = 10 * US,
         tx_queue: int = 64,
         restart_ns: int = 100 * MS,
-        machine: Callable[[Bench], Machine] | None = None,
+        machine: Callable[[Bench], Mechanics] | None = None,
     ) -> None:
         faults = tuple(faults)
-        judge = Judge(faults, seed) if any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults) else None
+        judge = InjectedFaults(faults, seed) if any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults) else None
         self.kernel = Kernel()
         self.wire = Wire(self.kernel, bitrate, judge)
         self.medium: Medium = self.wire

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import eds
 import nodes
-from eds.bench import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
+from eds.bench_network import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
 from parameters.plugins import load
@@ -21,10 +21,10 @@ from physics.drive_loops import SERVO_GAINS
 from physics.plant.bench_plant import Plant, PlantParameters
 from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
+from virtual_bus.bus_options import Options
 from virtual_bus.faults import declared
-from virtual_bus.machine import END_FEELS, START_FEELS, Axis, Drive, Gauge, Machine, Tension
+from virtual_bus.machine import END_FEELS, START_FEELS, Gauge, Machine, MountedDrive, Tension, TickedDrive
 from virtual_bus.node_station import NodeStation
-from virtual_bus.options import Options
 from virtual_bus.outages import wired
 from virtual_bus.scatter import DAY, Tables, scattered, stream
 from virtual_bus.truth import Truth
@@ -62,7 +62,7 @@ def build(options: Options, channel: str) -> Bench:
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
 
     def machine(bench: Bench) -> Machine:
-        servo, knee = (Axis(bench.nodes[n], cast(Drive, built[n][1])) for n in (SERVO, KNEE))
+        servo, knee = (MountedDrive(bench.nodes[n], cast(TickedDrive, built[n][1])) for n in (SERVO, KNEE))
         gauges = [_gauge(bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed) for n in SENSORS]
         made = Machine(bench.kernel, plant, servo, knee, gauges)
         wired(bench.kernel, faults, made.trouble)
@@ -110,7 +110,7 @@ def steady(given: str | Sequence[str]) -> frozenset[str]:
     return names
 
 
-def trimmed(wire: eds.Wire, gains: Mapping[str, float]) -> eds.Wire:
+def trimmed(wire: eds.WireLayout, gains: Mapping[str, float]) -> eds.WireLayout:
     """Return the wire with the servo as its maker trimmed it: the loop's gains in its dictionary scaled alike."""
     servo = wire.nodes[SERVO]
     ratio = gains["position_gain"] / SERVO_GAINS.position_gain
@@ -119,7 +119,7 @@ def trimmed(wire: eds.Wire, gains: Mapping[str, float]) -> eds.Wire:
         entry = entries[place]
         entries[place] = dataclasses.replace(entry, default=round(cast(int, entry.initial) * ratio))
     dictionary = dataclasses.replace(servo.dictionary, entries=entries)
-    return eds.Wire(wire.network, {**wire.nodes, SERVO: NodeEntry(SERVO, servo.name, dictionary)})
+    return eds.WireLayout(wire.network, {**wire.nodes, SERVO: NodeEntry(SERVO, servo.name, dictionary)})
 
 
 def _gauge(station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:

@@ -18,13 +18,13 @@ from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.build import build
+from virtual_bus.bus_options import options
 from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
 from virtual_bus.kernel import NEVER
-from virtual_bus.options import options
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
 from virtual_bus.steady import Steady, Whole, possible
-from virtual_bus.steady_arrays import Asked, Heartbeat
+from virtual_bus.steady_arrays import CycleRequest, Heartbeat
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -55,10 +55,10 @@ LONG_S: Final = 0.1  # a wait so long, s, leaves the bus to other threads in bet
 _OPEN: dict[str, Shared] = {}
 
 
-class Cycles:
+class WholeCycles:
     """Whole control cycles at once: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
 
-    def __init__(self, steady: Steady, asked: Asked, lock: threading.RLock) -> None:
+    def __init__(self, steady: Steady, asked: CycleRequest, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
 
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
@@ -123,8 +123,8 @@ class BowdenBus(can.BusABC):
     def cycles(
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
         budget_ns: int, heartbeat: tuple[int, int, int],
-    ) -> Cycles | None:
-        """Offer whole control cycles at once to a master: see `Cycles`; None where this bench has none.
+    ) -> WholeCycles | None:
+        """Offer whole control cycles at once to a master: see `WholeCycles`; None where this bench has none.
 
         `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
         that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC; `heartbeat`
@@ -133,9 +133,10 @@ class BowdenBus(can.BusABC):
         steady = self._steady
         if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
             return None
-        asked = Asked(self._socket, None if tap is None else tap._socket, *targets, tuple([each for each, _ in inputs]),
-                      budget_ns, Heartbeat(*heartbeat))
-        return Cycles(steady, asked, self._lock)
+        asked = CycleRequest(self._socket, None if tap is None else tap._socket, *targets,
+                             tuple([each for each, _ in inputs]),
+                             budget_ns, Heartbeat(*heartbeat))
+        return WholeCycles(steady, asked, self._lock)
 
     @property
     def whole_cycles(self) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.bench import KNEE, SENSORS, SERVO
+from eds.bench_network import KNEE, SENSORS, SERVO
 from eds.frame import Frame
 from parameters import InputError, checked, from_table, parameter, read_toml
 from virtual_bus.kernel import NEVER
@@ -109,8 +109,8 @@ def _row(row: Fault | Mapping[str, Any], where: str) -> Fault:
     return fault
 
 
-class Judge:
-    """Applies the faults that concern single frames; see `wire.Judge`."""
+class InjectedFaults:
+    """Applies the faults that concern single frames; see `wire.InjectedFaults`."""
 
     def __init__(self, faults: Sequence[Fault], seed: int) -> None:
         chances = [np.random.Generator(np.random.Philox([seed, place])) for place in range(len(faults))]

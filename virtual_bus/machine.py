@@ -17,8 +17,8 @@ from virtual_bus.node_station import NodeStation
 from virtual_bus.truth import Truth
 
 
-class Drive(Protocol):
-    """What is asked of a drive; `nodes.drive.Drive` does it."""
+class TickedDrive(Protocol):
+    """What is asked of a drive; `nodes.drive.TickedDrive` does it."""
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
         """Return the torque demand, N·m."""
@@ -38,18 +38,18 @@ class Tension(Protocol):
         """Take the converter's counts."""
 
 
-class Converter(Protocol):
-    """What is asked of a bridge and its converter; `physics.converter.Converter` does it."""
+class SensorConverter(Protocol):
+    """What is asked of a bridge and its converter; `physics.converter.SensorConverter` does it."""
 
     def sample(self, time_ns: int, force_n: float) -> int:
         """Return counts."""
 
 
-class Axis(NamedTuple):
+class MountedDrive(NamedTuple):
     """A drive on the bench."""
 
     station: NodeStation
-    drive: Drive
+    drive: TickedDrive
 
 
 class Gauge(NamedTuple):
@@ -57,11 +57,11 @@ class Gauge(NamedTuple):
 
     station: NodeStation
     sensor: Tension
-    converter: Converter
+    converter: SensorConverter
     feels: int
 
 
-class State(NamedTuple):
+class MachineState(NamedTuple):
     """Where a machine stands between two instants: when drives tick and sensors sample next, torques held, N·m."""
 
     tick_ns: int
@@ -79,7 +79,8 @@ END_FEELS = Outputs._fields.index("end_n")
 class Machine:
     """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval."""
 
-    def __init__(self, kernel: Kernel, plant: Plant, servo: Axis, knee: Axis, gauges: Sequence[Gauge]) -> None:
+    def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive,
+                 gauges: Sequence[Gauge]) -> None:
         self.plant = plant
         self._kernel = kernel
         self._servo = servo
@@ -118,18 +119,18 @@ class Machine:
         return bool(self._sample_ns) and not self._bridges
 
     @property
-    def state(self) -> State:
+    def state(self) -> MachineState:
         """Where it stands."""
-        return State(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
+        return MachineState(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
 
-    def go_on(self, state: State) -> None:
+    def go_on(self, state: MachineState) -> None:
         """Act again, from where somebody else has come who had taken its events off the heap."""
         self._tick_ns, self._sample_ns = state.tick_ns, list(state.sample_ns)
         self._servo_nm, self._knee_nm = state.torques_nm
         self._kernel.at(min(self._tick_ns, *self._sample_ns), TICK, self._act)
 
     @property
-    def axes(self) -> tuple[Axis, Axis]:
+    def axes(self) -> tuple[MountedDrive, MountedDrive]:
         """Servo and knee."""
         return self._servo, self._knee
 

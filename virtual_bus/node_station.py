@@ -14,8 +14,8 @@ from virtual_bus.kernel import NEVER, TIMER, Kernel
 from virtual_bus.station import Confinement, Station
 
 
-class Device(Protocol):
-    """What a sans-IO device shows to whoever joins it to a bus; `nodes.core.device.Device` does."""
+class BusDevice(Protocol):
+    """What a sans-IO device shows to whoever joins it to a bus; `nodes.core.device.BusDevice` does."""
 
     @property
     def node_id(self) -> int:
@@ -51,7 +51,7 @@ class Device(Protocol):
 class NodeStation(Station):
     """The controller of one device; `turnaround_ns` passes between a cause and its frame's readiness."""
 
-    def __init__(self, kernel: Kernel, device: Device, turnaround_ns: int) -> None:
+    def __init__(self, kernel: Kernel, device: BusDevice, turnaround_ns: int) -> None:
         super().__init__(f"node {device.node_id}", self.receive, node=device.node_id, filters=device.filters)
         self.device = device
         self._kernel = kernel

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from eds.bench import KNEE, SENSORS, SERVO, tpdo_cob_id
+from eds.bench_network import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.effects import catalogue as effects
@@ -25,7 +25,7 @@ NAMES: Final = (effects_table.TABLE, WIRE)
 INPUTS: Final = tuple(tpdo_cob_id(node) for node in (SERVO, KNEE, *SENSORS))
 
 
-class Model(NamedTuple):
+class PlantModel(NamedTuple):
     """One plant model: `where` it comes from, its tables of nominal values, tables of effects, faults of the wire."""
 
     where: str
@@ -38,7 +38,7 @@ class Model(NamedTuple):
         return {group: values | self.effects.get(group, {}) for group, values in tables.items()}
 
 
-def read(given: str | Path | Mapping[str, Any] | None) -> Model:
+def read(given: str | Path | Mapping[str, Any] | None) -> PlantModel:
     """Read a plant model from a TOML file or from its tables; raises `InputError`."""
     where, tables = "plant_model", dict(given) if isinstance(given, Mapping) else {}
     if isinstance(given, str | Path):
@@ -50,7 +50,7 @@ def read(given: str | Path | Mapping[str, Any] | None) -> Model:
         stated[table] = {**values, **stated.get(table, {})}
     own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
            for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}
-    return Model(where, own, stated, faults(wire))
+    return PlantModel(where, own, stated, faults(wire))
 
 
 def _numbers(table: Any, where: str) -> dict[str, float]:

@@ -30,7 +30,7 @@ GONE: Final = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
 
 
 @dataclass
-class Served:
+class ServeFigures:
     """What a served bench did: frames either way, frames the bus did not take, how far it ever fell behind."""
 
     received: int = 0
@@ -46,7 +46,7 @@ class Outside:
     """
 
     def __init__(self, kernel: Kernel, bus: can.BusABC, echoes: bool) -> None:
-        self.served = Served()
+        self.served = ServeFigures()
         self._echoes = echoes
         self._sent: deque[Frame] = deque(maxlen=1024)
         self._kernel = kernel
@@ -113,7 +113,7 @@ class Outside:
 def serve(
     bus: can.BusABC, bench: Bench, clock: Callable[[], int], stop: Callable[[], bool] = lambda: False, *,
     echoes: bool = False,
-) -> Served:
+) -> ServeFigures:
     """Run `bench` on `bus` at the pace of `clock`, ns, until `stop` says so, and return what it did.
 
     `echoes` says that the bus receives what it sends, as python-can's `udp_multicast` does.

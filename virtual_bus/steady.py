@@ -20,7 +20,7 @@ from virtual_bus.host import BowdenMessage
 from virtual_bus.machine import Machine
 from virtual_bus.node_station import NodeStation
 from virtual_bus.periodic import PeriodicTask
-from virtual_bus.steady_arrays import ROW, Arrays, Asked
+from virtual_bus.steady_arrays import ROW, Arrays, CycleRequest
 from virtual_bus.wire import Wire
 
 SWITCH: Final = "BOWDEN_STEADY"
@@ -35,9 +35,9 @@ _NOBODY: Final[frozenset[int]] = frozenset()
 
 Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
 """One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends and data, as
-`eds.plan.Joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it was
-sent; the frames that the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold until
-the next call."""
+`eds.pdo_plan.Joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it
+was sent; the frames that the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold
+until the next call."""
 
 
 def possible(bench: Bench) -> bool:
@@ -62,10 +62,10 @@ class Steady:
         self._arrays = Arrays(bench)
         self._i = self._arrays.i
         self._foreign_ns = self._span_ns = self._ran = 0
-        self._asked: Asked | None = None
+        self._asked: CycleRequest | None = None
         self._sync: PeriodicTask | None = None
 
-    def cycle(self, asked: Asked, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+    def cycle(self, asked: CycleRequest, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
         """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
 
         `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
@@ -111,7 +111,7 @@ class Steady:
 
     # ---- when ----
 
-    def _enter(self, asked: Asked) -> bool:
+    def _enter(self, asked: CycleRequest) -> bool:
         if not (self._quiet(asked) and self._heard(asked) and self._scan()):
             return False
         tables = self._arrays.tables(asked)
@@ -121,7 +121,7 @@ class Steady:
         self._asked, self._ran, self._span_ns, self.warm = asked, 0, 0, True
         return True
 
-    def _quiet(self, asked: Asked) -> bool:
+    def _quiet(self, asked: CycleRequest) -> bool:
         """Nothing is on the wire, and every device is at work and undisturbed."""
         bench, now_ns = self._bench, self._kernel.now_ns
         return (
@@ -130,7 +130,7 @@ class Steady:
                     for station, device, application in self._arrays.members)
         )
 
-    def _heard(self, asked: Asked) -> bool:
+    def _heard(self, asked: CycleRequest) -> bool:
         """Nobody listens but the nodes, the truth, this master and its tap, and they hear all of it."""
         bench, truth, tap = self._bench, self._machine.truth, asked.tap
         host, members = bench.host, self._arrays.members
@@ -170,7 +170,7 @@ def _plain(message: BowdenMessage) -> bool:
     return not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
 
 
-def _at_work(device: Device, asked: Asked) -> bool:
+def _at_work(device: Device, asked: CycleRequest) -> bool:
     """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, its master alive and alone."""
     consumer = device.consumer
     return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle

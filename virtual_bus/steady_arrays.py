@@ -22,7 +22,7 @@ from trial.mcap_file.cdr import FRAME_STRUCT
 from virtual_bus import steady_law as law
 from virtual_bus.bench import Bench
 from virtual_bus.host import Socket, message_of
-from virtual_bus.machine import Machine, State
+from virtual_bus.machine import Machine, MachineState
 from virtual_bus.node_station import NodeStation
 from virtual_bus.periodic import PeriodicTask
 from virtual_bus.steady_tables import Taking, sending, taking
@@ -38,7 +38,7 @@ class Heartbeat(NamedTuple):
     period_ns: int
 
 
-class Asked(NamedTuple):
+class CycleRequest(NamedTuple):
     """What a master asks for: its socket, its tap's (None: none), its frame and its size, the inputs it waits for.
 
     They have to come within `budget_ns` of their SYNC.
@@ -110,7 +110,7 @@ class Arrays:
 
     # ---- in ----
 
-    def tables(self, asked: Asked) -> Tables | None:
+    def tables(self, asked: CycleRequest) -> Tables | None:
         """Give the rows of all PDOs in a cycle; None where one has none, or nodes send other ones than asked for."""
         sends: list[list[int] | None] = []
         receivers: list[tuple[int, int, ReceivePdo]] = []
@@ -133,7 +133,7 @@ class Arrays:
         rows.sort(key=lambda row: asked.inputs.index(row[1]))
         return Tables(rows, known, [pdo for _, _, pdo in receivers])
 
-    def fill(self, asked: Asked, tables: Tables, sync: PeriodicTask) -> None:
+    def fill(self, asked: CycleRequest, tables: Tables, sync: PeriodicTask) -> None:
         """Write the tables and where everything stands, and take the events of machine, SYNC and nodes off the heap."""
         self._fill_tables(asked, tables)
         self._fill_nodes()
@@ -155,7 +155,7 @@ class Arrays:
         if asked.tap is not None:
             self._fill_rows(asked.tap)
 
-    def _fill_tables(self, asked: Asked, tables: Tables) -> None:
+    def _fill_tables(self, asked: CycleRequest, tables: Tables) -> None:
         i, table = self.i, self._integers
         i[law.SEND_COUNT], i[law.TAKE_COUNT] = len(tables.sends), len(tables.takes)
         for n, row in enumerate(tables.sends):
@@ -191,14 +191,14 @@ class Arrays:
 
     # ---- back ----
 
-    def hand_back(self, asked: Asked, sync: PeriodicTask, ran: bool) -> None:
+    def hand_back(self, asked: CycleRequest, sync: PeriodicTask, ran: bool) -> None:
         """Write everything back; the events of machine, SYNC and nodes go on the heap; `ran`: at least one cycle."""
         i, bench = self.i, self._bench
         self._plant.now_ns = i[law.PLANT_NS]
         bench.wire.carried(i[law.FRAMES], i[law.BUSY], i[law.IDLE_NS])
         sample_ns = tuple(i[law.SAMPLE_NS + k] for k in range(law.GAUGES))
         servo_nm, knee_nm = self.f[law.F_TORQUE:law.F_KEPT].tolist()
-        self._machine.go_on(State(i[law.TICK_NS], sample_ns, (servo_nm, knee_nm)))
+        self._machine.go_on(MachineState(i[law.TICK_NS], sample_ns, (servo_nm, knee_nm)))
         sync.go_on(i[law.SYNC_NS])
         self.write_truth()
         if asked.tap is not None:

@@ -28,7 +28,7 @@ TO_CRC_ERROR_BITS = -7
 """From the end of a frame back to the end of its acknowledge delimiter: there a CRC error is flagged."""
 
 
-class Judge(Protocol):
+class FrameFaults(Protocol):
     """What faults do to frames; see `faults.py`."""
 
     def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
@@ -44,7 +44,7 @@ class Judge(Protocol):
 class Wire:
     """A bus at `bitrate` bit/s, one of `bits.BITRATES`."""
 
-    def __init__(self, kernel: Kernel, bitrate: int, judge: Judge | None = None) -> None:
+    def __init__(self, kernel: Kernel, bitrate: int, judge: FrameFaults | None = None) -> None:
         if bitrate not in BITRATES:
             raise ValueError(f"bit rate {bitrate} is none of {BITRATES}")
         self.bit_ns = 1_000_000_000 // bitrate

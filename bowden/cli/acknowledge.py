@@ -23,9 +23,9 @@ def acknowledge(
     Example: bowden acknowledge --interface socketcan --channel can0
     """
     from bowden import buses
-    from eds.bench import wire
+    from eds.bench_network import wire
     from master.cycle.acknowledge import acknowledge as release
-    from master.network.bringup import RefusedError
+    from master.network.bringup import BringUpError
     from master.network.link import Link, LinkError
     from parameters import InputError
 
@@ -33,7 +33,7 @@ def acknowledge(
     with buses.opened_one(reached.chosen(), network.bitrate) as opened:
         try:
             found = release(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))
-        except (RefusedError, LinkError) as error:
+        except (BringUpError, LinkError) as error:
             raise InputError(str(error)) from None
     active = [one for one in found if one.became == "still active"]
     if json:

@@ -11,7 +11,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, Simulated, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
 
 Interface = Annotated[str, typer.Option(
     metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
@@ -29,7 +29,7 @@ def bench(
     channel: options.Channel = None,
     rate: options.Rate = None,
     *,
-    simulated: Simulated,
+    simulated: SimulatedOptions,
     bitrate: options.Bitrate = None,
     option: options.Extra = None,
     faults: Faults = None,
@@ -46,7 +46,7 @@ def bench(
 
     from bowden import buses, session
     from bowden.cli import ending
-    from eds.bench import Network
+    from eds.bench_network import Network
     from master.cycle.run_safely import collector_frozen
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus

@@ -11,7 +11,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from trial.compare import Comparison
+    from trial.compare import TrialComparison
 
 Source = Annotated[Path, typer.Argument(
     metavar="FILE", show_default=False, help="csv, tsv, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
@@ -140,7 +140,7 @@ def compare(
     return 0 if found.same else 1
 
 
-def _tell(found: Comparison) -> None:
+def _tell(found: TrialComparison) -> None:
     if found.same:
         print("The same, in every channel.")
     attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]

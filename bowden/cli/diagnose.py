@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from diagnosis.finder import Diagnosis
+    from diagnosis.finder import DiagnosisResult
     from diagnosis.judgement.plan import Plan
 
 Trials = Annotated[list[Path] | None, typer.Argument(
@@ -94,9 +94,9 @@ def diagnose(
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
     output_files.refuse_ending(output, ".toml", what="what was found")
     if figures is not None:
-        from diagnosis.report import export
+        from diagnosis.report import figure_export
 
-        export.refuse(figures, overwrite=overwrite)
+        figure_export.refuse(figures, overwrite=overwrite)
     began = time.perf_counter()
     with _steps(shown=not json) as step:
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
@@ -185,7 +185,7 @@ def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
     figures: Path | None, *, overwrite: bool,
-) -> Diagnosis:
+) -> DiagnosisResult:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing
     from diagnosis import extension
@@ -208,17 +208,17 @@ def _diagnosed(
     if output is not None:
         write_whole(output, extension.text(found, groups[0]), overwrite=True)
     if report is not None:
-        from diagnosis.report import page
+        from diagnosis.report import diagnosis_page
 
-        page.write(found, groups[0], groups[2], report, tracked)
+        diagnosis_page.write(found, groups[0], groups[2], report, tracked)
     if figures is not None:
-        from diagnosis.report import export
+        from diagnosis.report import figure_export
 
-        export.write(found, groups[0], figures, overwrite=overwrite)
+        figure_export.write(found, groups[0], figures, overwrite=overwrite)
     return found
 
 
-def _tell(found: Diagnosis, result: dict[str, Any]) -> None:
+def _tell(found: DiagnosisResult, result: dict[str, Any]) -> None:
     from diagnosis.report.headline import headline
 
     for sentence in headline(found):
@@ -267,7 +267,7 @@ def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: l
     from bowden import planning
 
     with terminal.waiting(f"simulating {name}", shown=not json):
-        found = planning.plan(name, planning.Walk(*walk), calibration, healthy)
+        found = planning.plan(name, planning.WalkPlan(*walk), calibration, healthy)
     terminal.emit({"experiment": name, **found.as_json()}) if json else _tell_plan(name, found)
     return 0
 

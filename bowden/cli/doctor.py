@@ -12,8 +12,8 @@ from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
-    from eds.bench import Network
-    from master.network.doctor import Finding
+    from eds.bench_network import Network
+    from master.network.doctor import DoctorFinding
 
 Seconds = Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="How long the timer is watched.")]
 
@@ -47,9 +47,9 @@ def doctor(
     return 1 if bad else 0
 
 
-def _look(network: Network, reached: Bus, seconds: float) -> Iterator[Finding]:
+def _look(network: Network, reached: Bus, seconds: float) -> Iterator[DoctorFinding]:
     from bowden import buses
-    from eds.bench import wire
+    from eds.bench_network import wire
     from master.network import doctor as computer
     from master.network.bus_survey import bus as heard
     from master.network.link import Link, LinkError
@@ -64,16 +64,16 @@ def _look(network: Network, reached: Bus, seconds: float) -> Iterator[Finding]:
             return
     needed = buses.missing_library(reached.interface or "")
     if needed is not None:
-        yield computer.Finding("interface", False, f"{reached.interface} needs {needed[0]}, which is not installed",
-                               f"say {needed[1]}")
+        yield computer.DoctorFinding(
+            "interface", False, f"{reached.interface} needs {needed[0]}, which is not installed", f"say {needed[1]}")
         return
     with buses.opened_one(chosen, network.bitrate) as opened:
         try:
             yield from heard(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))
         except LinkError as error:
-            yield computer.Finding("bus", False, str(error), "mend the interface first")
+            yield computer.DoctorFinding("bus", False, str(error), "mend the interface first")
 
 
-def _object(finding: Finding) -> dict[str, Any]:
+def _object(finding: DoctorFinding) -> dict[str, Any]:
     return {"what": finding.what, "good": finding.good, "seen": finding.seen,
             "remedy": None if finding.good else finding.remedy}

@@ -11,7 +11,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, Simulated, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
 from parameters import InputError
 from parameters.files import write_whole
 
@@ -37,7 +37,7 @@ def identify(
     picture: Picture = None,
     *,
     rate: options.Rate = None,
-    simulated: Simulated,
+    simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,

@@ -67,13 +67,13 @@ def live(
     def ended() -> bool:
         return deadline is not None and time.monotonic() >= deadline
 
-    served = Served(host, port, web, json)
+    served = LiveAddress(host, port, web, json)
     if trial is not None:
         return _play(trial, config, speed, served, ended)
     return _follow(reached, config, served, ended)
 
 
-class Served(NamedTuple):
+class LiveAddress(NamedTuple):
     """Where it is shown: Foxglove's host and port, the page's address (None: no page), and how to say so."""
 
     host: str
@@ -113,7 +113,7 @@ class Served(NamedTuple):
         sys.stdout.flush()
 
 
-def _play(path: Path, config: Path | None, speed: float, served: Served, ended: Callable[[], bool]) -> int:
+def _play(path: Path, config: Path | None, speed: float, served: LiveAddress, ended: Callable[[], bool]) -> int:
     from bowden import configuration
     from bowden.live.feeds import RECORDED, PagedViewer
     from bowden.live.trial_player import TrialPlayback
@@ -135,13 +135,13 @@ def _play(path: Path, config: Path | None, speed: float, served: Served, ended: 
     return 0
 
 
-def _follow(reached: Bus, config: Path | None, served: Served, ended: Callable[[], bool]) -> int:
+def _follow(reached: Bus, config: Path | None, served: LiveAddress, ended: Callable[[], bool]) -> int:
     import can
 
     from bowden import buses
     from bowden.live.feeds import OTHER_PROCESS
     from bowden.live.relay import Relay
-    from eds.bench import wire
+    from eds.bench_network import wire
     from trial.follow import Follower
 
     network = reached.sections(config)["network"]

@@ -16,12 +16,12 @@ from bowden.cli.command import Application
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
-    from eds.bench import NodeEntry
+    from eds.bench_network import NodeEntry
     from eds.dictionary import Dictionary
-    from master.network.dcf import Difference
+    from master.network.dcf import ParameterDifference
     from master.network.link import Link
 
-Act = Callable[["Link", "NodeEntry", "Dictionary"], "list[Difference]"]
+Act = Callable[["Link", "NodeEntry", "Dictionary"], "list[ParameterDifference]"]
 node = Application(help="Parameters of one node, as DCF.", rich_markup_mode=None)
 app.add_typer(node, name="node")
 
@@ -91,7 +91,7 @@ def _against_a_dcf(what: str, *, status: int) -> Callable[[Act], Callable[..., i
 
 @node.command()
 @_against_a_dcf("differ", status=1)
-def compare(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]:
+def compare(link: Link, entry: NodeEntry, given: Dictionary) -> list[ParameterDifference]:
     """Say which parameters of a node differ from a DCF; exit status 1 where any does.
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
@@ -103,7 +103,7 @@ def compare(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]
 
 @node.command()
 @_against_a_dcf("restored", status=0)
-def restore(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]:
+def restore(link: Link, entry: NodeEntry, given: Dictionary) -> list[ParameterDifference]:
     """Write what differs from a DCF into the node and store it there.
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
@@ -117,7 +117,7 @@ def restore(link: Link, entry: NodeEntry, given: Dictionary) -> list[Difference]
 def _bench(name: str, reached: Bus, config: Path | None) -> Iterator[tuple[Link, NodeEntry]]:
     """A link to the bus and the node's entry; the node is in PRE-OPERATIONAL, as parameters want it."""
     from bowden import buses
-    from eds.bench import wire
+    from eds.bench_network import wire
     from eds.cia301 import NmtCommand
     from master.network.link import Link, LinkError
     from master.network.sdo import SdoError
@@ -137,7 +137,7 @@ def _bench(name: str, reached: Bus, config: Path | None) -> Iterator[tuple[Link,
             raise InputError(f"{name} does not answer ({error}); see bowden doctor.") from None
 
 
-def _tell(name: str, file: Path, found: list[Difference], what: str, *, json: bool) -> None:
+def _tell(name: str, file: Path, found: list[ParameterDifference], what: str, *, json: bool) -> None:
     if json:
         terminal.emit({"node": name, "file": str(file), what: [
             {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bowden.buses import BusSettings
 
 
-class Walk(NamedTuple):
+class WalkOptions(NamedTuple):
     """What the gait is asked to be; None leaves it to the configuration."""
 
     peak: options.Peak = None
@@ -38,7 +38,7 @@ class Walk(NamedTuple):
             "soft_start": ("--soft-start", self.soft_start)})
 
 
-class Simulated(NamedTuple):
+class SimulatedOptions(NamedTuple):
     """What belongs to simulated benches only; None where it was not given."""
 
     serial: options.Serial = None
@@ -65,7 +65,7 @@ class Bus(NamedTuple):
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
         return sections
 
-    def chosen(self, simulated: Simulated | None = None, *, always_simulated: bool = False) -> BusSettings:
+    def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
         """The bus to open; raises `InputError` for what contradicts itself.
 
         A channel or an option without an interface means a real bus that would not be opened: it is refused, but
@@ -77,7 +77,7 @@ class Bus(NamedTuple):
 
         options = dict(_option(text) for text in self.option or ())
         asked: dict[str, Any] = {
-            name: value for name, value in (simulated or Simulated())._asdict().items() if value is not None}
+            name: value for name, value in (simulated or SimulatedOptions())._asdict().items() if value is not None}
         if self.interface is None and not always_simulated:
             for name, value in (("--channel", self.channel), ("--option", self.option and self.option[0])):
                 if value:

@@ -51,7 +51,7 @@ def record(
 
     from bowden import buses, output_files
     from bowden.recording import BusRecording
-    from eds.bench import wire
+    from eds.bench_network import wire
 
     reached = Bus(interface, channel, bitrate, option)
     network = reached.sections(config)["network"]

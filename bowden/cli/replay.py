@@ -11,7 +11,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, Simulated, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def replay(
     nodes_only: NodesOnly = False,
     *,
     reached: Bus,
-    simulated: Simulated,
+    simulated: SimulatedOptions,
     output: Residuals = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
@@ -120,7 +120,7 @@ def _refuse_imported(recorded: Trial, onto: str) -> None:
     if not len(recorded.frames):
         raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
                          "it, and bowden report shows it.")
-    from eds.bench import Network, wire
+    from eds.bench_network import Network, wire
 
     commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
     others = "--onto bus" + (" or --onto plant" if commands else "")

@@ -57,7 +57,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
     from bowden import configuration
-    from eds.bench import lacks, wire
+    from eds.bench_network import lacks, wire
     from eds.bus_load import LOAD_GOAL_PERCENT, refuse
 
     network = configuration.read(file)["network"]

@@ -13,7 +13,7 @@ from bowden.cli.app import app
 if TYPE_CHECKING:
     from diagnosis.bench_fit import FittedBench
     from diagnosis.data.table import Table
-    from diagnosis.simulation import Simulated
+    from diagnosis.simulation import SimulatedTensions
 
 Trial = Annotated[Path, typer.Argument(
     metavar="TRIAL", help="MCAP, or CSV (.gz) with rope position and knee angle (none: locked).", show_default=False)]
@@ -56,7 +56,7 @@ def simulate(
     return 0
 
 
-def _write(output: Path, given: Table, told: Simulated) -> None:
+def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
     import io
 
     import numpy as np

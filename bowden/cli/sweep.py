@@ -57,7 +57,7 @@ def sweep(
     """
     from bowden import configuration
     from bowden.sweep import rows as sweep_rows
-    from bowden.sweep.table import Table as Growing
+    from bowden.sweep.sweep_table import SweepTable as Growing
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")

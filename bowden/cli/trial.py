@@ -10,7 +10,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, grouped
 
 if TYPE_CHECKING:
     from bowden.buses import BusSettings
@@ -23,7 +23,7 @@ Web = Annotated[str | None, typer.Option(
 @grouped
 def trial(
     output: options.Output,
-    walk: Walk,
+    walk: WalkOptions,
     knee: options.Knee = None,
     desired: options.Desired = None,
     calibration: options.Calibration = None,
@@ -32,7 +32,7 @@ def trial(
     dry_run: options.DryRun = False,
     *,
     rate: options.Rate = None,
-    simulated: Simulated,
+    simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
     picture: options.Picture = None,

@@ -9,7 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, Simulated, Walk, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, grouped
 
 Model = Annotated[Path, typer.Argument(
     metavar="EXTENDED", help="extended.toml of bowden diagnose -o.", show_default=False)]
@@ -27,11 +27,11 @@ FIGURES = (
 def verify(
     model: Model,
     output: Output,
-    walk: Walk,
+    walk: WalkOptions,
     rate: options.Rate = None,
     calibration: options.Calibration = None,
     *,
-    simulated: Simulated,
+    simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
     overwrite: options.Overwrite = False,

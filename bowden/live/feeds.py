@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 from bowden.live.state import LiveState
 from bowden.live.viewer import Viewer
 from bowden.live.web import LivePage
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from trial.mcap_file import cdr
 from trial.playback import Playback, Status
 from trial.signals import INDEX
@@ -31,7 +31,7 @@ OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ct
 RECORDED: Final = "This is a recorded trial: there is nothing to stop."
 
 
-class Recording(Protocol):
+class TrialRecorder(Protocol):
     """What a trial is recorded by."""
 
     frame: Callable[..., None]
@@ -69,7 +69,7 @@ class _Beside:
     A stop that the page has asked for is recorded as an event, from the trial's own thread.
     """
 
-    def __init__(self, recording: Recording, page: LivePage) -> None:
+    def __init__(self, recording: TrialRecorder, page: LivePage) -> None:
         self._record, self._page, self._told_stop = recording, page, False
         self._places = tuple(INDEX[name] for name in FORCES)
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bowden.bus_load import frame_bits
-from eds.bench import NAMES
+from bowden.load_prediction import frame_bits
+from eds.bench_network import NAMES
 from trial.convert.frames import rows_of
 from trial.decode import events as events_of
 from trial.mcap_file import cdr

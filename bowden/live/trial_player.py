@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 
 from bowden.live.feeds import PagedViewer
-from bowden.live.viewer import Asked, Viewer
+from bowden.live.viewer import PlayerRequest, Viewer
 from trial.playback import Playback, ready
 from trial.read import Trial
 from trial.tape import Tape
@@ -25,7 +25,7 @@ class TrialPlayback:
         self._topics: frozenset[str] = frozenset()
         self._sought = False
 
-    def asked(self, asked: Asked) -> Playback:
+    def asked(self, asked: PlayerRequest) -> Playback:
         """Take what a viewer's controls ask for; returns where the player stands then."""
         with self._lock:
             self._sought = self._sought or asked.seek_ns is not None

@@ -26,7 +26,7 @@ def installed() -> bool:
         return False
 
 
-class Asked(NamedTuple):
+class PlayerRequest(NamedTuple):
     """What a viewer's player controls ask for."""
 
     control: Control
@@ -42,7 +42,7 @@ class Viewer:
 
     def __init__(
         self, name: str, host: str, port: int, units: Mapping[str, str], *,
-        span_ns: tuple[int, int] | None = None, asked: Callable[[Asked], Playback] | None = None,
+        span_ns: tuple[int, int] | None = None, asked: Callable[[PlayerRequest], Playback] | None = None,
     ) -> None:
         try:
             import foxglove
@@ -97,14 +97,14 @@ class Viewer:
         self._server.stop()
 
 
-def _listener(asked: Callable[[Asked], Playback], state: Callable[[Playback, bool, str | None], Any]) -> Any:
+def _listener(asked: Callable[[PlayerRequest], Playback], state: Callable[[Playback, bool, str | None], Any]) -> Any:
     from foxglove.websocket import PlaybackCommand, ServerListener
 
     class Listener(ServerListener):
         def on_playback_control_request(self, playback_control_request: Any) -> Any:
             told = playback_control_request
             control = Control.PLAY if told.playback_command == PlaybackCommand.Play else Control.PAUSE
-            return state(asked(Asked(control, told.playback_speed, told.seek_time)), told.seek_time is not None,
+            return state(asked(PlayerRequest(control, told.playback_speed, told.seek_time)), told.seek_time is not None,
                          told.request_id)
 
     return Listener()

@@ -19,7 +19,7 @@ from trial.mcap_file import cdr
 
 
 @dataclass(frozen=True)
-class Difference:
+class FrameDifference:
     """The first frame that is not as recorded: which one of its COB-ID, when (s from the master's first), both."""
 
     cob_id: int
@@ -30,7 +30,7 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MasterComparison(Comparison[Difference]):
+class MasterComparison(Comparison[FrameDifference]):
     """What a live master sent against the recorded one: frames compared; frames that differ by COB-ID.
 
     `beyond` counts what it sent after the recording's end; `timing_max_us` is the largest difference in time, both
@@ -45,14 +45,14 @@ class MasterComparison(Comparison[Difference]):
 def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterComparison:
     """Compare two masters COB-ID by COB-ID: the n-th frame of one with the n-th of the other."""
     one, other = _by_cob_id(recorded), _by_cob_id(live)
-    differences: list[Difference] = []
+    differences: list[FrameDifference] = []
     late_ns = 0
     for can_id, then in one.items():
         now = other.get(can_id, [])
         for number, (time_ns, payload) in enumerate(then):
             answered = now[number] if number < len(now) else None
             if answered is None or answered[1] != payload:
-                differences.append(Difference(can_id, number, time_ns / 1e9, payload, answered and answered[1]))
+                differences.append(FrameDifference(can_id, number, time_ns / 1e9, payload, answered and answered[1]))
             if answered is not None:
                 late_ns = max(late_ns, abs(answered[0] - time_ns))
     end_ns = max((then[-1][0] for then in one.values()), default=0)
@@ -62,7 +62,7 @@ def compare(recorded: Sequence[Heard], live: Sequence[Heard]) -> MasterCompariso
             time_ns, payload = now[number]
             beyond += time_ns > end_ns
             if time_ns <= end_ns:
-                differences.append(Difference(can_id, number, time_ns / 1e9, None, payload))
+                differences.append(FrameDifference(can_id, number, time_ns / 1e9, None, payload))
     counted = Counter(f"{difference.cob_id:03X}" for difference in differences)
     first = min(differences, key=lambda difference: difference.time_s, default=None)
     return MasterComparison(frames=len(recorded), beyond=beyond, timing_max_us=late_ns / 1e3,

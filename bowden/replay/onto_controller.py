@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.replay.comparison import Comparison
-from eds.bench import Wire, wire
+from eds.bench_network import WireLayout, wire
 from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import StopError
-from master.motion.experiment import Experiment, Planned
+from master.motion.experiment_run import ExperimentSetup, Planned
 from master.motion.home import Homed
 from parameters import InputError
 from trial.read import Trial
@@ -41,7 +41,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Difference:
+class OutputDifference:
     """One output that is not as recorded: its row in the trial, when (s), where in the gait, and both values."""
 
     row: int
@@ -54,7 +54,7 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerComparison(Comparison[Difference]):
+class ControllerComparison(Comparison[OutputDifference]):
     """What was stepped again: rows, and frames of targets compared; rows that differ by signal."""
 
     controller: str
@@ -66,14 +66,15 @@ class EndedError(Exception):
     """The recording has no further row."""
 
 
-class Recording:
+class RecordedInputs:
     """A recorded trial as the cycle that a walk runs in; `made` and `frames` are what it was told, by row.
 
     It begins at the first row of the walk and raises `EndedError` after its last.
     """
 
     def __init__(
-        self, recorded: Trial, described: Wire, rows: range, progress: Callable[[float], None], own: tuple[str, ...]
+        self, recorded: Trial, described: WireLayout, rows: range, progress: Callable[[float], None],
+        own: tuple[str, ...]
     ) -> None:
         columns = recorded.columns
         ages = [columns[f"{name}_pdo_age_ns"][rows.start:rows.stop] > 0 for name in PDO_NAMES]
@@ -112,7 +113,7 @@ class Recording:
 
 
 def replay(
-    recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
+    recorded: Trial, experiment: ExperimentSetup, progress: Callable[[float], None] = lambda share: None
 ) -> ControllerComparison:
     """Step the controller of `experiment` again over a trial of it, and compare.
 
@@ -124,13 +125,13 @@ def replay(
 
 
 def step_again(
-    recorded: Trial, experiment: Experiment, progress: Callable[[float], None] = lambda share: None
-) -> Recording:
+    recorded: Trial, experiment: ExperimentSetup, progress: Callable[[float], None] = lambda share: None
+) -> RecordedInputs:
     """The walk of `experiment` over a trial's rows: what its controller made of them, by row."""
     planned = Planned(experiment)
     planned.homed = Homed(math.nan, _day(recorded, experiment, planned.kind))
-    recording = Recording(recorded, wire(experiment.network), walked(recorded), progress,
-                          tuple(signal.name for signal in signals(planned.kind)))
+    recording = RecordedInputs(recorded, wire(experiment.network), walked(recorded), progress,
+                               tuple(signal.name for signal in signals(planned.kind)))
     with contextlib.suppress(EndedError, StopError):
         planned.walk(recording)
     return recording
@@ -160,7 +161,7 @@ def whole_rows(recorded: Trial) -> int:
     return int(np.searchsorted(recorded.time_ns, recorded.frames["time_ns"].max(), side="right")) - 1
 
 
-def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:
+def _day(recorded: Trial, experiment: ExperimentSetup, kind: Kind) -> HomingFit:
     """What homing found; the default for a controller that does not use it."""
     found = (recorded.result or {}).get("day")
     if isinstance(found, list) and 4 <= len(found) <= len(HomingFit._fields):
@@ -172,7 +173,7 @@ def _day(recorded: Trial, experiment: Experiment, kind: Kind) -> HomingFit:
 
 
 def compare(
-    recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: Recording
+    recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: RecordedInputs
 ) -> ControllerComparison:
     """Compare what the steps gave with what was recorded, bit for bit; one NaN is like another."""
     count = len(recording.made)
@@ -197,7 +198,7 @@ def compare(
         values = float(then[name][at]), float(again[name][at])
     row = rows.start + at
     time_s, cycle, percent = (float(recorded.columns[key][row]) for key in ("time_s", "cycle", "gait_percent"))
-    first = Difference(row, time_s, cycle, percent, name, *values)
+    first = OutputDifference(row, time_s, cycle, percent, name, *values)
     return ControllerComparison(controller=controller, rows=count, frames=len(told), differing=differing, first=first)
 
 

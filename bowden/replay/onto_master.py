@@ -31,7 +31,7 @@ def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Prog
     """
     from bowden.replay.master_comparison import compare, on_wire, said
     from bowden.replay.plant_residuals import commands
-    from eds.bench import wire
+    from eds.bench_network import wire
     from nodes.recorded_nodes import RecordedNodes
 
     masters = commands(wire(sections(recorded)["network"])).cob_ids
@@ -50,7 +50,7 @@ def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Prog
 def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> None:
     """The recorded experiment, run by this process's master on a wire with the recorded nodes on it."""
     from master.motion import scripted_experiments
-    from master.motion.experiment import run
+    from master.motion.experiment_run import run
     from master.network.link import Link
     from virtual_bus.bench import Bench
     from virtual_bus.bus import BowdenBus

@@ -15,7 +15,7 @@ from bowden.recorded import sections
 if TYPE_CHECKING:
     from bowden.replay.plant_residuals import Residuals
     from bowden.replay.schedule import Rows
-    from eds.bench import Wire
+    from eds.bench_network import WireLayout
     from trial.read import Trial
 
 
@@ -28,7 +28,7 @@ def replay(
     `output` gets the residuals as a trial of its own.
     """
     from bowden.replay.plant_residuals import residuals
-    from eds.bench import wire
+    from eds.bench_network import wire
 
     output_files.refuse([output], overwrite=overwrite, inputs=[recorded.path])
     described = wire(sections(recorded)["network"])
@@ -39,7 +39,7 @@ def replay(
     return found
 
 
-def simulate(recorded: Trial, chosen: BusSettings, described: Wire, progress: Progress = SILENT) -> Rows:
+def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progress: Progress = SILENT) -> Rows:
     """Every frame of a simulated bench that is told what the recorded one was told, at the same bus times."""
     from bowden.replay import plant_residuals, playing_bus
     from bowden.replay.player import Player
@@ -78,9 +78,9 @@ def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]
 
 def _write(recorded: Trial, found: Residuals, output: Path, *, overwrite: bool) -> None:
     from bowden.replay.plant_residuals import table
-    from trial.assemble import Content, write
+    from trial.assemble import TrialContent, write
 
     signals, columns = table(recorded, found)
-    write(output, Content(found.time_ns, columns, signals=signals),
+    write(output, TrialContent(found.time_ns, columns, signals=signals),
           metadata={**recorded.metadata, "experiment": "residuals", "commit": provenance.commit()},
           result={}, attachments=recorded.attachments, overwrite=overwrite)

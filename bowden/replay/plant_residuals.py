@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.replay.schedule import Rows, Selection
-from eds.bench import MASTER, Wire
+from eds.bench_network import MASTER, WireLayout
 from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from parameters import InputError
 from trial import decode
@@ -35,7 +35,7 @@ _NOT_COMPARED = ("time_s",)
 
 
 @dataclass(frozen=True)
-class Residual:
+class SignalResidual:
     """Recorded − simulated of one signal: over all rows and over the gait, where it is largest (s), and in how many
     rows it is not zero; `one_sided` rows have a value on one side only."""
 
@@ -61,7 +61,7 @@ class Residuals:
     recorded: Mapping[str, Floats]
     simulated: Mapping[str, Floats]
     columns: Mapping[str, Floats]
-    figures: Mapping[str, Residual]
+    figures: Mapping[str, SignalResidual]
 
     @property
     def same(self) -> bool:
@@ -74,7 +74,7 @@ class Residuals:
                 "residuals": {name: dataclasses.asdict(figure) for name, figure in self.figures.items()}}
 
 
-def commands(described: Wire) -> Selection:
+def commands(described: WireLayout) -> Selection:
     """The frames that a master sends: NMT, SYNC, targets, controlwords, SDO requests and its heartbeat."""
     requests = {SDO_REQUEST_BASE + node for node in described.nodes}
     return Selection(cob_ids=frozenset({
@@ -91,7 +91,7 @@ def origin_ns(first_ns: int, first_command_ns: int) -> int:
     return origin if origin + first_command_ns >= BOOT_NS else origin + SECOND_NS
 
 
-def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
+def residuals(recorded: Trial, simulated: Rows, described: WireLayout) -> Residuals:
     """Compare what the nodes said in a trial with what they say in `simulated` frames, row by row."""
     frames = recorded.frames
     channel = decode.bench_channel(frames, described)
@@ -104,7 +104,7 @@ def residuals(recorded: Trial, simulated: Rows, described: Wire) -> Residuals:
     gait = _gait(recorded, time_ns)
     sides: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     columns: dict[str, Floats] = {}
-    figures: dict[str, Residual] = {}
+    figures: dict[str, SignalResidual] = {}
     for signal in SIGNALS:
         one, other = then.columns.get(signal.name), again.columns.get(signal.name)
         if (one is None and other is None) or signal.name in _NOT_COMPARED:
@@ -127,16 +127,16 @@ def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def figure(
     signal: Signal, one: Floats, other: Floats, time_ns: NDArray[np.int64], gait: NDArray[np.bool_]
-) -> Residual:
+) -> SignalResidual:
     """Return the figures of one signal from what was recorded, `one`, and simulated, `other`, NaN where unknown."""
     error = one - other
     known = np.flatnonzero(np.isfinite(error))
     one_sided = int(np.count_nonzero(np.isnan(one) != np.isnan(other)))
     if not len(known):
-        return Residual(signal.unit, 0, 0, one_sided, math.nan, math.nan, math.nan, math.nan, math.nan)
+        return SignalResidual(signal.unit, 0, 0, one_sided, math.nan, math.nan, math.nan, math.nan, math.nan)
     values, walked = error[known], error[known[gait[known]]]
     worst = known[np.abs(values).argmax()]
-    return Residual(
+    return SignalResidual(
         signal.unit, len(known), int(np.count_nonzero(values)), one_sided, _rms(values), _rms(walked),
         float(values.mean()), float(abs(error[worst])), float(time_ns[worst] - time_ns[0]) / 1e9)
 

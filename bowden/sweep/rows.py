@@ -22,13 +22,13 @@ import numpy as np
 from bowden import configuration, session
 from bowden.sweep.departure import Departure
 from eds import bus_load
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from master.control import controller
 from master.settings import Gait
 from parameters import InputError, checked, parameter
 from physics.reference import Reference
 from virtual_bus.build import GROUPS, steady
-from virtual_bus.options import Options
+from virtual_bus.bus_options import Options
 
 Value = float | int | str
 Row = dict[str, Value]
@@ -49,7 +49,7 @@ def _option(name: str) -> Any:
 
 
 @dataclass(frozen=True)
-class Bench:
+class SweptBench:
     """The simulated bench, as the virtual bus takes it; `steady` has its names joined by "+"."""
 
     serial: int = _option("serial")
@@ -69,7 +69,7 @@ class Files:
 
 
 ALWAYS: dict[str, type[Any]] = {
-    "bench": Bench, **{name: configuration.declaration(name) for name in configuration.SECTIONS},
+    "bench": SweptBench, **{name: configuration.declaration(name) for name in configuration.SECTIONS},
     "departure": Departure, "files": Files,
 }
 """Tables that are in every row, whole; those of the plant are there as far as they are varied."""

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from bowden.sweep import row_trial
 from bowden.sweep.rows import IDENTIFIED, Row
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
 
 CONNECT_S = 10
@@ -65,7 +65,7 @@ def cluster(address: str) -> Iterator[Workers]:
 
 
 def sweep(
-    rows: Sequence[Row], table: Table, workers: Workers, calibrations: Path, *, keep: str | None = None,
+    rows: Sequence[Row], table: SweepTable, workers: Workers, calibrations: Path, *, keep: str | None = None,
     update: Callable[[float], None] = lambda share: None,
 ) -> None:
     """Run the rows that `table` lacks; calibrations that they need are identified once and kept in `calibrations`.
@@ -84,7 +84,7 @@ def sweep(
 class _Sweep:
     """The state of a sweep: jobs that wait, futures under way, rows that wait for their calibration."""
 
-    def __init__(self, rows: Sequence[Row], table: Table, workers: Workers, calibrations: Path, keep: str | None,
+    def __init__(self, rows: Sequence[Row], table: SweepTable, workers: Workers, calibrations: Path, keep: str | None,
                  update: Callable[[float], None]) -> None:
         self.table, self.workers, self.folder, self.keep, self.update = table, workers, calibrations, keep, update
         self.texts: dict[str, str] = {}

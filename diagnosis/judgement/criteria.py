@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from diagnosis.judgement import verdict
 from diagnosis.problem.candidates import Candidate
-from diagnosis.problem.problem import Setting
-from diagnosis.search.search import Model, Search
+from diagnosis.problem.problem import ProblemSetting
+from diagnosis.search.search import FittedEffects, Search
 from physics.effects.catalogue import CATALOGUE
 
 
@@ -23,10 +23,10 @@ class SearchCriteria:
     `splits`: only a class found elsewhere is split, on data of which no healthy floor is known.
     """
 
-    setting: Setting
+    setting: ProblemSetting
     splits: bool = False
 
-    def pays(self, lesser: Model, model: Model, search: Search) -> bool:
+    def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
         if self.splits:
             return True
@@ -50,7 +50,7 @@ class SearchCriteria:
         return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
-    def _likelier(self, lesser: Model, model: Model, search: Search) -> bool:
+    def _likelier(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
 
         Where a constant that no effect names (load-free friction, say) takes too little beside the effect to be needed,
@@ -65,7 +65,7 @@ class SearchCriteria:
                 return True
         return False
 
-    def _takes(self, lesser: Model, model: Model, base: Model) -> bool:
+    def _takes(self, lesser: FittedEffects, model: FittedEffects, base: FittedEffects) -> bool:
         """Whether a model is likelier than a lesser one, by the ratio of likelihoods n·ln(χ²₀/χ²₁), in some relation.
 
         n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
@@ -80,12 +80,12 @@ class SearchCriteria:
                 return True
         return False
 
-    def noise(self, relation: str, model: Model) -> float:
+    def noise(self, relation: str, model: FittedEffects) -> float:
         """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
-    def _unlike(self, effect: Candidate, model: Model) -> bool:
+    def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
         if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
@@ -97,14 +97,14 @@ class SearchCriteria:
         return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
                                            for f in effect.frees)
 
-    def can_improve(self, model: Model) -> bool:
+    def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
         if self.setting.floors is None or self.splits or model.prior_penalty > verdict.STRAINED:
             return True
         return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
                    + self.noise(n, model) for n in self.setting.checked)
 
-    def has_unexplained_residual(self, model: Model, baseline: Model) -> bool:
+    def has_unexplained_residual(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether structure remains that a model does not explain; only healthy trials can say."""
         if self.setting.floors is None or self.splits:
             return False
@@ -116,14 +116,14 @@ class SearchCriteria:
             return True
         return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
 
-    def needs_full_search(self, model: Model, baseline: Model) -> bool:
+    def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects are not enough to go by; only healthy trials can say."""
         if self.setting.floors is None or self.splits:
             return False
         return self.has_unexplained_residual(model, baseline) or (
             not model.effects and self._rise(model) > verdict.WANTING - 1.0)
 
-    def _rise(self, model: Model) -> float:
+    def _rise(self, model: FittedEffects) -> float:
         """Return by how many healthy floors the RMSE of some relation exceeds one."""
         floors = self.setting.floors or {}
         return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
@@ -133,5 +133,5 @@ class SearchCriteria:
         floors, weights = self.setting.floors, self.setting.weights
         return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
 
-    def _excess(self, model: Model, relation: str) -> float:
+    def _excess(self, model: FittedEffects, relation: str) -> float:
         return max(model.by_relation[relation] - self._expected(relation), 0.0)

@@ -23,8 +23,8 @@ from diagnosis.judgement.verdict import LEAST_FALL
 from diagnosis.problem import blocks
 from diagnosis.problem.fit import Free
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
-from diagnosis.problem.problem import Setting
-from diagnosis.search.search import Found, Model
+from diagnosis.problem.problem import ProblemSetting
+from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.plant.leg import GRAVITY
@@ -82,7 +82,7 @@ MOTIONS: Final[Mapping[str, Sequence[Waypoint]]] = {
 """Motions that are calculated; of an experiment that is not here nothing is claimed."""
 
 
-def choose(rivals: Sequence[str], found: Found, setting: Setting) -> str | None:
+def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) -> str | None:
     """Return the experiment that splits the class `rivals`, the chosen effects first; None where there is no class.
 
     Of those that the class's effects name, else of all: what splits every pair best and the bench runs by itself,
@@ -111,7 +111,7 @@ def choose(rivals: Sequence[str], found: Found, setting: Setting) -> str | None:
     return next((name for name in named if not EXPERIMENTS[name].by_hand), named[0])
 
 
-def _rival(found: Found, name: str) -> Model | None:
+def _rival(found: SearchResult, name: str) -> FittedEffects | None:
     """Return the best model of as many effects in which `name` stands."""
     held = [m for m in found.models if name in m.names and len(m.names) == len(found.best.names)]
     return min(held, key=lambda m: m.rank, default=None)
@@ -120,7 +120,7 @@ def _rival(found: Found, name: str) -> Model | None:
 class Pair:
     """One model, taken for the truth, against another that is fitted to what it says, on any experiment."""
 
-    def __init__(self, one: Model, other: Model, setting: Setting) -> None:
+    def __init__(self, one: FittedEffects, other: FittedEffects, setting: ProblemSetting) -> None:
         nuisance = {f.name: f for f in setting.reference.nuisance}
         self._one, self._other, self._healthy = one.fit.values, other.fit.values, setting.reference.values
         self._weights = setting.weights

@@ -17,8 +17,8 @@ from diagnosis.judgement.criteria import SearchCriteria
 from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate
-from diagnosis.problem.problem import Setting
-from diagnosis.search.search import Found, Search
+from diagnosis.problem.problem import ProblemSetting
+from diagnosis.search.search import Search, SearchResult
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS
 from physics.relations.relation import RELATIONS
@@ -35,14 +35,14 @@ class Judge:
     `within`: the judgement whose class this one only splits, on data of which no healthy floor is known.
     """
 
-    def __init__(self, setting: Setting, holdout: Sequence[Table], within: Judge | None = None) -> None:
+    def __init__(self, setting: ProblemSetting, holdout: Sequence[Table], within: Judge | None = None) -> None:
         self.setting, self.holdout, self.within = setting, holdout, within
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
         self.criteria = SearchCriteria(setting, splits=within is not None)
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
                              setting.folds, self.criteria, near=not setting.any_rig)
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
-        self.found: Found = self.search.run(most if within is None else len(within.found.best.effects))
+        self.found: SearchResult = self.search.run(most if within is None else len(within.found.best.effects))
 
     def word(self) -> str:
         """Return none, found, ambiguous or unexplained."""

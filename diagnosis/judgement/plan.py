@@ -23,7 +23,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Fit, solve
 from diagnosis.problem.floors import FLOORS
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.problem import Setting, build_problem
+from diagnosis.problem.problem import ProblemSetting, build_problem
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE, EffectParameter
 from physics.laws import Array
@@ -94,7 +94,7 @@ def _planned(simulated: Table, healthy: Sequence[Table], calibration: Mapping[st
     return _Sight(setting, solve(setting.problem, setting.reference.values, setting.reference.nuisance)).plan()
 
 
-def sight(setting: Setting, baseline: Fit) -> tuple[Limit, ...]:
+def sight(setting: ProblemSetting, baseline: Fit) -> tuple[Limit, ...]:
     """Return every effect's limit on a setting's own trials; `baseline`: what fits them without an effect."""
     return _Sight(setting, baseline).plan().limits
 
@@ -102,7 +102,7 @@ def sight(setting: Setting, baseline: Fit) -> tuple[Limit, ...]:
 class _Sight:
     """Residuals of one healthy trial, and how they change."""
 
-    def __init__(self, setting: Setting, baseline: Fit) -> None:
+    def __init__(self, setting: ProblemSetting, baseline: Fit) -> None:
         self.setting, self.problem, self.fit = setting, setting.problem, baseline
         self.slopes = np.concatenate(self.fit.slopes, axis=1)
         self.inverse = np.linalg.pinv(self.fit.curvature, rcond=1e-12)

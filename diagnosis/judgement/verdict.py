@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.problem.cross_validation import CycleSquares
-from diagnosis.search.search import Found, Model
+from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
@@ -91,7 +91,7 @@ def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[floa
     return 100.0 * (1.0 - math.sqrt(b.sum() / a.sum())), float(low), float(high)
 
 
-def cut(lesser: Model, model: Model, noise: Mapping[str, float] | None = None) -> dict[str, float]:
+def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] | None = None) -> dict[str, float]:
     """Return, by relation, the share of RMSE on unseen cycles that `model` takes from `lesser`.
 
     `noise`: χ² by relation that no law can take away.
@@ -104,7 +104,7 @@ def cut(lesser: Model, model: Model, noise: Mapping[str, float] | None = None) -
     return shares
 
 
-def rivals(found: Found, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
+def rivals(found: SearchResult, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
     """Return the effects that could stand in the chosen model, the chosen ones first.
 
     A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
@@ -148,7 +148,7 @@ def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, liken
     return 1.96 * math.hypot(max(jackknife, sigma), likeness, LAW * change)
 
 
-def curvature_sigma(model: Model, name: str) -> float:
+def curvature_sigma(model: FittedEffects, name: str) -> float:
     """Return 1σ of a parameter from the fit's curvature."""
     scale = np.sqrt(np.maximum(np.diag(model.fit.curvature), 1e-300))
     even = model.fit.curvature / np.outer(scale, scale)

@@ -21,7 +21,7 @@ from physics.laws import Array
 from physics.parameters import PARAMETERS
 from physics.relations import relation as models
 from physics.relations.measured import Fine, Signals
-from physics.relations.recorded import Memory
+from physics.relations.recorded_reads import Memory
 from physics.relations.relation import RELATIONS, Relation
 
 Values = Mapping[str, float]

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks, simulated
+from diagnosis.problem import blocks, simulated_blocks
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
-from diagnosis.problem.learning import Learnt, geometry, learn, of_geometry
-from diagnosis.problem.reference import Reference, of_bench
+from diagnosis.problem.healthy_reference import HealthyReference, of_bench
+from diagnosis.problem.learnt_bands import Learnt, geometry, learn, of_geometry
 from physics.parameters import RELATION_PARAMETERS
 
 SECONDS: Final = 5.0
@@ -44,7 +44,7 @@ class HealthyTrials:
         least = min(blocks.working_rate(group) for group in (trials, *([t] for t in self.tables)) if group)
         return max((r for r in RATES_HZ if r <= least), default=least)
 
-    def fit(self, checked: Sequence[str], known: Reference, rate_hz: float | None = None) -> Learnt:
+    def fit(self, checked: Sequence[str], known: HealthyReference, rate_hz: float | None = None) -> Learnt:
         """Return what these trials say of the relations `checked`; `known` is one point to start from."""
         rate = self.rate(()) if rate_hz is None else rate_hz
         key = tuple(checked), tuple(sorted(known.values.items())), rate
@@ -56,11 +56,11 @@ class HealthyTrials:
         """Return what was learnt, moved to where the simulation fits these trials; computed once."""
         if id(learnt) not in self._simulated:
             values = {n: v for n, v in learnt.reference.values.items() if n in RELATION_PARAMETERS}
-            self._simulated[id(learnt)] = simulated.fitted(
+            self._simulated[id(learnt)] = simulated_blocks.fitted(
                 self.tables, values, learnt.sigma, learnt.reference.nuisance, SECONDS / max(len(self.tables), 1))
         return self._simulated[id(learnt)]
 
-    def _learn(self, checked: tuple[str, ...], known: Reference, rate: float) -> Learnt:
+    def _learn(self, checked: tuple[str, ...], known: HealthyReference, rate: float) -> Learnt:
         own = of_bench(None)
         taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N, rate)
                   for t in self.tables]
@@ -69,5 +69,5 @@ class HealthyTrials:
         start = own.values if near is None else of_geometry(own.values, near)
         others = [known.values] if known.kind == "calibration" else []
         others += [of_geometry(own.values, closed)] if closed is not None else []
-        return learn(taught, Reference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
+        return learn(taught, HealthyReference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
                      {n: CORRELATION_LENGTH[n] for n in checked}, others)

@@ -21,9 +21,9 @@ from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import chance
 from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS, LEAST_CORRELATION_LENGTH, LEAST_FLOOR
+from diagnosis.problem.healthy_reference import HealthyReference, like_this_bench, of_bench, of_unknown_rig
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learning import Learnt
-from diagnosis.problem.reference import Reference, like_this_bench, of_bench, of_unknown_rig
+from diagnosis.problem.learnt_bands import Learnt
 from physics.parameters import RELATION_PARAMETERS
 from physics.relations.relation import RELATIONS
 
@@ -34,7 +34,7 @@ UNEXPLAINED_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class Setting:
+class ProblemSetting:
     """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench;
     `rate_hz`: the rate at which trials are looked at; `noise`: RMS by relation that is noise of these trials."""
 
@@ -43,7 +43,7 @@ class Setting:
     checked: tuple[str, ...]
     blocks: list[Block]
     folds: list[frozenset[int]]
-    reference: Reference
+    reference: HealthyReference
     declared: Mapping[str, float]
     weights: Mapping[str, float]
     floors: Mapping[str, float] | None
@@ -88,7 +88,8 @@ class Setting:
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
 
 
-def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: Mapping[str, Any] | None) -> Setting:
+def build_problem(trials: Sequence[Table], healthy: HealthyTrials,
+                  calibration: Mapping[str, Any] | None) -> ProblemSetting:
     """Decide what can be checked on `trials` and against what."""
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
@@ -105,18 +106,18 @@ def build_problem(trials: Sequence[Table], healthy: HealthyTrials, calibration: 
 
 def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
            folds: list[frozenset[int]], healthy: HealthyTrials, calibration: Mapping[str, Any] | None, rate: float
-           ) -> Setting:
+           ) -> ProblemSetting:
     reference = of_bench(calibration)
     if healthy:
         return _learnt(missing, checked, blocks, folds, healthy.fit(checked, reference, rate), rate)
     floors = {n: FLOORS[n] for n in checked}
     weights = {n: floors[n] * math.sqrt(CORRELATION_LENGTH[n]) for n in checked}
-    return Setting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                   candidates(checked, reference.values, reference.nuisance), rate_hz=rate)
+    return ProblemSetting(False, missing, checked, blocks, folds, reference, reference.values, weights, None,
+                          candidates(checked, reference.values, reference.nuisance), rate_hz=rate)
 
 
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-            folds: list[frozenset[int]], learnt: Learnt, rate: float) -> Setting:
+            folds: list[frozenset[int]], learnt: Learnt, rate: float) -> ProblemSetting:
     values, nuisance = learnt.reference.values, learnt.reference.nuisance
     corrected = learnt.corrected(blocks)
     noise = {n: _chance(corrected, n, values) for n in checked}
@@ -124,24 +125,24 @@ def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], bl
     floors = {n: max(learnt.floor(n, noise[n]) if n in seen else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
     weights = {n: max(learnt.weight(n, noise[n]) if n in seen else FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n]),
                       LEAST_FLOOR[n] * math.sqrt(LEAST_CORRELATION_LENGTH)) for n in checked}
-    return Setting(False, missing, checked, corrected, folds, learnt.reference, values, weights, floors,
-                   candidates(checked, values, nuisance), learnt, rate, noise)
+    return ProblemSetting(False, missing, checked, corrected, folds, learnt.reference, values, weights, floors,
+                          candidates(checked, values, nuisance), learnt, rate, noise)
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
-             folds: list[frozenset[int]], rate: float) -> Setting:
+             folds: list[frozenset[int]], rate: float) -> ProblemSetting:
     first = of_unknown_rig(blocks)
     even = {n: _deviation(blocks, n) for n in checked}
     values = solve(Problem(blocks, even), first.values, first.nuisance).values
     values["pull_sign"] = math.copysign(1.0, values["coulomb"])
-    reference = Reference(first.kind, values, first.nuisance)
+    reference = HealthyReference(first.kind, values, first.nuisance)
     values = solve(Problem(blocks, even), values, first.nuisance).values
     step = float(np.median(np.diff(blocks[0].signals["time_s"]))) if blocks else 1.0
     per_sample = math.sqrt(max(1.0, CORRELATED_S / step))
     weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
-    return Setting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                   candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
+    return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
+                          candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
 
 
 def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:

@@ -20,10 +20,10 @@ from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import correlated
 from diagnosis.problem.fit import Fit, Free
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
+from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learning import sigmas
-from diagnosis.problem.problem import Setting, build_problem
-from diagnosis.problem.reference import BAND, Reference
+from diagnosis.problem.learnt_bands import sigmas
+from diagnosis.problem.problem import ProblemSetting, build_problem
 from physics.parameters import RELATION_PARAMETERS
 
 DAILY: Final = 0.2
@@ -37,7 +37,8 @@ STRUCTURE: Final = 0.5
 """Share of what the laws leave on healthy trials that those of another day may leave in another way."""
 
 
-def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched: Callable[[Setting], Fit]) -> Setting:
+def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
+                    searched: Callable[[ProblemSetting], Fit]) -> ProblemSetting:
     """Return what `trials` are judged on beside healthy ones of their rig; `searched`: the best fit of a setting.
 
     All healthy trials are fitted together: one load alone tells a ratio from a friction no more than one speed does.
@@ -48,18 +49,19 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table], searched:
     sigma = sigmas(found)
     nuisance = tuple(_band(f, found.values[f.name], math.hypot(sigma[f.name], _daily(f.name, found, first)))
                      for f in found.free)
-    reference = Reference("healthy", dict(found.values), nuisance)
+    reference = HealthyReference("healthy", dict(found.values), nuisance)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
     floors = {n: math.hypot(1.0, STRUCTURE) * rmse(r) for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
     offered = candidates(checked, reference.values, nuisance, True)
-    return Setting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values, weights,
-                   floors, offered, rate_hz=first.rate_hz)
+    return ProblemSetting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values,
+                          weights,
+                          floors, offered, rate_hz=first.rate_hz)
 
 
-def _daily(name: str, found: Fit, setting: Setting) -> float:
+def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
     """Return 1σ of a constant from one day to another."""
     p, at = RELATION_PARAMETERS[name], found.values[name]
     if p.free and p.neutral is None and p.nominal == 1.0:

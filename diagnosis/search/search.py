@@ -33,7 +33,7 @@ LEVEL: Final = 4.0
 
 
 @dataclass(frozen=True)
-class Model:
+class FittedEffects:
     """A set of effects fitted together, to `problem`, and what it leaves on the cycles of `folds` when refitted."""
 
     effects: tuple[Candidate, ...]
@@ -83,25 +83,25 @@ class Model:
 class Criteria(Protocol):
     """What leads a search."""
 
-    def pays(self, lesser: Model, model: Model, search: Search) -> bool:
+    def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
 
-    def can_improve(self, model: Model) -> bool:
+    def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves something that a further effect could take away."""
 
-    def needs_full_search(self, model: Model, baseline: Model) -> bool:
+    def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects left so much that all have to be fitted."""
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The baseline, the chosen model, and every model that was fitted in full, best first."""
 
-    baseline: Model
-    best: Model
-    models: tuple[Model, ...]
+    baseline: FittedEffects
+    best: FittedEffects
+    models: tuple[FittedEffects, ...]
 
-    def model(self, names: Sequence[str]) -> Model | None:
+    def model(self, names: Sequence[str]) -> FittedEffects | None:
         """Return the model of exactly the effects `names`, if it was fitted."""
         wanted = tuple(sorted(names))
         return next((m for m in self.models if m.names == wanted), None)
@@ -115,10 +115,10 @@ class Search:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.criteria, self.near = criteria, near
         self.start = dict(start)
-        self.tried: dict[tuple[str, ...], Model] = {}
+        self.tried: dict[tuple[str, ...], FittedEffects] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.arrived: set[tuple[str, ...]] = set()
-        self.lacks: dict[tuple[tuple[str, ...], str], Model] = {}
+        self.lacks: dict[tuple[tuple[str, ...], str], FittedEffects] = {}
         self.baseline = self.model((), start)
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
@@ -128,26 +128,27 @@ class Search:
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
             own.values())
 
-    def model(self, effects: Sequence[Candidate], start: Values, near: Model | None = None, thorough: bool = True
-              ) -> Model:
+    def model(self, effects: Sequence[Candidate], start: Values, near: FittedEffects | None = None,
+              thorough: bool = True
+              ) -> FittedEffects:
         """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
         known_fit = near.fit if near is not None and self.near else None
         fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=thorough)
         names = tuple(sorted(c.name for c in effects))
         known = self.tried.get(names)
         if known is None or fit.cost < known.fit.cost:
-            self.tried[names] = Model(tuple(effects), fit, self.problem, self.folds)
+            self.tried[names] = FittedEffects(tuple(effects), fit, self.problem, self.folds)
             (self.arrived.add if thorough else self.arrived.discard)(names)
         return self.tried[names]
 
-    def polished(self, model: Model) -> Model:
+    def polished(self, model: FittedEffects) -> FittedEffects:
         """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""
         if model.names not in self.arrived:
             self.model(model.effects, model.fit.values, model)
             self.arrived.add(model.names)
         return self.tried[model.names]
 
-    def grow(self, model: Model, most: int) -> list[Model]:
+    def grow(self, model: FittedEffects, most: int) -> list[FittedEffects]:
         """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
         offered = [c for c in self.offered if c.name not in model.names]
         chosen: dict[int, int] = {}
@@ -157,12 +158,12 @@ class Search:
             chosen.setdefault(c, s)
         return [self._grown(model, offered[c], s) for c, s in chosen.items()]
 
-    def grow_all(self, model: Model) -> list[Model]:
+    def grow_all(self, model: FittedEffects) -> list[FittedEffects]:
         """Fit `model` with each effect it lacks, from every start."""
         offered = [c for c in self.offered if c.name not in model.names]
         return [self._grown(model, c, s) for c in offered for s in range(len(c.starts))]
 
-    def _grown(self, model: Model, candidate: Candidate, start: int) -> Model:
+    def _grown(self, model: FittedEffects, candidate: Candidate, start: int) -> FittedEffects:
         step = (model.names, candidate.name, start)
         if step not in self.grown:
             self.grown.add(step)
@@ -174,7 +175,7 @@ class Search:
             self.model(effects, {**self.start, **kept, **begun}, model, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
-    def prune(self, model: Model) -> Model:
+    def prune(self, model: FittedEffects) -> FittedEffects:
         """Take out, one by one, the effects that do not pay for themselves, the least first."""
         while model.effects:
             lesser = [self.without(model, out) for out in model.effects]
@@ -184,41 +185,41 @@ class Search:
             model = best
         return model
 
-    def without(self, model: Model, out: Candidate) -> Model:
+    def without(self, model: FittedEffects, out: Candidate) -> FittedEffects:
         """Return `model` less one effect, fitted anew."""
         left = [c for c in model.effects if c is not out]
         known = self.tried.get(tuple(sorted(c.name for c in left)))
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
         return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
 
-    def lacking(self, model: Model, constant: str) -> Model:
+    def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
         """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
         key = (model.names, constant)
         if key not in self.lacks:
             free = tuple(f for f in self.free_of(model.effects) if f.name != constant)
             fit = solve(self.problem, {**model.fit.values, constant: RELATION_PARAMETERS[constant].in_ideal}, free,
                         thorough=True)
-            self.lacks[key] = Model(model.effects, fit, self.problem, self.folds)
+            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds)
         return self.lacks[key]
 
-    def _ahead(self, grown: Iterable[Model], best: Model) -> tuple[Model, list[Model]]:
+    def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
         foremost = sorted((self.polished(m) for m in _foremost({m.names: m for m in grown}.values())),
                           key=lambda m: m.rank)
         return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
 
-    def _ordered(self, model: Model) -> Model:
+    def _ordered(self, model: FittedEffects) -> FittedEffects:
         """Return `model` with the effect first whose absence would leave most."""
         left = {c.name: self.without(model, c).score for c in model.effects}
         return replace(model, effects=tuple(sorted(model.effects, key=lambda c: -left[c.name])))
 
-    def _first(self, most: int) -> Model:
+    def _first(self, most: int) -> FittedEffects:
         """Return the best of all models of at most so many effects that were fitted on the way."""
         lengths = range(most + 1)
         return min((m for k in lengths for m in _foremost(m for m in self.tried.values() if len(m.effects) == k)),
                    key=lambda m: m.rank)
 
-    def run(self, most: int) -> Found:
+    def run(self, most: int) -> SearchResult:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
 
         Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
@@ -243,7 +244,7 @@ class Search:
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
                      and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)
-        return Found(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
+        return SearchResult(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
 
 
 def _released(f: Free) -> Free:
@@ -252,6 +253,6 @@ def _released(f: Free) -> Free:
     return replace(f, low=max(min(f.low, 0.0), f.mean - 3.0 * wide), high=f.mean + 3.0 * wide, sigma=wide)
 
 
-def _foremost(models: Iterable[Model]) -> list[Model]:
+def _foremost(models: Iterable[FittedEffects]) -> list[FittedEffects]:
     """Return the few that promise most, best first."""
     return sorted(models, key=lambda m: m.fit_score)[:BEAM]

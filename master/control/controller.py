@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, NamedTuple, Protocol, TypeVar, cast
 
-from master.control.controller_io import Column, ControllerInput, Outputs, Trace
+from master.control.controller_io import Column, ControllerInput, ControllerOutput, Trace
 from master.control.effect_correction import Correction
 from master.control.gait_table import GaitTable
 from master.control.homing_fit import HomingFit
@@ -33,7 +33,7 @@ PACKAGED: Final[Mapping[str, str]] = MappingProxyType({
 CONTROLLERS: Final = tuple(PACKAGED)
 _NAME: Final = re.compile("[a-z][a-z0-9_]*")
 
-__all__ = ["CONTROLLERS", "Column", "Conditions", "Controller", "ControllerInput", "Outputs", "Trace", "find",
+__all__ = ["CONTROLLERS", "Column", "Conditions", "Controller", "ControllerInput", "ControllerOutput", "Trace", "find",
            "with_effects"]
 
 State = TypeVar("State")
@@ -75,7 +75,7 @@ class Controller(Protocol[State]):
         """Return the memory that it starts with."""
 
     @abstractmethod
-    def step(self, seen: ControllerInput, state: State) -> tuple[Outputs, State, Trace]:
+    def step(self, seen: ControllerInput, state: State) -> tuple[ControllerOutput, State, Trace]:
         """Return one control cycle's targets, the memory after it, and its trace.
 
         Pure: equal arguments give equal answers, so that a trial can be replayed onto it bit for bit.  It has less
@@ -127,7 +127,7 @@ class WithEffects(Controller[State]):
         """Return the memory of the controller within."""
         return self._within.initial()
 
-    def step(self, seen: ControllerInput, state: State) -> tuple[Outputs, State, Trace]:
+    def step(self, seen: ControllerInput, state: State) -> tuple[ControllerOutput, State, Trace]:
         """Step the controller within on what it would see without the effects, and put them into its targets."""
         undone = self._correction
         outputs, state, trace = self._within.step(undone.seen(seen, self._start_offset_n), state)

@@ -24,7 +24,7 @@ class ControllerInput(NamedTuple):
     start_n: float
 
 
-class Outputs(NamedTuple):
+class ControllerOutput(NamedTuple):
     """Targets of one control cycle: rope position and knee angle, in the homed frame."""
 
     servo_target_m: float

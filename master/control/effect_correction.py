@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from master.control.controller_io import ControllerInput, Outputs
+from master.control.controller_io import ControllerInput, ControllerOutput
 from master.control.gait_table import GaitTable, fabric_exponent, stretch
 from physics import inverse
 from physics.calibration import Calibration, scalars
@@ -80,7 +80,7 @@ class Correction:
         return seen._replace(servo_position_m=seen.servo_position_m - self.rope_m[i], start_n=start_n,
                              knee_angle_rad=seen.knee_angle_rad - self.knee_rad[i])
 
-    def feed_forward(self, outputs: Outputs, sample: int) -> Outputs:
+    def feed_forward(self, outputs: ControllerOutput, sample: int) -> ControllerOutput:
         """Return the targets with the effects in them, for the `sample` at which they act."""
         return outputs._replace(servo_target_m=outputs.servo_target_m + self.rope_m[sample % len(self.rope_m)])
 

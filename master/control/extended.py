@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from master.control import learning
-from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.friction_following import (
     LEAST_SHARE,
     Followed,
@@ -65,7 +65,7 @@ class Ahead(NamedTuple):
         return abs(self.rope_slip) > SETTLED and abs(self.fabric_slip) > SETTLED
 
 
-class State(NamedTuple):
+class ExtendedState(NamedTuple):
     """What the controller remembers.
 
     `law` is the model with friction as `followed` so far.  `leg`: how far the leg is from the knee's drive, and the
@@ -92,7 +92,7 @@ class State(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Config:
+class ExtendedConfig:
     """Constants of `step`; `ahead` is the delay, `lag` the drive's and `start_lag` START's, in control cycles."""
 
     gait: GaitTable
@@ -103,20 +103,20 @@ class Config:
     lag: float
     decay: float
     gain_m_n: float
-    filter: learning.Filter
-    tracking: learning.Filter
+    filter: learning.LearningFilter
+    tracking: learning.LearningFilter
     noise_n: float
     start_lag: float
     start_gain: float
     least_n: float
 
 
-def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> Config:
+def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> ExtendedConfig:
     """Fold the constants from a calibration, what homing found of the day, the gait and the impedance."""
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
     lag = 1.0 / (2.0 * math.pi * calibration.drive_bandwidth) / gait.period_s
     ahead = max(TARGET_CYCLES, round(calibration.loop_delay / gait.period_s))
-    return Config(
+    return ExtendedConfig(
         gait=gait,
         law=inverse.law(calibration, gait.period_s, day.friction, day.softness),
         zero_m=day.zero_m,
@@ -134,7 +134,8 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
     )
 
 
-def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+def step(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig) -> tuple[ControllerOutput, ExtendedState,
+                                                                                       Trace]:
     """One control cycle: the model's rope position for when the target acts, plus feedback, plus what was learnt."""
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples
@@ -173,11 +174,12 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
     moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
     then = seen.servo_position_m + TARGET_CYCLES * moved
     target = min(max(target, then - REACH_M), then + REACH_M)
-    after = State(state.law, state.followed, deviation, leg, seen.servo_position_m, slip, departures, paths, wanted,
-                  resting, state.learnt, state.tracked, history)
+    after = ExtendedState(state.law, state.followed, deviation, leg, seen.servo_position_m, slip, departures, paths,
+                          wanted,
+                          resting, state.learnt, state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
-    return Outputs(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
+    return ControllerOutput(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
 
 
 def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
@@ -193,7 +195,7 @@ def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
     return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
 
 
-def _side(state: State, here: Ahead, gait: GaitTable, now: int) -> float:
+def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float:
     """−1…1: where in its play the leg is; while none is known, behind the way that the knee moves."""
     if state.followed.play > 0.0:
         return here.leg * state.law.swing_k / state.followed.play
@@ -202,7 +204,7 @@ def _side(state: State, here: Ahead, gait: GaitTable, now: int) -> float:
 
 
 def _look_ahead(
-    state: State, config: Config, now: int, departures: tuple[float, ...]
+    state: ExtendedState, config: ExtendedConfig, now: int, departures: tuple[float, ...]
 ) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, float]]:
     """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
 
@@ -224,7 +226,7 @@ def _look_ahead(
     return (*state.paths, answer)[-(config.ahead + 2):], slip, (behind, knee)
 
 
-def _half_width(force: float, ratio: float, rate: float, resting: float, here: Ahead, config: Config) -> float:
+def _half_width(force: float, ratio: float, rate: float, resting: float, here: Ahead, config: ExtendedConfig) -> float:
     """Half the 95 % interval of the END estimate, N: START's noise, lag and gain, the friction followed and turning.
 
     While friction turns over, and `resting` (1…0) after it, an exponent may lie anywhere between both ends.
@@ -237,7 +239,7 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag * rate / ratio)
 
 
-def _on_cycle_end(state: State, config: Config) -> State:
+def _on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
     """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)

@@ -56,7 +56,7 @@ class Followed(NamedTuple):
     first: tuple[float, ...] = ()
 
 
-class Evidence(NamedTuple):
+class CycleEvidence(NamedTuple):
     """What one control cycle says: y against the law of homing, what multiplies the six unknowns, 1/σ of y."""
 
     y: float
@@ -81,7 +81,7 @@ def at(law: Law, followed: Followed) -> Law:
 def friction_evidence(
     law: Law, followed: Followed, position: float, knee: float, start: float, drag: float,
     exponents: tuple[float, float, float, float], side: float, least_n: float,
-) -> Evidence | None:
+) -> CycleEvidence | None:
     """The evidence of one control cycle, None where START or the stretch is too small to tell.
 
     `law` is the law as followed; `exponents`: of sheath and knee by it, and their slowness; `start`, N, without lag and
@@ -101,11 +101,11 @@ def friction_evidence(
     y = math.log((start - drag) / force) - by_sheath - by_knee
     y += sheath * (followed.sheath - 1.0) + on_knee * (followed.knee - 1.0) + slower * followed.breakaway
     y += zero * side * followed.play
-    return Evidence(y, sheath, on_knee, slower, zero, (whole + law.rope_compliance * start) * -zero, zero * side,
-                    force / NOISE_N)
+    return CycleEvidence(y, sheath, on_knee, slower, zero, (whole + law.rope_compliance * start) * -zero, zero * side,
+                         force / NOISE_N)
 
 
-def estimate(evidence: list[Evidence], doubts: tuple[float, ...] = PRIOR) -> tuple[float, ...]:
+def estimate(evidence: list[CycleEvidence], doubts: tuple[float, ...] = PRIOR) -> tuple[float, ...]:
     """The six unknowns that one gait cycle tells, in the order of `PRIOR`, against the law of homing."""
     rows = np.array(evidence)
     weight = rows[:, 7] * math.sqrt(min(1.0, WHOLE / len(rows)))
@@ -121,7 +121,7 @@ def estimate(evidence: list[Evidence], doubts: tuple[float, ...] = PRIOR) -> tup
     return tuple(found.tolist())
 
 
-def follow(followed: Followed, evidence: list[Evidence]) -> Followed:
+def follow(followed: Followed, evidence: list[CycleEvidence]) -> Followed:
     """What the bench is taken for after one more gait cycle: half of the way to what that cycle tells.
 
     The first `SETTLING` gait cycles tell the play, which nothing has measured; how much harder the bench breaks away
@@ -145,7 +145,7 @@ def follow(followed: Followed, evidence: list[Evidence]) -> Followed:
         knee=followed.knee + STEP * (knee - followed.knee), breakaway=breakaway)
 
 
-def evidence_of(history: Any) -> list[Evidence]:
+def evidence_of(history: Any) -> list[CycleEvidence]:
     """The evidence in a linked list (sample, feedback, tracked, evidence, older)."""
     found = []
     while history is not None:

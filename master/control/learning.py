@@ -26,7 +26,7 @@ TRACKED_HZ = 15.0
 
 
 @dataclass(frozen=True)
-class Filter:
+class LearningFilter:
     """Q by its response at the frequencies of one gait cycle, γ, and the lead in control cycles."""
 
     response: Array
@@ -34,9 +34,11 @@ class Filter:
     lead: int
 
 
-def design(samples: int, period_s: float, lead: int, cutoff_hz: float = CUTOFF_HZ, gain: float = GAIN) -> Filter:
+def design(samples: int, period_s: float, lead: int, cutoff_hz: float = CUTOFF_HZ,
+           gain: float = GAIN) -> LearningFilter:
     """The filter for gait cycles of `samples` control cycles: Gaussian, −6 dB at the cut-off, no phase."""
-    return Filter(passes(np.asarray(np.fft.rfftfreq(samples, period_s), dtype=np.float64), cutoff_hz), gain, lead)
+    return LearningFilter(passes(np.asarray(np.fft.rfftfreq(samples, period_s), dtype=np.float64), cutoff_hz), gain,
+                          lead)
 
 
 def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
@@ -44,7 +46,7 @@ def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
     return np.asarray(np.exp(-math.log(2.0) * (frequency_hz / cutoff_hz) ** 2), dtype=np.float64)
 
 
-def learn(correction: tuple[float, ...], added: Array, filter_: Filter) -> tuple[float, ...]:
+def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) -> tuple[float, ...]:
     """The next gait cycle's correction by sample, m; `added` is what was missing, by the sample at which it was."""
     led = filter_.gain * np.roll(added, -filter_.lead)
     total = led if not correction else np.array(correction) + led

@@ -9,12 +9,12 @@ from typing import ClassVar
 
 from master.control import extended, paper
 from master.control.controller import Conditions, Controller
-from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable
 from physics.calibration import Calibration
 
 
-class _OfThePaper(Controller[paper.State]):
+class _OfThePaper(Controller[paper.PaperState]):
     """The table of `paper`: friction in the feedforward or not, impedance on the estimated END force or not."""
 
     compensates: ClassVar[bool]
@@ -24,11 +24,11 @@ class _OfThePaper(Controller[paper.State]):
         self._config = paper.configure(
             model, gait, conditions.impedance, compensates=self.compensates, listens=self.listens)
 
-    def initial(self) -> paper.State:
+    def initial(self) -> paper.PaperState:
         """Return no deviation."""
-        return paper.State()
+        return paper.PaperState()
 
-    def step(self, seen: ControllerInput, state: paper.State) -> tuple[Outputs, paper.State, Trace]:
+    def step(self, seen: ControllerInput, state: paper.PaperState) -> tuple[ControllerOutput, paper.PaperState, Trace]:
         """Return one control cycle (`paper.step`)."""
         return paper.step(seen, state, self._config)
 
@@ -57,7 +57,7 @@ class PaperController(_OfThePaper):
     compensates, listens = True, True
 
 
-class ExtendedController(Controller[extended.State]):
+class ExtendedController(Controller[extended.ExtendedState]):
     """The controller beyond the paper (`extended`).
 
     It undoes the drive's lag, so that the rope follows the knee and two thirds of the idle slack are enough.
@@ -70,10 +70,11 @@ class ExtendedController(Controller[extended.State]):
         self._config = extended.configure(model, conditions.homing, gait, conditions.impedance)
         self.ahead = self._config.ahead
 
-    def initial(self) -> extended.State:
+    def initial(self) -> extended.ExtendedState:
         """Return the memory before the first gait cycle."""
-        return extended.State(self._config.law)
+        return extended.ExtendedState(self._config.law)
 
-    def step(self, seen: ControllerInput, state: extended.State) -> tuple[Outputs, extended.State, Trace]:
+    def step(self, seen: ControllerInput, state: extended.ExtendedState) -> tuple[ControllerOutput,
+                                                                                  extended.ExtendedState, Trace]:
         """Return one control cycle (`extended.step`)."""
         return extended.step(seen, state, self._config)

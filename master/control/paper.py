@@ -1,7 +1,7 @@
 """The paper's controllers as one pure function of what was seen.
 
 The rule of this file: `step` has no memory, no clock and no END; what it remembers goes in and comes
-out as `State`, what it explains comes out as `Trace`.
+out as `PaperState`, what it explains comes out as `Trace`.
 
 | controller | friction in the feedforward | impedance on the estimated END force |
 |---|---|---|
@@ -17,21 +17,21 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from master.control.controller_io import ControllerInput, Outputs, Trace
+from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable
 from master.settings import Impedance
 from physics import laws
 from physics.calibration import Calibration
 
 
-class State(NamedTuple):
+class PaperState(NamedTuple):
     """What a controller remembers: Δx of (15), m."""
 
     deviation_m: float = 0.0
 
 
 @dataclass(frozen=True)
-class Config:
+class PaperConfig:
     """Constants of `step`, folded once from calibration, gait and impedance."""
 
     gait: GaitTable
@@ -49,10 +49,10 @@ class Config:
 
 def configure(
     calibration: Calibration, gait: GaitTable, impedance: Impedance, *, compensates: bool, listens: bool
-) -> Config:
+) -> PaperConfig:
     """Fold a controller's constants: whether it `compensates` friction, and `listens` to the estimated END force."""
     decay = math.exp(-impedance.stiffness_n_m / impedance.damping_n_s_m * gait.period_s)
-    return Config(
+    return PaperConfig(
         gait=gait,
         swing_k=calibration.swing_k,
         knee_home_rad=float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)),
@@ -67,7 +67,7 @@ def configure(
     )
 
 
-def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, State, Trace]:
+def step(seen: ControllerInput, state: PaperState, config: PaperConfig) -> tuple[ControllerOutput, PaperState, Trace]:
     """One control cycle: x = x1(Fd) + (fL + fT)/kc + k2·(θk − θk(13 %)) + Δx − slack.
 
     Equations (4), (8), (10), (11) feed forward, (3), (7) estimate END from START, (15) turns its error into Δx;
@@ -87,4 +87,4 @@ def step(seen: ControllerInput, state: State, config: Config) -> tuple[Outputs, 
         feedforward += config.cable_compliance * gait.loss[i]
     target = feedforward + deviation - slack
     trace = Trace(desired, estimated, feedforward, deviation, ratio, rope, strain)
-    return Outputs(target, gait.knee[i]), State(deviation), trace
+    return ControllerOutput(target, gait.knee[i]), PaperState(deviation), trace

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from eds.bench import DRIVES, Wire
+from eds.bench_network import DRIVES, WireLayout
 from eds.cia301 import Abort
 from eds.dictionary import key
 from master.cycle.drives import RELEASE
-from master.network.bringup import RefusedError, refuse_rival
+from master.network.bringup import BringUpError, refuse_rival
 from master.network.link import Link
 from master.network.sdo import SdoError
 
@@ -26,13 +26,13 @@ class Acknowledged(NamedTuple):
     became: str
 
 
-def acknowledge(link: Link, wire: Wire) -> list[Acknowledged]:
-    """Release every drive that waits for it; raises `RefusedError` for another master, or a drive that is silent."""
+def acknowledge(link: Link, wire: WireLayout) -> list[Acknowledged]:
+    """Release every drive that waits for it; raises `BringUpError` for another master, or a drive that is silent."""
     refuse_rival(link)
     return [Acknowledged(wire.nodes[node].name, _release(link, wire, node)) for node in DRIVES]
 
 
-def _release(link: Link, wire: Wire, node: int) -> str:
+def _release(link: Link, wire: WireLayout, node: int) -> str:
     entry = wire.nodes[node]
     if key(RELEASE) not in entry.dictionary.entries:
         return "no such object"
@@ -43,5 +43,5 @@ def _release(link: Link, wire: Wire, node: int) -> str:
     except SdoError as error:
         if f"0x{Abort.DEVICE_STATE:08X}" in str(error):
             return "still active"
-        raise RefusedError(f"{entry.name} (node {node}): {error}; see bowden doctor.") from None
+        raise BringUpError(f"{entry.name} (node {node}): {error}; see bowden doctor.") from None
     return "released"

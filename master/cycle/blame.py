@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from eds.bench import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START
 from master.cycle.plausibility import (
     BY_END,
     BY_START,
@@ -22,7 +22,7 @@ from master.cycle.plausibility import (
     STILL_KNEE,
     STILL_SERVO,
     STILL_START,
-    Finding,
+    Implausibility,
 )
 from master.cycle.safety import Condition, StopError
 
@@ -59,7 +59,7 @@ _AGED: Final = 0.75
 """Normalised residual from which on a relation counts as disturbed while another one is broken."""
 
 
-def blamed(finding: Finding) -> StopError:
+def blamed(finding: Implausibility) -> StopError:
     """The stop that a finding calls for, with the suspect's name, what was seen and what was expected."""
     seen, expected, relation = finding.seen, finding.expected, finding.relation
     if relation == SERVO_TRACK:
@@ -87,7 +87,7 @@ def blamed(finding: Finding) -> StopError:
                                             f"expected about {scale * expected:.1f} {unit}{fits}", suspect.node)
 
 
-def suspected(finding: Finding) -> Suspect:
+def suspected(finding: Implausibility) -> Suspect:
     """The suspect whose pattern is nearest to the normalised residuals, clipped at the tolerance."""
     def distance(suspect: Suspect) -> float:
         told = 0.0

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import struct
 
-from eds.bench import KNEE, SERVO
+from eds.bench_network import KNEE, SERVO
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
 from eds.dictionary import key
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 
 PATIENCE_NS = 2_000_000_000
@@ -25,7 +25,7 @@ RELEASE = 0x2020
 
 
 def enable(exchange: Exchange) -> Inputs:
-    """Bring both drives to OPERATION ENABLED where they stand; raises `RefusedError` with drive and error code."""
+    """Bring both drives to OPERATION ENABLED where they stand; raises `BringUpError` with drive and error code."""
     inputs = _drive_to(exchange, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
     exchange.plausibility.restart()
     exchange.guard.enabled = True
@@ -40,7 +40,7 @@ def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
 
 
 def disable(exchange: Exchange, patience_ns: int = PATIENCE_NS) -> Inputs:
-    """Take both drives to SWITCH ON DISABLED; raises `RefusedError` where one does not follow."""
+    """Take both drives to SWITCH ON DISABLED; raises `BringUpError` where one does not follow."""
     exchange.guard.enabled = False
     return _drive_to(exchange, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED), patience_ns)
 
@@ -55,7 +55,7 @@ def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int =
         if states == goals:
             return inputs
         if inputs.sync_ns >= deadline:
-            raise RefusedError(_not_there(exchange, inputs, goals))
+            raise BringUpError(_not_there(exchange, inputs, goals))
         words = _word(states[0], goals[0], sent[0]), _word(states[1], goals[1], sent[1])
         if words != sent or inputs.sync_ns >= resend_ns:
             exchange.command(*words)
@@ -125,7 +125,7 @@ def release(exchange: Exchange, knee_too: bool = False) -> None:
 def set_home(exchange: Exchange, position_um: int) -> Inputs:
     """Give the servo's present place the position `position_um` by homing method 37; the rope must be slack.
 
-    Raises `RefusedError` where the drive does not report homing attained.
+    Raises `BringUpError` where the drive does not report homing attained.
     """
     link, before_m = exchange.link, exchange.inputs.servo_position_m
     exchange.rehoming = True
@@ -137,7 +137,7 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
     while not exchange.inputs.servo_status & Status.HOMING_ATTAINED:
         exchange.hold()
         if exchange.inputs.sync_ns >= deadline or exchange.inputs.servo_status & Status.HOMING_ERROR:
-            raise RefusedError(f"{exchange.wire.nodes[SERVO].name} did not attain home "
+            raise BringUpError(f"{exchange.wire.nodes[SERVO].name} did not attain home "
                           f"(statusword 0x{exchange.inputs.servo_status:04X}).")
     inputs = exchange.hold()
     exchange.advance(inputs.servo_position_m, exchange.targets[1])
@@ -153,4 +153,4 @@ def _set_mode(exchange: Exchange, mode: Mode) -> None:
     deadline = exchange.inputs.sync_ns + PATIENCE_NS
     while link.sdo_read(SERVO, _MODE_SHOWN) != bytes([mode]):
         if exchange.inputs.sync_ns >= deadline:
-            raise RefusedError(f"{exchange.wire.nodes[SERVO].name} does not show mode {mode.name} (0x6061).")
+            raise BringUpError(f"{exchange.wire.nodes[SERVO].name} does not show mode {mode.name} (0x6061).")

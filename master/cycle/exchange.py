@@ -13,10 +13,10 @@ from typing import Any, Protocol
 
 import can
 
-from eds.bench import SERVO, Wire, tpdo_cob_id
+from eds.bench_network import SERVO, WireLayout, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
-from eds.plan import Joined
-from eds.scales import drum_radius_m
+from eds.pdo_plan import Joined
+from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
 from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs
 from master.cycle.log import Log
@@ -37,9 +37,9 @@ NEEDED = 0b0111
 
 
 WholeCycle = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `eds.plan.Joined` takes
-them; heartbeats as `Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes them,
-and their number."""
+"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `eds.pdo_plan.Joined`
+takes them; heartbeats as `Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes
+them, and their number."""
 
 
 class WholeCycles(Protocol):
@@ -63,7 +63,7 @@ class Exchange:
     `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
 
-    def __init__(self, link: Link, wire: Wire, log: Log, guard: Guard, budget_ns: int) -> None:
+    def __init__(self, link: Link, wire: WireLayout, log: Log, guard: Guard, budget_ns: int) -> None:
         self.link, self.wire, self.log, self.guard = link, wire, log, guard
         self.missed_cycles = self.stale_inputs = 0
         self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, 0b1111)
@@ -236,7 +236,7 @@ class Exchange:
         return 1 << i
 
     def _keep_all(self, sync_ns: int, frames: Any) -> int:
-        """Keep the TPDOs of `ORDER`, as `eds.plan.Joined` takes them; the bits of those that are not taken."""
+        """Keep the TPDOs of `ORDER`, as `eds.pdo_plan.Joined` takes them; the bits of those that are not taken."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
@@ -273,7 +273,7 @@ class Exchange:
     def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
 
-        `frames`, as `eds.plan.Joined` takes them, where all of them are there already.
+        `frames`, as `eds.pdo_plan.Joined` takes them, where all of them are there already.
         """
         self._arrival_ns = UNHEARD
         self._told = self._doubled_sync = False

@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Sequence
 
-from eds.bench import END, KNEE, SERVO, START, Wire
+from eds.bench_network import END, KNEE, SERVO, START, WireLayout
 from eds.cia301 import Emcy, emcy_text
 from eds.cia402 import State, Status
 from master.cycle.blame import blamed
@@ -18,7 +18,7 @@ from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import ENOUGH, Reception
 from master.cycle.safety import Condition, StopError
-from master.network.link import Emergency, Link
+from master.network.link import EmcyMessage, Link
 from master.settings import Limits
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
@@ -44,7 +44,7 @@ class Guard:
     """
 
     def __init__(
-        self, link: Link, wire: Wire, log: Log, limits: Limits, timeout_ns: int,
+        self, link: Link, wire: WireLayout, log: Log, limits: Limits, timeout_ns: int,
         interrupted: Callable[[], int] = lambda: 0,
     ) -> None:
         self.limits = limits
@@ -201,7 +201,7 @@ class Guard:
                 first = first or StopError(Condition.FOREIGN, stranger.text)
         return first
 
-    def _cause(self, emergency: Emergency, text: str, now_ns: int, reception: Reception | None) -> StopError:
+    def _cause(self, emergency: EmcyMessage, text: str, now_ns: int, reception: Reception | None) -> StopError:
         """What an emergency comes from: a drive that misses or is told too much says so before the master gives up."""
         if emergency.code in _CONSEQUENCES:
             since = now_ns - REMEMBERED * self._period_ns
@@ -220,7 +220,7 @@ class Guard:
             return self._limit(Condition.EMERGENCY, text, SERVO)
         return StopError(Condition.EMERGENCY, text, emergency.node_id)
 
-    def _described(self, emergency: Emergency) -> str:
+    def _described(self, emergency: EmcyMessage) -> str:
         return f"{self._name(emergency.node_id)}: 0x{emergency.code:04X}, {emcy_text(emergency.code)}"
 
     def _name(self, node_id: int) -> str:

@@ -20,7 +20,7 @@ from trial.record import RecordingError
 _FAILURES = (RecordingError, OSError)
 
 
-class Sink(Protocol):
+class CycleSink(Protocol):
     """The part of `trial.record.Recorder` that the master uses."""
 
     def frame(
@@ -56,7 +56,7 @@ class Log:
     has failed, which raises `StopError` once unless `quiet`, frames are still drained and nothing is recorded.
     """
 
-    def __init__(self, tap: can.BusABC | None, recorder: Sink | None, targets_cob_id: int) -> None:
+    def __init__(self, tap: can.BusABC | None, recorder: CycleSink | None, targets_cob_id: int) -> None:
         self._tap = tap
         self._recorder = recorder
         self._targets_cob_id = targets_cob_id

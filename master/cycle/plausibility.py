@@ -296,7 +296,7 @@ step: Final[Any] = _compile()
 before these inputs were latched."""
 
 
-class Finding(NamedTuple):
+class Implausibility(NamedTuple):
     """A relation that broke: what it saw, what it expected, and the normalised residual of every relation."""
 
     relation: int
@@ -342,7 +342,7 @@ class Plausibility:
     def check(
         self, limited: float, targets: tuple[float, float], position: float, force: float, knee: float, start: float,
         end: float,
-    ) -> Finding | None:
+    ) -> Implausibility | None:
         """Compare one cycle; the finding where a relation has been broken for long enough."""
         relation = step(self.s, self.g, limited, targets[0], position, force, targets[1], knee, start, end)
         return None if relation < 0 else self.finding(relation)
@@ -368,20 +368,20 @@ class Plausibility:
         beyond = float(s[SEEN + 2 * FORCE] - s[SEEN + 2 * FORCE + 1])
         return beyond if beyond > FORCE_N else 0.0
 
-    def doubt(self) -> Finding | None:
+    def doubt(self) -> Implausibility | None:
         """The relation nearest to its tolerance, where it is beyond `DOUBT` of it."""
         ratios = np.abs(self.s[RATIOS:RATIOS + RELATIONS])
         worst = int(np.argmax(ratios))
         return self.finding(worst) if ratios[worst] > DOUBT else None
 
-    def finding(self, relation: int) -> Finding:
+    def finding(self, relation: int) -> Implausibility:
         """What the relations say now."""
         s, g = self.s, self.g
         seen, expected = float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1])
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
-        return Finding(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
-                       swing, fits)
+        return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
+                              swing, fits)
 
     def learn(self, quadratic: float, linear: float) -> Learned:
         """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""

@@ -18,11 +18,11 @@ from typing import Final
 import can
 
 from eds import bus_load
-from eds.bench import Network, Wire, wire
+from eds.bench_network import Network, WireLayout, wire
 from master.cycle import drives, plausibility
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
-from master.cycle.log import Log, Sink
+from master.cycle.log import CycleSink, Log
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
 from master.cycle.stop_request import requested
@@ -55,7 +55,7 @@ class Outcome:
 
 
 def run_safely(
-    link: Link, tap: can.BusABC | None, recorder: Sink | None, network: Network, limits: Limits,
+    link: Link, tap: can.BusABC | None, recorder: CycleSink | None, network: Network, limits: Limits,
     perform: Callable[[Exchange], None],
 ) -> Outcome:
     """Bring the bench up, run `perform` inside the cycle, end safely; the recorder hears the bus through `tap`.
@@ -83,7 +83,7 @@ def run_safely(
                    "" if stop is None else stop.condition.name)
 
 
-def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
+def _prepare(exchange: Exchange, described: WireLayout) -> StopError | None:
     """Bring the nodes up; where that fails no drive was enabled, and the bench of another master is let be."""
     link = exchange.link
     try:
@@ -92,7 +92,7 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
         link.watch = BusWatch(described, link.returned)
     except bringup.RivalError as error:
         return StopError(Condition.REFUSED, str(error))
-    except (bringup.RefusedError, SdoError, StopError) as error:
+    except (bringup.BringUpError, SdoError, StopError) as error:
         with contextlib.suppress(LinkError):
             bringup.leave(link)
         return error if isinstance(error, StopError) else StopError(Condition.REFUSED, str(error))
@@ -101,14 +101,14 @@ def _prepare(exchange: Exchange, described: Wire) -> StopError | None:
     return None
 
 
-def _attempt(exchange: Exchange, described: Wire, perform: Callable[[Exchange], None]) -> StopError | None:
+def _attempt(exchange: Exchange, described: WireLayout, perform: Callable[[Exchange], None]) -> StopError | None:
     """Run the cycle with `perform` in it, and stop safely whatever ends it: an error of the program does so, too."""
     try:
         _cycle(exchange, described, perform)
         return None
     except StopError as error:
         stop = error
-    except (bringup.RefusedError, SdoError) as error:
+    except (bringup.BringUpError, SdoError) as error:
         stop = StopError(Condition.REFUSED, str(error))
     except LinkError as error:
         stop = StopError(Condition.BUS_LOST, str(error))
@@ -141,7 +141,7 @@ def _tell_strangers(link: Link, log: Log) -> None:
         log.event(link.clock(), "bus", "master", f"{sentence}.")
 
 
-def _cycle(exchange: Exchange, described: Wire, perform: Callable[[Exchange], None]) -> None:
+def _cycle(exchange: Exchange, described: WireLayout, perform: Callable[[Exchange], None]) -> None:
     link = exchange.link
     link.sync_start(described.period_ns)
     exchange.begin()

@@ -7,13 +7,13 @@ END and what the servo's force says of the rope: a sensor that lies cannot keep 
 
 from __future__ import annotations
 
-from eds.bench import END, SERVO, START
+from eds.bench_network import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import ORDER, Inputs
 from master.cycle.safety import Reaction, StopError, reaction_to
-from master.network.bringup import RefusedError, leave
+from master.network.bringup import BringUpError, leave
 from master.network.link import LinkError
 
 _START_BIT = 1 << ORDER.index(START)
@@ -41,7 +41,7 @@ def safe_stop(exchange: Exchange, stop: StopError) -> None:
             drives.release(exchange, knee_too=reaction is Reaction.RELEASE_BOTH)
             _await_slack(exchange)
         _finish(exchange)
-    except (StopError, RefusedError, LinkError) as error:
+    except (StopError, BringUpError, LinkError) as error:
         exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop was cut short: {error}.")
         let_go(exchange)
 

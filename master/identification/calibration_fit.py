@@ -22,10 +22,10 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
 from master.control.homing_fit import adapt, led, smoothed
-from master.identification.jackknife import Line, Measured, half_width
+from master.identification.jackknife import LineFit, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
-from physics.calibration import Calibration, Evidence
+from physics.calibration import Calibration, ScalarEvidence
 from physics.laws import Array
 
 POINT_M = 0.4e-3
@@ -128,12 +128,12 @@ def _noise(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean([np.var(part) for part in parts])))
 
 
-def stiffness(segments: Sequence[Segment], offset_n: float) -> Line:
+def stiffness(segments: Sequence[Segment], offset_n: float) -> LineFit:
     """(10) as the paper fits it: rope position over START tension, quadratic, through pulls and releases."""
     return _line([(s.start - offset_n, s.position) for s in _of(segments, "stiffness")], 2)
 
 
-def swing(segments: Sequence[Segment]) -> Line:
+def swing(segments: Sequence[Segment]) -> LineFit:
     """(11) as the paper fits it: rope position over knee angle at a constant START tension, linear."""
     laps = [zip(np.array_split(s.knee, LAPS), np.array_split(s.position, LAPS), strict=True)
             for s in _of(segments, "swing")]
@@ -163,7 +163,8 @@ def _lag_error(segment: Segment, lag_s: float) -> float:
     return float(np.sum((followed - segment.position[DRIVE_TICKS:]) ** 2))
 
 
-def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tuple[Calibration, Mapping[str, Evidence]]:
+def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tuple[Calibration,
+                                                                                   Mapping[str, ScalarEvidence]]:
     """The joint fit of the transfer model to every loop and swing; returns scalars and their intervals.
 
     Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An
@@ -202,7 +203,7 @@ def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tup
     half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], [s.kind for s in data]), slopes[rows:], heavy)
     half = np.where(_ended(found.x, low, high) & doubted,
                     np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
-    evidence = {u.name: Evidence(float(value - by), float(value + by), repeatability=float(again))
+    evidence = {u.name: ScalarEvidence(float(value - by), float(value + by), repeatability=float(again))
                 for u, value, by, again in zip(_UNKNOWNS, found.x, half, scatter, strict=True) if u.name != END_LAG}
     to = max(float(segment.start.max()) for segment in data)
     return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
@@ -307,7 +308,7 @@ def _jackknife(slopes: Array, residuals: Array, sizes: Sequence[int], prior: Arr
     return np.asarray(np.sqrt((count - 1) / count * (spread**2).sum(axis=0)) / scale)
 
 
-def _line(laps: Sequence[tuple[Array, Array]], degree: int) -> Line:
+def _line(laps: Sequence[tuple[Array, Array]], degree: int) -> LineFit:
     def fitted(chosen: Sequence[tuple[Array, Array]]) -> Array:
         over, values = (np.concatenate(columns) for columns in zip(*chosen, strict=True))
         return np.polyfit(over, values, degree)
@@ -315,8 +316,8 @@ def _line(laps: Sequence[tuple[Array, Array]], degree: int) -> Line:
     coefficients = fitted(laps)
     values = np.concatenate([lap[1] for lap in laps])
     left = values - np.polyval(coefficients, np.concatenate([lap[0] for lap in laps]))
-    return Line(tuple(coefficients.tolist()), float(1.0 - np.var(left) / np.var(values)),
-                tuple(half_width(laps, fitted).tolist()))
+    return LineFit(tuple(coefficients.tolist()), float(1.0 - np.var(left) / np.var(values)),
+                   tuple(half_width(laps, fitted).tolist()))
 
 
 def _of(segments: Sequence[Segment], kind: str) -> list[Segment]:

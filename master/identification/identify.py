@@ -27,22 +27,22 @@ from dataclasses import dataclass, field
 import can
 import numpy as np
 
-from eds.bench import Network
+from eds.bench_network import Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
-from master.cycle.log import Sink
+from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.identification import calibration_fit
 from master.identification.calibration_fit import Segment
-from master.identification.jackknife import Line
+from master.identification.jackknife import LineFit
 from master.motion import moves
 from master.motion.home import home, swing_held, swing_to
 from master.network.link import Link
 from master.settings import Homing, Limits
 from parameters import InputError
 from physics import inverse, laws
-from physics.calibration import Calibration, Evidence, nominal
+from physics.calibration import Calibration, ScalarEvidence, nominal
 from trial.read import Trial
 
 KINDS = ("rest", "stiffness", "swing", "ramp")
@@ -80,7 +80,7 @@ class Identification:
 
 
 def run(
-    link: Link, tap: can.BusABC | None, recorder: Sink | None, identification: Identification,
+    link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     progress: Progress = lambda what, share: None,
 ) -> tuple[Outcome, list[Segment]]:
     """Run the experiments of a procedure; returns how it ended and what was recorded."""
@@ -101,7 +101,7 @@ def procedure(what: str) -> tuple[str, ...]:
 def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, bench: str, date: str,
               trial: str) -> Calibration:
     """The calibration that the segments of a procedure give; scalars it does not tell of stay as in `guess`."""
-    told: dict[str, tuple[float, Evidence]] = {}
+    told: dict[str, tuple[float, ScalarEvidence]] = {}
     still = calibration_fit.rest(segments)
     told |= {name: (seen.value, seen.evidence) for name, seen in calibration_fit.start_at_rest(segments).items()}
     kinds = procedure(what)
@@ -120,7 +120,7 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
             r_squared = told[name][1].r_squared if name in told else math.nan
             told[name] = getattr(fitted, name), dataclasses.replace(interval, r_squared=r_squared)
         told |= _as_homed(segments, _replaced(guess, told), still)
-        told["identified_to"] = fitted.identified_to, Evidence(math.nan, math.nan)
+        told["identified_to"] = fitted.identified_to, ScalarEvidence(math.nan, math.nan)
     evidence = dict(guess.evidence) | {
         name: dataclasses.replace(proof, date=date, trial=trial) for name, (_, proof) in told.items()}
     return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
@@ -128,20 +128,20 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
 
 def _as_homed(
     segments: Sequence[Segment], found: Calibration, still: calibration_fit.Rest
-) -> dict[str, tuple[float, Evidence]]:
+) -> dict[str, tuple[float, ScalarEvidence]]:
     """What homing finds on this day: the loop that is like its own, at the knee angle that it homes at."""
     ramps = [s for s in segments if s.kind == "ramp" and abs(float(s.knee[0]) - RAMP_KNEES_RAD[1]) < SAME_KNEE_RAD]
     if not ramps:
         return {}
     like = min(ramps, key=lambda s: abs(float(s.start.max()) - HALF_N))
-    return {"homed_friction": (calibration_fit.homed(like, found, still), Evidence(math.nan, math.nan))}
+    return {"homed_friction": (calibration_fit.homed(like, found, still), ScalarEvidence(math.nan, math.nan))}
 
 
-def _named(names: tuple[str, ...], line: Line) -> dict[str, tuple[float, Evidence]]:
+def _named(names: tuple[str, ...], line: LineFit) -> dict[str, tuple[float, ScalarEvidence]]:
     return dict(zip(names, zip(line.coefficients, line.evidence, strict=True), strict=True))
 
 
-def _replaced(guess: Calibration, told: Mapping[str, tuple[float, Evidence]]) -> Calibration:
+def _replaced(guess: Calibration, told: Mapping[str, tuple[float, ScalarEvidence]]) -> Calibration:
     values: dict[str, float] = {name: value for name, (value, _) in told.items()}
     return dataclasses.replace(guess, **values)  # type: ignore[arg-type]
 

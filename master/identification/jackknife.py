@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t
 
-from physics.calibration import Evidence
+from physics.calibration import ScalarEvidence
 
 Part = TypeVar("Part")
 
 
-class Line(NamedTuple):
+class LineFit(NamedTuple):
     """A fit as the paper makes it: coefficients, highest power first, R², and half of each one's 95 % interval."""
 
     coefficients: tuple[float, ...]
@@ -25,9 +25,9 @@ class Line(NamedTuple):
     half: tuple[float, ...]
 
     @property
-    def evidence(self) -> tuple[Evidence, ...]:
+    def evidence(self) -> tuple[ScalarEvidence, ...]:
         """What each coefficient rests on."""
-        return tuple(Evidence(value - half, value + half, self.r_squared)
+        return tuple(ScalarEvidence(value - half, value + half, self.r_squared)
                      for value, half in zip(self.coefficients, self.half, strict=True))
 
 
@@ -38,9 +38,9 @@ class Measured(NamedTuple):
     half: float
 
     @property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> ScalarEvidence:
         """What it rests on."""
-        return Evidence(self.value - self.half, self.value + self.half)
+        return ScalarEvidence(self.value - self.half, self.value + self.half)
 
 
 def half_width(parts: Sequence[Part], estimate: Callable[[list[Part]], Any]) -> NDArray[np.float64]:

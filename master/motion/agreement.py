@@ -10,7 +10,7 @@ from typing import Final
 
 from master.cycle.exchange import Exchange
 from master.cycle.plausibility import Learned
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 from physics.calibration import NOMINAL, Calibration, nominal
 
 STRETCH: Final = 1.6
@@ -37,9 +37,9 @@ def unlike_packaged(calibration: Calibration) -> bool:
 
 
 def refuse_swing(calibration: Calibration, found: float) -> None:
-    """Raise `RefusedError`, with both numbers, where homing `found` another swing_k, m/rad, than the calibration's."""
+    """Raise `BringUpError`, with both numbers, where homing `found` another swing_k, m/rad, than the calibration's."""
     if abs(found / calibration.swing_k - 1.0) > SWING:
-        raise RefusedError(
+        raise BringUpError(
             f"calibration {calibration.label}: its swing_k is {calibration.swing_k:.4f} m/rad, homing found "
             f"{found:.4f} m/rad; identify this bench (bowden identify all) and start again.")
 
@@ -50,14 +50,14 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
 
 
 def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
-    """Take over what homing showed; raises `RefusedError` where it is not what the calibration says.
+    """Take over what homing showed; raises `BringUpError` where it is not what the calibration says.
 
     A `guessed` calibration is about to be measured: its stretch may be another bench's.
     """
     learned = exchange.plausibility.learn(calibration.stiffness_a, calibration.stiffness_b)
     sentence = disagreement(learned, calibration, guessed=guessed) or among_sensors(learned)
     if sentence is not None:
-        raise RefusedError(sentence)
+        raise BringUpError(sentence)
 
 
 def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = False) -> str | None:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from eds.bench import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START
 from eds.cia301 import SIGNATURE_ZERO
 from eds.cia402 import State, state_of
 from eds.dictionary import key
@@ -22,7 +22,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.inputs import ORDER, Inputs
 from master.motion import moves
 from master.motion.home import home as find_home
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 from master.settings import Homing, Limits
 from parameters import InputError
 from physics.calibration import Calibration
@@ -60,7 +60,7 @@ def tare(sensor: str) -> Procedure:
         before = _mean(exchange, node)
         name = exchange.wire.nodes[node].name
         if not abs(before) < TARE_LIMIT_N:
-            raise RefusedError(f"{name} reads {before:.2f} N; zeroing would hide a tension: release the rope, or check "
+            raise BringUpError(f"{name} reads {before:.2f} N; zeroing would hide a tension: release the rope, or check "
                                "the sensor")
         _zero(exchange, node, before)
         return {"before_n": before, "after_n": _mean(exchange, node)}
@@ -103,14 +103,14 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
         for step in range(1, steps + 1):
             _lead(exchange, node, start + distance * moves.smooth(step / steps))
             if exchange.inputs.start_n > max(stop_n, begun_n + 1.0):
-                raise RefusedError(f"START reached {exchange.inputs.start_n:.1f} N with {axis} at "
+                raise BringUpError(f"START reached {exchange.inputs.start_n:.1f} N with {axis} at "
                                    f"{_shown(node, _position(exchange.inputs, node))}, "
                                    f"{_shown(node, abs(distance * moves.smooth(step / steps)))} of "
                                    f"{_shown(node, abs(distance))} done; release the rope, or go the other way")
         moves.settle(exchange, REST_S)
         inputs = exchange.inputs
         if abs(_position(inputs, node) - exchange.targets[ORDER.index(node)]) > BEHIND[node]:
-            raise RefusedError(f"{axis} stopped at {_shown(node, _position(inputs, node))} and not at "
+            raise BringUpError(f"{axis} stopped at {_shown(node, _position(inputs, node))} and not at "
                                f"{_shown(node, start + distance)}: START {inputs.start_n:.1f} N; its drive held a "
                                "limit")
         return {"servo_position_m": inputs.servo_position_m, "knee_angle_rad": inputs.knee_angle_rad,
@@ -130,7 +130,7 @@ def _shown(node: int, value: float) -> str:
 def _refuse_beyond_travel(target: float, node: int, axis: str) -> None:
     low, high = TRAVEL[node]
     if not low <= target <= high:
-        raise RefusedError(f"{axis} would go to {_shown(node, target)}, beyond its travel of {_shown(node, low)} to "
+        raise BringUpError(f"{axis} would go to {_shown(node, target)}, beyond its travel of {_shown(node, low)} to "
                            f"{_shown(node, high)}; nothing was moved, give a shorter way")
 
 
@@ -143,7 +143,7 @@ def release(homing: Homing, limits: Limits) -> Procedure:
         step = homing.rope_m_s * exchange.wire.period_ns * 1e-9
         while exchange.inputs.start_n >= limits.unwound_n:
             if at - exchange.targets[0] >= REACH_M:
-                raise RefusedError(f"{REACH_M * 1e3:.0f} mm of rope paid out and START is at "
+                raise BringUpError(f"{REACH_M * 1e3:.0f} mm of rope paid out and START is at "
                                    f"{exchange.inputs.start_n:.1f} N; tare START or free the rope")
             _lead(exchange, SERVO, exchange.targets[0] - step)
         return {"before_n": before, "after_n": exchange.inputs.start_n, "paid_out_m": at - exchange.targets[0]}
@@ -178,10 +178,10 @@ def _mean(exchange: Exchange, node: int) -> float:
 
 
 def _lead(exchange: Exchange, node: int, target: float) -> Inputs:
-    """One cycle with one axis led; the other one's target stays.  Raises `RefusedError` where its drive went off."""
+    """One cycle with one axis led; the other one's target stays.  Raises `BringUpError` where its drive went off."""
     servo, knee = exchange.targets
     inputs = exchange.advance(*((target, knee) if node == SERVO else (servo, target)))
     status = inputs.servo_status if node == SERVO else inputs.knee_status
     if state_of(status) is not State.OPERATION_ENABLED:
-        raise RefusedError(f"{exchange.wire.nodes[node].name} left OPERATION ENABLED, statusword 0x{status:04X}")
+        raise BringUpError(f"{exchange.wire.nodes[node].name} left OPERATION ENABLED, statusword 0x{status:04X}")
     return inputs

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eds.bench import START
+from eds.bench_network import START
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange
 from master.cycle.inputs import Inputs
 from master.motion import agreement, moves
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 from master.settings import Homing
 from physics import laws, stretch
@@ -56,7 +56,7 @@ def home(
 
     Both drives must be enabled; `start_gain` is what START is known to read of 1 N.  `guessed`: the calibration is
     what an identification starts from, so a bench that stretches otherwise is no contradiction but what it is for.
-    Raises `RefusedError` where the rope does not tighten, the loop has no crossing, or homing contradicts the
+    Raises `BringUpError` where the rope does not tighten, the loop has no crossing, or homing contradicts the
     calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
@@ -179,6 +179,6 @@ def crossing(rows: list[Row], preload_n: float) -> float:
     """Rope position, m, of the straight line through (START, position) near the preload, at the preload."""
     table = np.array([row[:2] for row in rows if abs(row[0] - preload_n) <= AROUND * preload_n])
     if len(table) < 3:
-        raise RefusedError(f"homing: START was near {preload_n:g} N in {len(table)} cycles only; home more slowly.")
+        raise BringUpError(f"homing: START was near {preload_n:g} N in {len(table)} cycles only; home more slowly.")
     _slope, offset = np.polyfit(table[:, 0] - preload_n, table[:, 1], 1)
     return float(offset)

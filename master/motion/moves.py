@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
-from eds.bench import SERVO
+from eds.bench_network import SERVO
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 
 T = TypeVar("T")
 
@@ -60,7 +60,7 @@ def reel(
 ) -> Inputs:
     """Wind the rope (negative speed: pay it out) at constant speed until `until` holds; every input goes to `seen`.
 
-    Raises `RefusedError` with `why` when `reach_m` of rope did not do it.
+    Raises `BringUpError` with `why` when `reach_m` of rope did not do it.
     """
     servo, knee = exchange.targets
     start, step = servo, rope_m_s * exchange.wire.period_ns * 1e-9
@@ -68,7 +68,7 @@ def reel(
     while not until(inputs):
         if abs(servo - start) >= reach_m:
             name = exchange.wire.nodes[SERVO].name
-            raise RefusedError(f"{name}: {reach_m * 1e3:.0f} mm of rope and START is at {inputs.start_n:.1f} N: {why}.")
+            raise BringUpError(f"{name}: {reach_m * 1e3:.0f} mm of rope and START is at {inputs.start_n:.1f} N: {why}.")
         servo += step
         inputs = exchange.advance(servo, knee)
         seen(inputs)

@@ -16,12 +16,12 @@ import can
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import CycleAnnotations
-from master.cycle.log import Sink
+from master.cycle.log import CycleSink
 from master.cycle.run_safely import run_safely
 from master.motion import gait
-from master.motion.experiment import Experiment, Planned, Result, result_of
+from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
 from master.motion.home import home
-from master.motion.scripted_motions import Bench, Dither, Hold, Knee, Motion, Pull, Release, Swing, Wind
+from master.motion.scripted_motions import Dither, Hold, Knee, Motion, MotionContext, Pull, Release, Swing, Wind
 from master.network.link import Link
 from parameters import InputError
 from physics.effects.separating_experiments import EXPERIMENTS
@@ -36,7 +36,7 @@ SLACK_M: Final = 4 * MM
 SETTLE_S: Final = 0.5
 
 
-class Part(NamedTuple):
+class ScriptPart(NamedTuple):
     """What is done first, then `laps` times the same."""
 
     first: Sequence[Motion]
@@ -44,57 +44,58 @@ class Part(NamedTuple):
     laps: int
 
 
-class Walk(NamedTuple):
+class ScriptedWalk(NamedTuple):
     """The gait of the configuration, after a rest."""
 
     rest_s: float = 0.0
     cycles: int | None = None
 
 
-def _at(angle: float, low_n: float, high_n: float, laps: int) -> Part:
-    return Part((Knee(angle), Pull(low_n)), (Pull(high_n), Release(low_n)), laps)
+def _at(angle: float, low_n: float, high_n: float, laps: int) -> ScriptPart:
+    return ScriptPart((Knee(angle), Pull(low_n)), (Pull(high_n), Release(low_n)), laps)
 
 
-SCRIPTS: Final[Mapping[str, Sequence[Part | Walk]]] = {
+SCRIPTS: Final[Mapping[str, Sequence[ScriptPart | ScriptedWalk]]] = {
     "locked_angles": [_at(angle, 10.0, 50.0, 4) for angle in (LOW, MIDDLE, HIGH)],
     "two_peaks": [
-        Part((Knee(KNEE),), (Pull(20.0), Release(5.0)), 5),
-        Part((), (Pull(60.0), Release(5.0)), 5),
+        ScriptPart((Knee(KNEE),), (Pull(20.0), Release(5.0)), 5),
+        ScriptPart((), (Pull(60.0), Release(5.0)), 5),
     ],
     "two_speeds": [
-        Part((Knee(KNEE),), (Pull(40.0, CREEP), Release(5.0, CREEP)), 4),
-        Part((), (Pull(40.0, BRISK), Release(5.0, BRISK)), 8),
+        ScriptPart((Knee(KNEE),), (Pull(40.0, CREEP), Release(5.0, CREEP)), 4),
+        ScriptPart((), (Pull(40.0, BRISK), Release(5.0, BRISK)), 8),
     ],
     "dither": [
-        Part((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)),
-             (Dither(0.1 * MM, 40.0, 1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5),
-        Part((), (Hold(1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5),
+        ScriptPart((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)),
+                   (Dither(0.1 * MM, 40.0, 1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5),
+        ScriptPart((), (Hold(1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5),
     ],
     "amplitude_sweep": [
-        Part((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)) if amplitude == 0.1 else (),
-             (Wind(-amplitude * MM, SLOW), Wind(amplitude * MM, SLOW)), 3)
+        ScriptPart((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)) if amplitude == 0.1 else (),
+                   (Wind(-amplitude * MM, SLOW), Wind(amplitude * MM, SLOW)), 3)
         for amplitude in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
     ],
-    "rest_repeat": [Walk(cycles=10), Walk(rest_s=60.0, cycles=10)],
-    "hold_return": [Part((Knee(KNEE),), (Pull(40.0), Hold(20.0), Release(5.0), Hold(20.0)), 3)],
-    "unload": [Part((Knee(KNEE),), (Release(beyond_m=10.0 * MM, speed_m_s=EASY), Pull(20.0, EASY)), 6)],
+    "rest_repeat": [ScriptedWalk(cycles=10), ScriptedWalk(rest_s=60.0, cycles=10)],
+    "hold_return": [ScriptPart((Knee(KNEE),), (Pull(40.0), Hold(20.0), Release(5.0), Hold(20.0)), 3)],
+    "unload": [ScriptPart((Knee(KNEE),), (Release(beyond_m=10.0 * MM, speed_m_s=EASY), Pull(20.0, EASY)), 6)],
     "locked_motor": [
-        Part((Knee(KNEE), Pull(20.0), Hold(SETTLE_S)) if degrees == 1.0 else (),
-             (Swing(math.radians(degrees), 2.0),), 3)
+        ScriptPart((Knee(KNEE), Pull(20.0), Hold(SETTLE_S)) if degrees == 1.0 else (),
+                   (Swing(math.radians(degrees), 2.0),), 3)
         for degrees in (1.0, 2.0, 5.0)
     ],
     "full_turns": [
-        Part((Knee(LOW), Release(beyond_m=SLACK_M)), (Wind(-ROUND, 0.1), Wind(ROUND, 0.1)), 2),
-        *(Part((Knee(angle),), (Pull(20.0), Release(5.0)), 3) for angle in (LOW, MIDDLE, HIGH)),
+        ScriptPart((Knee(LOW), Release(beyond_m=SLACK_M)), (Wind(-ROUND, 0.1), Wind(ROUND, 0.1)), 2),
+        *(ScriptPart((Knee(angle),), (Pull(20.0), Release(5.0)), 3) for angle in (LOW, MIDDLE, HIGH)),
     ],
     "slack_swing": [
-        Part((Knee(math.radians(-37.5)), Release(beyond_m=SLACK_M)), (Swing(math.radians(32.5), 3.0, led=True),), 5)],
-    "step": [Part((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)),
-                  (Wind(-1.0 * MM, 1.0), Hold(0.4), Wind(1.0 * MM, 1.0), Hold(0.4)), 8)],
-    "bus_log": [Walk()],
+        ScriptPart((Knee(math.radians(-37.5)), Release(beyond_m=SLACK_M)), (Swing(math.radians(32.5), 3.0, led=True),),
+                   5)],
+    "step": [ScriptPart((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)),
+                        (Wind(-1.0 * MM, 1.0), Hold(0.4), Wind(1.0 * MM, 1.0), Hold(0.4)), 8)],
+    "bus_log": [ScriptedWalk()],
     "three_speeds": [
-        Part((Knee(HIGH), Release(beyond_m=10.0 * MM)) if speed == 0.01 else (),
-             (Wind(-30.0 * MM, speed), Wind(30.0 * MM, speed)), 3)
+        ScriptPart((Knee(HIGH), Release(beyond_m=10.0 * MM)) if speed == 0.01 else (),
+                   (Wind(-30.0 * MM, speed), Wind(30.0 * MM, speed)), 3)
         for speed in (0.01, 0.03, 0.1)
     ],
 }
@@ -126,10 +127,11 @@ def checked(name: str, *, where: str) -> str:
 
 def laps(name: str, cycles: int) -> int:
     """Return how many laps an experiment numbers; `cycles` are the configuration's gait cycles."""
-    return sum(part.laps if isinstance(part, Part) else part.cycles or cycles for part in SCRIPTS[name])
+    return sum(part.laps if isinstance(part, ScriptPart) else part.cycles or cycles for part in SCRIPTS[name])
 
 
-def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment, name: str) -> Result:
+def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experiment: ExperimentSetup,
+        name: str) -> Result:
     """Run the experiment `name` on the bus of `link`, on the bench that `experiment` describes."""
     return Scripted(experiment, name).run(link, tap, recorder)
 
@@ -137,14 +139,14 @@ def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: E
 class Scripted:
     """One script on one bench, with its tables made; raises `InputError` where it cannot be run."""
 
-    def __init__(self, experiment: Experiment, name: str) -> None:
+    def __init__(self, experiment: ExperimentSetup, name: str) -> None:
         checked(name, where="experiment")
-        cycles = next((part.cycles for part in SCRIPTS[name] if isinstance(part, Walk) and part.cycles), None)
+        cycles = next((part.cycles for part in SCRIPTS[name] if isinstance(part, ScriptedWalk) and part.cycles), None)
         if cycles is not None:
             experiment = dataclasses.replace(experiment, gait=dataclasses.replace(experiment.gait, cycles=cycles))
         self.name, self.planned, self.count = name, Planned(experiment), 0
 
-    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink | None) -> Result:
+    def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
         """Run it on the bus of `link`."""
         experiment = self.planned.experiment
         outcome = run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform)
@@ -154,17 +156,17 @@ class Scripted:
         """Enable, home, and run every part."""
         planned = self.planned
         experiment = planned.experiment
-        bench = Bench(planned.calibration, experiment.homing)
+        bench = MotionContext(planned.calibration, experiment.homing)
         drives.enable(exchange)
         planned.homed = home(exchange, planned.calibration, experiment.homing, SLACK_M)
         for part in SCRIPTS[self.name]:
-            if isinstance(part, Walk):
+            if isinstance(part, ScriptedWalk):
                 self._walk(exchange, part)
             else:
                 self._part(exchange, bench, part)
         Release(beyond_m=SLACK_M).run(exchange, bench)
 
-    def _part(self, exchange: Exchange, bench: Bench, part: Part) -> None:
+    def _part(self, exchange: Exchange, bench: MotionContext, part: ScriptPart) -> None:
         for motion in part.first:
             motion.run(exchange, bench)
         for _lap in range(part.laps):
@@ -174,9 +176,9 @@ class Scripted:
             self.count += 1
         exchange.annotations = CycleAnnotations()
 
-    def _walk(self, exchange: Exchange, walk: Walk) -> None:
+    def _walk(self, exchange: Exchange, walk: ScriptedWalk) -> None:
         planned = self.planned
-        Hold(walk.rest_s).run(exchange, Bench(planned.calibration, planned.experiment.homing))
+        Hold(walk.rest_s).run(exchange, MotionContext(planned.calibration, planned.experiment.homing))
         gait.approach(exchange, planned.table, gait.run_in_sample(planned.table), planned.experiment.homing)
         planned.walk(exchange, self.count)
         self.count += planned.experiment.gait.cycles

@@ -19,7 +19,7 @@ REACH_M = 0.12
 SLACK_N = 1.0
 
 
-class Bench(NamedTuple):
+class MotionContext(NamedTuple):
     """What motions need to know of the bench."""
 
     calibration: Calibration
@@ -29,7 +29,7 @@ class Bench(NamedTuple):
 class Motion(Protocol):
     """One motion."""
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it, from the last targets on."""
 
 
@@ -40,7 +40,7 @@ class Pull:
     start_n: float
     speed_m_s: float = 0.06
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it; raises `RefusedError` where the rope does not tighten."""
         moves.reel(exchange, self.speed_m_s, lambda inputs: inputs.start_n > self.start_n, REACH_M,
                    "the rope does not tighten")
@@ -54,7 +54,7 @@ class Release:
     speed_m_s: float = 0.06
     beyond_m: float = 0.0
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it; raises `RefusedError` where the rope does not go slack."""
         moves.reel(exchange, -self.speed_m_s, lambda inputs: inputs.start_n < self.start_n, REACH_M,
                    "the rope does not go slack")
@@ -68,7 +68,7 @@ class Wind:
     length_m: float
     speed_m_s: float
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it, whatever the tension: the limits stop it."""
         servo, knee = exchange.targets
         steps = math.ceil(abs(self.length_m) / self.speed_m_s / _period_s(exchange))
@@ -82,7 +82,7 @@ class Hold:
 
     seconds: float
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it."""
         moves.settle(exchange, self.seconds)
 
@@ -95,7 +95,7 @@ class Dither:
     frequency_hz: float
     seconds: float
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it, in whole sines."""
         servo, knee = exchange.targets
         turn = 2.0 * math.pi * self.frequency_hz * _period_s(exchange)
@@ -110,7 +110,7 @@ class Knee:
 
     angle_rad: float
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it; raises `RefusedError` where the rope does not go slack."""
         swing_to(exchange, self.angle_rad, bench.calibration, bench.homing)
 
@@ -123,7 +123,7 @@ class Swing:
     seconds: float
     led: bool = False
 
-    def run(self, exchange: Exchange, bench: Bench) -> None:
+    def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it, a sine from its middle to its middle."""
         servo, knee = exchange.targets
         ratio = bench.calibration.swing_k if self.led else 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from eds.bench import KNEE, MASTER, SERVO, NodeEntry, Wire
+from eds.bench_network import KNEE, MASTER, SERVO, NodeEntry, WireLayout
 from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key
@@ -24,11 +24,11 @@ _CONFIGURED = {1: "configuration date", 2: "configuration time"}
 _DEVICE_TYPE, _IDENTITY_OBJECT, _CONTROLWORD = 0x1000, 0x1018, 0x6040
 
 
-class RefusedError(Exception):
+class BringUpError(Exception):
     """The bench cannot be brought up; the text names the node and the reason."""
 
 
-class RivalError(RefusedError):
+class RivalError(BringUpError):
     """Another master runs this bench: nothing may be said on its bus."""
 
 
@@ -42,10 +42,10 @@ class BringUpLog(Protocol):
         """Record the frames that wait at the tap."""
 
 
-def bring_up(link: Link, wire: Wire, log: BringUpLog) -> dict[int, int]:
+def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
     """Bring every node of `wire` to OPERATIONAL with its set-up written; returns their serial numbers.
 
-    Drives come out with their power stage off.  Raises `RefusedError` with the node's name and the reason.
+    Drives come out with their power stage off.  Raises `BringUpError` with the node's name and the reason.
     """
     refuse_rival(link)
     entries = [wire.nodes[node] for node in sorted(wire.nodes)]
@@ -93,7 +93,7 @@ def _await_node(link: Link, entry: NodeEntry) -> None:
             return
         except SdoError as error:
             if link.clock() >= deadline:
-                raise RefusedError(f"{entry.name} (node {entry.node_id}) does not answer: {error}; "
+                raise BringUpError(f"{entry.name} (node {entry.node_id}) does not answer: {error}; "
                               "check its supply, its node id and the bit rate.") from None
             link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, entry.node_id)
 
@@ -104,7 +104,7 @@ def _disarm(link: Link, entry: NodeEntry) -> None:
         try:
             link.sdo_write(entry.node_id, _CONTROLWORD, 0, b"\x00\x00")
         except SdoError as error:
-            raise RefusedError(f"{entry.name}: its voltage cannot be disabled ({error}).") from None
+            raise BringUpError(f"{entry.name}: its voltage cannot be disabled ({error}).") from None
 
 
 def identify(link: Link, entry: NodeEntry) -> int:
@@ -112,13 +112,13 @@ def identify(link: Link, entry: NodeEntry) -> int:
     expected = entry.dictionary.initial(_DEVICE_TYPE)
     found = _read(link, entry, _DEVICE_TYPE, 0)
     if found != expected:
-        raise RefusedError(f"{entry.name} (node {entry.node_id}): device type is 0x{found:08X}, its EDS "
+        raise BringUpError(f"{entry.name} (node {entry.node_id}): device type is 0x{found:08X}, its EDS "
                       f"{entry.dictionary.path} says 0x{expected:08X}; connect that device or give its EDS.")
     for subindex, name in _IDENTITY.items():
         expected = entry.dictionary.initial(_IDENTITY_OBJECT, subindex)
         found = _read(link, entry, _IDENTITY_OBJECT, subindex)
         if expected and found != expected:
-            raise RefusedError(f"{entry.name} (node {entry.node_id}): {name} is 0x{found:08X}, its EDS "
+            raise BringUpError(f"{entry.name} (node {entry.node_id}): {name} is 0x{found:08X}, its EDS "
                           f"{entry.dictionary.path} says 0x{expected:08X}; connect that device or give its EDS.")
     _refuse_other_configuration(link, entry)
     if key(_IDENTITY_OBJECT, 4) not in entry.dictionary.entries:
@@ -134,7 +134,7 @@ def _refuse_other_configuration(link: Link, entry: NodeEntry) -> None:
             continue
         found = _read(link, entry, _VERIFY_OBJECT, subindex)
         if found != declared.value:
-            raise RefusedError(f"{entry.name} (node {entry.node_id}): {name} (0x1020) is {found!r}, "
+            raise BringUpError(f"{entry.name} (node {entry.node_id}): {name} (0x1020) is {found!r}, "
                                f"{entry.dictionary.path} says {declared.value!r}; its parameters have changed since: "
                                f"bowden node compare, then restore.")
 
@@ -143,21 +143,21 @@ def _read(link: Link, entry: NodeEntry, index: int, subindex: int) -> int:
     try:
         return int.from_bytes(link.sdo_read(entry.node_id, index, subindex), "little")
     except SdoError as error:
-        raise RefusedError(f"{entry.name}: {error}.") from None
+        raise BringUpError(f"{entry.name}: {error}.") from None
 
 
-def _configure(link: Link, wire: Wire, entry: NodeEntry) -> None:
+def _configure(link: Link, wire: WireLayout, entry: NodeEntry) -> None:
     for index, subindex, value in wire.setup(entry.node_id):
         declared = entry.dictionary.entries[key(index, subindex)]
         try:
             link.sdo_write(entry.node_id, index, subindex, encode(declared.data_type, value))
         except SdoError as error:
             asked = f"{declared.name} = {value!r}"
-            raise RefusedError(f"{entry.name} does not take its set-up: {error} ({asked}).") from None
+            raise BringUpError(f"{entry.name} does not take its set-up: {error} ({asked}).") from None
 
 
 def _start(link: Link, entry: NodeEntry) -> None:
     link.nmt(NmtCommand.START, entry.node_id)
     if not link.await_state(entry.node_id, NmtState.OPERATIONAL, START_NS):
-        raise RefusedError(f"{entry.name} (node {entry.node_id}) did not report OPERATIONAL within "
+        raise BringUpError(f"{entry.name} (node {entry.node_id}) did not report OPERATIONAL within "
                       f"{START_NS / 1e9:g} s of its start; check its heartbeat (0x1017) and its error register.")

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import can
 
-from eds.bench import MASTER, Wire
+from eds.bench_network import MASTER, WireLayout
 from eds.cia301 import (
     EMCY_BASE,
     HEARTBEAT_BASE,
@@ -57,7 +57,7 @@ class BusWatch:
     master's.
     """
 
-    def __init__(self, wire: Wire, returned: bool = False) -> None:
+    def __init__(self, wire: WireLayout, returned: bool = False) -> None:
         self._returned: deque[tuple[int, bytes]] | None = deque(maxlen=RETURNED) if returned else None
         self.found: deque[Stranger] = deque()
         self.own: dict[int, bytes] = {wire.targets.cob_id: b"", wire.controlwords.cob_id: b""}

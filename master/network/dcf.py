@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from eds import ini
-from eds.bench import NodeEntry
+from eds.bench_network import NodeEntry
 from eds.cia301 import SIGNATURE_SAVE
 from eds.datatype import Value, decode, encode
 from eds.dictionary import Dictionary, Entry, key
@@ -31,7 +31,7 @@ _SECTION: Final = re.compile(r"^\s*\[([^\]]*)\]")
 _GIVEN: Final = re.compile(r"^\s*ParameterValue\s*=", re.IGNORECASE)
 
 
-class Difference(NamedTuple):
+class ParameterDifference(NamedTuple):
     """A parameter whose value on the node is not the file's."""
 
     object: int
@@ -115,16 +115,16 @@ def _shown(value: Value) -> str:
     return repr(value)
 
 
-def compare(link: Link, node: NodeEntry, file: Dictionary) -> list[Difference]:
+def compare(link: Link, node: NodeEntry, file: Dictionary) -> list[ParameterDifference]:
     """The parameters that the file gives a value and the node holds another one for."""
     return [
-        Difference(entry.index, entry.subindex, entry.name, entry.value, found)
+        ParameterDifference(entry.index, entry.subindex, entry.name, entry.value, found)
         for entry in parameters(file)
         if entry.value is not None and (found := _value(link, node.node_id, entry)) != entry.value
     ]
 
 
-def restore(link: Link, node: NodeEntry, file: Dictionary) -> list[Difference]:
+def restore(link: Link, node: NodeEntry, file: Dictionary) -> list[ParameterDifference]:
     """Write what differs and the file's date (0x1020), store them in the node (0x1010), and say what it was.
 
     Raises `InputError` where the node refuses a value.

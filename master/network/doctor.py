@@ -29,7 +29,7 @@ QUEUE: Final = 64
 TROUBLED: Final = frozenset({"ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPPED"})
 
 
-class Finding(NamedTuple):
+class DoctorFinding(NamedTuple):
     """One thing looked at: whether it is `good`, what was seen, and what to type where it is not."""
 
     what: str
@@ -38,67 +38,70 @@ class Finding(NamedTuple):
     remedy: str = ""
 
 
-def interface(channel: str, bitrate: int) -> Iterator[Finding]:
+def interface(channel: str, bitrate: int) -> Iterator[DoctorFinding]:
     """The SocketCAN interface: present, CAN, up, its bit rate, its controller's state and its queue."""
     at = NET / channel
     setup = f"sudo ip link set {channel} up type can bitrate {bitrate} restart-ms 100"
     if not at.exists():
         present = [path.name for path in NET.iterdir() if _read(path / "type") == ARPHRD_CAN] if NET.exists() else []
         others = f"there is {', '.join(sorted(present))}" if present else "there is none"
-        yield Finding("interface", False, f"{channel} does not exist; {others}",
-                      "plug the adapter in and load its driver (sudo dmesg | tail), or for a dry run: sudo ip link add "
-                      f"{channel} type vcan && sudo ip link set {channel} up")
+        yield DoctorFinding("interface", False, f"{channel} does not exist; {others}",
+                            "plug the adapter in and load its driver (sudo dmesg | tail), or for a dry run: "
+                            f"sudo ip link add {channel} type vcan && sudo ip link set {channel} up")
         return
     if _read(at / "type") != ARPHRD_CAN:
-        yield Finding("interface", False, f"{channel} is no CAN interface", "name one of: ip -br link show type can")
+        yield DoctorFinding("interface", False, f"{channel} is no CAN interface",
+                            "name one of: ip -br link show type can")
         return
     told = _ip(channel)
     kind = told.get("linkinfo", {}).get("info_kind", "can")
     up = bool(int(_read(at / "flags") or "0", 16) & 1)
-    yield Finding("interface", up, f"{channel} ({kind}) is {'up' if up else 'down'}",
-                  f"sudo ip link set {channel} up" if kind != "can" else setup)
+    yield DoctorFinding("interface", up, f"{channel} ({kind}) is {'up' if up else 'down'}",
+                        f"sudo ip link set {channel} up" if kind != "can" else setup)
     yield from _controller(channel, bitrate, told.get("linkinfo", {}).get("info_data", {}), setup)
     queue = int(_read(at / "tx_queue_len") or "0")
-    yield Finding("transmit queue", queue >= QUEUE or kind == "vcan", f"{queue} frames",
-                  f"sudo ip link set {channel} txqueuelen {QUEUE}")
+    yield DoctorFinding("transmit queue", queue >= QUEUE or kind == "vcan", f"{queue} frames",
+                        f"sudo ip link set {channel} txqueuelen {QUEUE}")
 
 
-def _controller(channel: str, bitrate: int, data: dict[str, Any], setup: str) -> Iterator[Finding]:
+def _controller(channel: str, bitrate: int, data: dict[str, Any], setup: str) -> Iterator[DoctorFinding]:
     rate = data.get("bittiming", {}).get("bitrate")
     if rate is not None:
-        yield Finding("bit rate", rate == bitrate, f"{rate} bit/s, the configuration has {bitrate}",
-                      f"sudo ip link set {channel} down && {setup}")
+        yield DoctorFinding("bit rate", rate == bitrate, f"{rate} bit/s, the configuration has {bitrate}",
+                            f"sudo ip link set {channel} down && {setup}")
     state = data.get("state")
     if state is not None:
         counters = data.get("berr_counter", {})
-        yield Finding("controller", state not in TROUBLED,
-                      f"{state}, transmit errors {counters.get('tx', '?')}, receive errors {counters.get('rx', '?')}",
-                      f"check termination (60 Ω across CAN-H and CAN-L), ground and bit rate, then sudo ip link set "
-                      f"{channel} down && {setup}")
+        sent, heard = (counters.get(way, "?") for way in ("tx", "rx"))
+        yield DoctorFinding("controller", state not in TROUBLED,
+                            f"{state}, transmit errors {sent}, receive errors {heard}",
+                            "check termination (60 Ω across CAN-H and CAN-L), ground and bit rate, then "
+                            f"sudo ip link set {channel} down && {setup}")
 
 
-def computer() -> Iterator[Finding]:
+def computer() -> Iterator[DoctorFinding]:
     """Kernel, clock source, permissions for a cycle in wall time, receive buffers."""
     preempt = "PREEMPT_RT" in os.uname().version or _read(Path("/sys/kernel/realtime")) == "1"
-    yield Finding("kernel", True, f"Linux {os.uname().release}, {'PREEMPT_RT' if preempt else 'not PREEMPT_RT'}")
+    yield DoctorFinding("kernel", True, f"Linux {os.uname().release}, {'PREEMPT_RT' if preempt else 'not PREEMPT_RT'}")
     source = _read(CLOCK_SOURCE)
-    yield Finding("clock source", source in GOOD_CLOCKS or not source, source or "not told",
-                  f"reading {source} costs microseconds; boot with clocksource=tsc tsc=reliable, where there is one")
+    yield DoctorFinding("clock source", source in GOOD_CLOCKS or not source, source or "not told",
+                        f"reading {source} costs microseconds; boot with clocksource=tsc tsc=reliable, where there is "
+                        "one")
     yield from _permissions()
     limit = int(_read(RECEIVE_LIMIT) or "0")
     privileged = os.geteuid() == 0
-    yield Finding("receive buffers", privileged or limit >= WANTED_BUFFER or not limit, f"up to {limit} bytes",
-                  f"sudo sysctl -w net.core.rmem_max={WANTED_BUFFER}")
+    yield DoctorFinding("receive buffers", privileged or limit >= WANTED_BUFFER or not limit, f"up to {limit} bytes",
+                        f"sudo sysctl -w net.core.rmem_max={WANTED_BUFFER}")
 
 
-def _permissions() -> Iterator[Finding]:
+def _permissions() -> Iterator[DoctorFinding]:
     python = os.path.realpath(sys.executable)
     with host_computer.prepared() as refused:
-        yield Finding("permissions", not refused, "; ".join(refused) or "SCHED_FIFO and mlockall permitted",
-                      f"{host_computer.PERMIT} {python}")
+        yield DoctorFinding("permissions", not refused, "; ".join(refused) or "SCHED_FIFO and mlockall permitted",
+                            f"{host_computer.PERMIT} {python}")
 
 
-def jitter(seconds: float, period_s: float = 1e-3, goal_s: float = 250e-6) -> Finding:
+def jitter(seconds: float, period_s: float = 1e-3, goal_s: float = 250e-6) -> DoctorFinding:
     """How late this computer wakes a thread that waits as the cycle does, over `seconds` of wall time."""
     late = []
     with host_computer.prepared():
@@ -110,10 +113,11 @@ def jitter(seconds: float, period_s: float = 1e-3, goal_s: float = 250e-6) -> Fi
             due += period_s
     late.sort()
     p99, worst = late[int(0.99 * len(late))], late[-1]
-    return Finding("timer", worst < goal_s, f"wakes late by {p99 * 1e6:.0f} µs (99 %), {worst * 1e6:.0f} µs at most, "
-                   f"in {seconds:g} s at {1 / period_s:g} Hz",
-                   f"a cycle of {1 / period_s:g} Hz wants {goal_s * 1e6:.0f} µs: lower --rate, end other work, "
-                   "isolate a processor (isolcpus=), or boot a PREEMPT_RT kernel")
+    return DoctorFinding("timer", worst < goal_s,
+                         f"wakes late by {p99 * 1e6:.0f} µs (99 %), {worst * 1e6:.0f} µs at most, "
+                         f"in {seconds:g} s at {1 / period_s:g} Hz",
+                         f"a cycle of {1 / period_s:g} Hz wants {goal_s * 1e6:.0f} µs: lower --rate, end other work, "
+                         "isolate a processor (isolcpus=), or boot a PREEMPT_RT kernel")
 
 
 def _read(path: Path) -> str:

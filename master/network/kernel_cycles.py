@@ -32,7 +32,7 @@ BATCH: Final = 32
 """Rows that the tap's memory has room for beside what one call fetches."""
 
 Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; time stamps and data of the inputs, as `eds.plan.Joined` takes them;
+"""Time stamps of SYNC and of the targets, ns; time stamps and data of the inputs, as `eds.pdo_plan.Joined` takes them;
 identifier, time and state of heartbeats; the frames that the tap heard up to that SYNC, bytes of `cdr.FRAME_ROW`s, and
 their number.  Bytes hold until the next call."""
 

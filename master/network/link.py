@@ -45,7 +45,7 @@ class LinkError(Exception):
     """The bus itself failed (interface down or gone, queue full for good); the text says how."""
 
 
-class Emergency(NamedTuple):
+class EmcyMessage(NamedTuple):
     """One EMCY: error code and register as CiA 301 has them; a frame shorter than 3 bytes reads as 0x1000, 0x01."""
 
     time_ns: int
@@ -79,7 +79,7 @@ class Link:
         self.bus = bus
         self.clock = clock
         self.beats: dict[int, Beat] = {}
-        self.emergencies: deque[Emergency] = deque()
+        self.emergencies: deque[EmcyMessage] = deque()
         self.boots: deque[int] = deque()
         self.rivals: deque[int] = deque()
         self.responses: dict[int, bytes] = {}
@@ -185,7 +185,7 @@ class Link:
     def _notice_emergency(self, message: can.Message, node: int) -> None:
         data = bytes(message.data)
         code, register = (int.from_bytes(data[:2], "little"), data[2]) if len(data) >= 3 else (0x1000, 0x01)
-        self.emergencies.append(Emergency(stamp_ns(message), node, code, register, data[3:]))
+        self.emergencies.append(EmcyMessage(stamp_ns(message), node, code, register, data[3:]))
 
     def try_send(self, message: can.Message) -> bool:
         """Send once, without waiting; False (and counted) where the bus did not take it."""

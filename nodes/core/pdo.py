@@ -13,7 +13,7 @@ from eds.cia301 import NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.frame import Frame
-from eds.plan import compile_plan
+from eds.pdo_plan import compile_plan
 from nodes.core import cob_id, pdo_parameters
 from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, Applied, Handler, Part
@@ -25,7 +25,7 @@ _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""
 
 
-class Steady(NamedTuple):
+class SteadyPdos(NamedTuple):
     """TPDOs in their order, each sent at every SYNC, and the RPDOs that there are, by identifier."""
 
     transmit: tuple[TransmitPdo, ...]
@@ -146,13 +146,13 @@ class Pdos(Part):
             due_ns = min(due_ns, pdo.poll(now_ns))
         return due_ns
 
-    def steady(self) -> Steady | None:
+    def steady(self) -> SteadyPdos | None:
         """Say what every SYNC does; None while any PDO waits, counts, or goes by events."""
         if not self._running or self._waiting or self._acyclic or self._on_event or self.arrived:
             return None
         if any(pdo.every != 1 or pdo.left > 1 for pdo in self._cyclic):
             return None
-        return Steady(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
+        return SteadyPdos(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
 
     def _start_counting(self, counter: int) -> None:
         """Let the TPDOs begin whose SYNC start value this counter is: it is their first SYNC."""

@@ -1,6 +1,6 @@
 """PDO mapping: which objects lie in which bits.
 
-The rule of this file: a mapping is judged once, by abort codes, and compiled once, into an `eds.plan.PdoPlan`.
+The rule of this file: a mapping is judged once, by abort codes, and compiled once, into an `eds.pdo_plan.PdoPlan`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from operator import itemgetter
 from eds.cia301 import Abort
 from eds.datatype import Value
 from eds.dictionary import Entry
-from eds.plan import FIRST_OBJECT, MAX_BITS, PdoPlan, compile_plan
+from eds.pdo_plan import FIRST_OBJECT, MAX_BITS, PdoPlan, compile_plan
 from nodes.core.objects import Objects
 from parameters import InputError
 

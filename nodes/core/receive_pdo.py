@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from eds.cia301 import SYNC_MAX, Emcy
 from eds.datatype import Value
 from eds.dictionary import Entry, key
-from eds.plan import PdoPlan
+from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost
 from nodes.core.objects import outside

@@ -13,7 +13,7 @@ from typing import Final
 from eds.cia301 import Abort
 from nodes.core.parts import FAR_NS, US
 from nodes.core.sdo_segment import Write
-from nodes.core.sdo_transfer import SEGMENT, Received, RefusedError, Transfer, multiplexer
+from nodes.core.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError, multiplexer
 
 MAX_BLOCK: Final = 127
 """Segments in a block; what this server asks for."""
@@ -48,7 +48,7 @@ class BlockDownload(Transfer):
     def _segment(self, data: bytes) -> bytes | None:
         number, last = data[0] & 0x7F, bool(data[0] & _LAST)
         if not 1 <= number <= MAX_BLOCK:
-            raise RefusedError(Abort.SEQUENCE)
+            raise TransferAbortedError(Abort.SEQUENCE)
         if number == self._sequence + 1:
             self._sequence = number
             self._received.append_block(data[1:])
@@ -61,13 +61,13 @@ class BlockDownload(Transfer):
 
     def _end(self, data: bytes, now_ns: int) -> bytes:
         if data[0] & 0xE3 != 0xC1:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         whole = self._received.whole_block(data[0] >> 2 & 7)
         if self._crc and crc_hqx(whole, 0) != int.from_bytes(data[1:3], "little"):
-            raise RefusedError(Abort.CRC)
+            raise TransferAbortedError(Abort.CRC)
         refusal = self._write(self.key, whole, now_ns)
         if refusal:
-            raise RefusedError(refusal)
+            raise TransferAbortedError(refusal)
         self.finished = True
         return bytes((0xA1, 0, 0, 0, 0, 0, 0, 0))
 
@@ -105,7 +105,7 @@ class BlockUpload(Transfer):
         if head & 0xE3 == 0xA1 and self._phase is _Phase.END:
             self.finished = True
             return None
-        raise RefusedError(Abort.COMMAND)
+        raise TransferAbortedError(Abort.COMMAND)
 
     def poll(self, now_ns: int) -> bytes | None:
         """Return the next segment of the block."""
@@ -119,7 +119,7 @@ class BlockUpload(Transfer):
 
     def _acknowledged(self, sequence: int, block: int, now_ns: int) -> bytes | None:
         if sequence > self._sent:
-            raise RefusedError(Abort.SEQUENCE)
+            raise TransferAbortedError(Abort.SEQUENCE)
         self._first += sequence
         self._sent = 0
         if self._first * SEGMENT >= len(self._data):
@@ -133,5 +133,5 @@ class BlockUpload(Transfer):
 
 def _block_size(asked: int) -> int:
     if not 1 <= asked <= MAX_BLOCK:
-        raise RefusedError(Abort.BLOCK_SIZE)
+        raise TransferAbortedError(Abort.BLOCK_SIZE)
     return asked

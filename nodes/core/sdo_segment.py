@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from eds.cia301 import Abort
-from nodes.core.sdo_transfer import SEGMENT, Received, RefusedError, Transfer
+from nodes.core.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError
 
 Write = Callable[[int, bytes, int], int]
 """(key, data, now_ns) → 0 or an abort code."""
@@ -32,14 +32,14 @@ class SegmentDownload(Transfer):
         """Take a segment (ccs 0); the last one writes the object."""
         head = data[0]
         if head >> 5 != 0:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         if head & _TOGGLE != self._toggle:
-            raise RefusedError(Abort.TOGGLE)
+            raise TransferAbortedError(Abort.TOGGLE)
         self._received.append(data[1:1 + SEGMENT - (head >> 1 & 7)])
         if head & _LAST:
             refusal = self._write(self.key, self._received.whole(), now_ns)
             if refusal:
-                raise RefusedError(refusal)
+                raise TransferAbortedError(refusal)
             self.finished = True
         answer = 0x20 | self._toggle
         self._toggle ^= _TOGGLE
@@ -60,9 +60,9 @@ class SegmentUpload(Transfer):
         """Answer a request for the next segment (ccs 3)."""
         head = data[0]
         if head >> 5 != 3:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         if head & _TOGGLE != self._toggle:
-            raise RefusedError(Abort.TOGGLE)
+            raise TransferAbortedError(Abort.TOGGLE)
         segment = self._data[self._sent:self._sent + SEGMENT]
         self._sent += SEGMENT
         self.finished = self._sent >= len(self._data)

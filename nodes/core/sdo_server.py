@@ -15,7 +15,7 @@ from nodes.core.interfaces import SdoHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo_block import BlockDownload, BlockUpload
 from nodes.core.sdo_segment import SegmentDownload, SegmentUpload
-from nodes.core.sdo_transfer import Received, RefusedError, Transfer, multiplexer
+from nodes.core.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
 
 TIMEOUT_NS: Final = 1000 * MS
 """Silence of the client after which a transfer is aborted; CiA 301 leaves the time to the device."""
@@ -62,9 +62,9 @@ class SdoServer(Part):
                 self._transfer = None
                 return
             if len(data) != 8:
-                raise RefusedError(Abort.COMMAND)
+                raise TransferAbortedError(Abort.COMMAND)
             self._send(self._begin(data, now_ns) if transfer is None else transfer.receive(data, now_ns))
-        except RefusedError as refused:
+        except TransferAbortedError as refused:
             self._abort(refused.code, _about(data) if transfer is None else transfer.key)
         self._await(now_ns)
 
@@ -89,7 +89,7 @@ class SdoServer(Part):
     def _begin(self, data: bytes, now_ns: int) -> bytes | None:
         initiate = self._initiate.get(data[0] >> 5)
         if initiate is None:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         return initiate(data[0], _about(data), data[4:], now_ns)
 
     def _await(self, now_ns: int) -> None:
@@ -114,7 +114,7 @@ class SdoServer(Part):
             size = min(entry.data_type.size or 4, 4) if entry is not None else 4
         refusal = self._device.download(key, data[:size], now_ns)
         if refusal:
-            raise RefusedError(refusal)
+            raise TransferAbortedError(refusal)
 
     def _upload(self, head: int, key: int, data: bytes, now_ns: int) -> bytes:
         return self._normal_upload(key, self._read(key, now_ns))
@@ -127,7 +127,7 @@ class SdoServer(Part):
 
     def _block_download(self, head: int, key: int, data: bytes, now_ns: int) -> bytes:
         if head & 1:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         received = self._receiving(key, int.from_bytes(data, "little") if head & 2 else None)
         transfer = BlockDownload(key, received, bool(head & 4), self._device.download)
         self._transfer = transfer
@@ -135,7 +135,7 @@ class SdoServer(Part):
 
     def _block_upload(self, head: int, key: int, data: bytes, now_ns: int) -> bytes:
         if head & 3:
-            raise RefusedError(Abort.COMMAND)
+            raise TransferAbortedError(Abort.COMMAND)
         found = self._read(key, now_ns)
         transfer = BlockUpload(key, found, data[0], bool(head & 4))
         if len(found) <= data[1]:
@@ -146,13 +146,13 @@ class SdoServer(Part):
     def _receiving(self, key: int, announced: int | None) -> Received:
         refusal = self._device.objects.may_download(key, announced)
         if refusal:
-            raise RefusedError(refusal)
+            raise TransferAbortedError(refusal)
         return Received(self._device.objects.entries[key].data_type, announced)
 
     def _read(self, key: int, now_ns: int) -> bytes:
         found = self._device.upload(key, now_ns)
         if isinstance(found, Abort):
-            raise RefusedError(found)
+            raise TransferAbortedError(found)
         return found
 
     def _abort(self, code: int, key: int) -> None:

@@ -1,6 +1,6 @@
 """What every SDO transfer is: the multiplexer it is about, what it answers, when it is over.
 
-The rule of this file: a transfer never sends; it returns the frame to send, or raises `RefusedError`.
+The rule of this file: a transfer never sends; it returns the frame to send, or raises `TransferAbortedError`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SEGMENT: Final = 7
 """Bytes of data in a segment."""
 
 
-class RefusedError(Exception):
+class TransferAbortedError(Exception):
     """The transfer ends here, with this abort code."""
 
     def __init__(self, code: int) -> None:
@@ -66,7 +66,7 @@ class Received:
     def whole(self) -> bytes:
         """Return all bytes; refuse fewer than were announced."""
         if self._announced is not None and len(self.data) < self._announced:
-            raise RefusedError(Abort.TOO_SHORT)
+            raise TransferAbortedError(Abort.TOO_SHORT)
         return bytes(self.data)
 
     def whole_block(self, unused: int) -> bytes:
@@ -78,9 +78,9 @@ class Received:
 
     def _check(self, size: int) -> None:
         if size > self._limit:
-            raise RefusedError(Abort.MEMORY if self._limit == MAX_BYTES else Abort.TOO_LONG)
+            raise TransferAbortedError(Abort.MEMORY if self._limit == MAX_BYTES else Abort.TOO_LONG)
         if self._announced is not None and size > self._announced:
-            raise RefusedError(Abort.TOO_LONG)
+            raise TransferAbortedError(Abort.TOO_LONG)
 
 
 def multiplexer(key: int) -> bytes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from eds.cia301 import COB_ID_NO_RTR, SYNC_MAX
 from eds.dictionary import key
 from eds.frame import Frame
-from eds.plan import PdoPlan
+from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, MS, US

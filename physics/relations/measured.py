@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from physics import memory_laws as states
 from physics.laws import Array
 from physics.plant.leg import GRAVITY
-from physics.relations.recorded import Memory
+from physics.relations.recorded_reads import Memory
 
 Values = Mapping[str, float]
 

@@ -18,7 +18,7 @@ from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS, healthy, ideal
 from physics.relations import drive_relations, transmission
 from physics.relations.measured import Fine, Signals, Values
-from physics.relations.recorded import Recorded
+from physics.relations.recorded_reads import Recorded
 
 
 class Relation(NamedTuple):

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bowden import configuration
-from eds.bench import KNEE, Wire, wire
+from eds.bench_network import KNEE, WireLayout, wire
 from eds.dictionary import key
 from trial.convert.frames import rows_of
 from trial.decode import cycles
@@ -59,7 +59,7 @@ def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[...,
     assert "unknown key device_mappings" in err
 
 
-def heard(described: Wire) -> list[tuple[int, int, bytes]]:
+def heard(described: WireLayout) -> list[tuple[int, int, bytes]]:
     """A SYNC, the knee's answer at −0.5 rad, and the next SYNC: time, ns, COB-ID, data."""
     plan = described.tpdo[0x180 + KNEE]
     return [(0, 0x080, b""), (100, plan.cob_id, plan.pack_si(0.0, -0.5)), (1_000_000, 0x080, b"")]

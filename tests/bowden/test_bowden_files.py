@@ -16,7 +16,7 @@ import pytest
 
 import trial
 from bowden.sweep import row_trial, rows
-from trial.assemble import Content, write
+from trial.assemble import TrialContent, write
 from trial.convert.frames import rows_of
 
 ROWS = 5000
@@ -29,7 +29,7 @@ def recorded(here: Path) -> Path:
     time_s = np.arange(ROWS) / 1000
     frames = rows_of([(row * 1_000_000, 0x080, 0, 0, 0, True, b"") for row in range(ROWS)])
     columns = {"time_s": time_s, "tension_end_n": np.sin(time_s)}
-    write("trial.mcap", Content(np.arange(ROWS) * 1_000_000, columns, frames),
+    write("trial.mcap", TrialContent(np.arange(ROWS) * 1_000_000, columns, frames),
           metadata={"specimen": "fabric 3"}, result={"outcome": "completed"})
     return here / "trial.mcap"
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import trial
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from trial.convert import candump
 from trial.convert.frames import rows_of
 
@@ -397,7 +397,7 @@ def test_a_missing_library_is_named_with_its_extra(
 
 
 def test_units_of_a_whole_angle_are_what_they_say() -> None:
-    from trial.convert.sheet import TO_SI, unit_of
+    from trial.convert.lab_table import TO_SI, unit_of
 
     assert [unit_of(text) for text in ("[°]", "(deg)", "Degrees", "kN", "msec", "x")] == [
         "°", "deg", "deg", "kN", "ms", ""]

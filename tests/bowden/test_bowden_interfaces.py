@@ -20,7 +20,7 @@ import can
 import pytest
 
 from virtual_bus.build import build
-from virtual_bus.options import Options
+from virtual_bus.bus_options import Options
 from virtual_bus.serve import serve
 
 pytestmark = pytest.mark.walltime

@@ -20,7 +20,7 @@ import trial
 from bowden.live import feeds
 from bowden.live.state import LiveState
 from bowden.live.web import LivePage, address
-from eds.bench import Network
+from eds.bench_network import Network
 from parameters import InputError
 from trial.convert.frames import rows_of
 

@@ -19,7 +19,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 def result(experiment: str, controller: str, serial: int, rmse: float, **more: object) -> Result:
     given = {"case": "", "peak_n": 40.0, "period_s": 2.0, "window": 2 * rmse, "idle": 0.2, "jump": 0.3,
              "outcome": "completed"} | more
-    return Result(experiment=experiment, controller=controller, serial=serial, rmse=rmse, **given)  # type: ignore[arg-type]
+    return Result(experiment=experiment, controller=controller, serial=serial, rmse=rmse,
+                  **given)  # type: ignore[arg-type]
 
 
 def good() -> list[Result]:

@@ -15,7 +15,7 @@ from bowden import configuration
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import FIGURES
-from bowden.sweep.table import Table
+from bowden.sweep.sweep_table import SweepTable
 from physics.calibration import nominal, write
 
 SHORT = ("--grid", "cycles=2", "--grid", "period=0.6", "--grid", "controller=none")
@@ -57,7 +57,7 @@ def test_a_row_holds_what_the_trial_says_and_a_second_sweep_continues(bowden: Ca
 def test_an_interruption_loses_no_trial_that_was_under_way(tmp_path: Path) -> None:
     rows = planned("serial=1-6")
 
-    with (ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table,
+    with (ThreadPoolExecutor(1) as executor, SweepTable(tmp_path / "t.csv", list(rows[0])) as table,
           pytest.raises(KeyboardInterrupt)):
         run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c", update=_interrupting())
     done = [row["bench.serial"] for row in lines(tmp_path / "t.csv")]
@@ -81,7 +81,7 @@ def test_a_trial_that_is_refused_is_a_row_that_says_why(tmp_path: Path) -> None:
     soft = tmp_path / "soft.toml"
     soft.write_text(write(nominal()).replace("value = -1.7e-06", "value = -3e-06"))
     rows = planned(f"calibration={soft}", "peak=60")
-    with ThreadPoolExecutor(1) as executor, Table(tmp_path / "t.csv", list(rows[0])) as table:
+    with ThreadPoolExecutor(1) as executor, SweepTable(tmp_path / "t.csv", list(rows[0])) as table:
         run.sweep(rows, table, run.Workers(executor, 1), tmp_path / "c")
     (row,) = lines(tmp_path / "t.csv")
     assert row["outcome"] == "refused"

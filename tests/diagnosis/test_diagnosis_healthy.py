@@ -11,7 +11,7 @@ from diagnosis.data.table import table
 from diagnosis.problem.blocks import TAUT_N, Block, blocks_of
 from diagnosis.problem.deviations import deviating
 from diagnosis.problem.fit import Problem, solve
-from diagnosis.problem.reference import of_bench
+from diagnosis.problem.healthy_reference import of_bench
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 

@@ -13,7 +13,7 @@ from diagnosis.judgement.judge import Judge
 from diagnosis.problem.deviations import chance
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import build_problem
-from diagnosis.search.search import Model
+from diagnosis.search.search import FittedEffects
 from physics.effects.catalogue import CATALOGUE
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
@@ -30,7 +30,8 @@ def judge() -> Judge:
     return Judge(build_problem([table("walk.csv", shown)], taught, None), ())
 
 
-def moved(model: Model, by_relation: dict[str, float] | None = None, values: dict[str, float] | None = None) -> Model:
+def moved(model: FittedEffects, by_relation: dict[str, float] | None = None,
+          values: dict[str, float] | None = None) -> FittedEffects:
     """Return `model` as if its fit had left other χ² on unseen cycles, or arrived at other values."""
     other = dataclasses.replace(model, fit=dataclasses.replace(
         model.fit, values={**model.fit.values, **(values or {})}))

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from diagnosis.data.table import Table, table
-from diagnosis.finder import Diagnosis
+from diagnosis.finder import DiagnosisResult
 from diagnosis.judgement.verdict import Figures
 from diagnosis.problem.fit import solve
 from diagnosis.problem.problem import build_problem
-from diagnosis.report import export, picture, residuals, tables, words
+from diagnosis.report import figure_export, figure_tables, residual_picture, residuals, words
+from diagnosis.report.diagnosis_page import build, write
 from diagnosis.report.headline import headline, healthy_value
-from diagnosis.report.page import build, write
 from diagnosis.report.remaining import concentrated
-from diagnosis.search.search import Found, Model
+from diagnosis.search.search import FittedEffects, SearchResult
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.relations.relation import RELATIONS
@@ -36,27 +36,27 @@ def measured() -> Table:
 
 
 @pytest.fixture(scope="module")
-def found(measured: Table) -> Diagnosis:
+def found(measured: Table) -> DiagnosisResult:
     """A diagnosis as the finder gives it, of two models fitted here."""
     setting = build_problem([measured], (), None)
     candidate = next(c for c in setting.offered if c.name == "cable_friction")
     free = tuple(f for f in setting.reference.nuisance if f.name not in candidate.parameters)
     plain = solve(setting.problem, setting.reference.values, setting.reference.nuisance)
     fitted = solve(setting.problem, {**plain.values, **candidate.starts[-1]}, (*free, *candidate.frees))
-    base, best = (Model(effects, fit, setting.problem, setting.folds)
+    base, best = (FittedEffects(effects, fit, setting.problem, setting.folds)
                   for effects, fit in (((), plain), ((candidate,), fitted)))
     figures = {name: Figures(relation.unit, name in setting.checked, 0.25, 2.0, 0.5, 2.2, 0.6, 75.0, 70.0, 79.0)
                if name in setting.checked else Figures(relation.unit, False) for name, relation in RELATIONS.items()}
     cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
         "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}}}
-    return Diagnosis("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
-                     ["the clock is told from one column"], {
+    return DiagnosisResult("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
+                           ["the clock is told from one column"], {
                          "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
                          "slack": {"parameter": "slack", "value": None, "unit": "m"}}, 1.0, None, "nominal",
-                     Found(base, best, (best, base)))
+                           SearchResult(base, best, (best, base)))
 
 
-def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: Diagnosis) -> None:
+def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: DiagnosisResult) -> None:
     said = words.paragraph(found)
     assert CATALOGUE["cable_friction"].words in said
     assert "falls by 75 % (95 %: 70 … 79 %), from 2 to 0.5" in said
@@ -69,10 +69,10 @@ def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: Diagnosis) ->
     ("none", "Nothing was found"), ("refused", "contradict themselves"), ("unexplained", "no effect of the catalogue"),
 ])
 def test_every_verdict_has_its_words(verdict: str, says: str) -> None:
-    assert says in words.paragraph(Diagnosis(verdict))
+    assert says in words.paragraph(DiagnosisResult(verdict))
 
 
-def test_the_page_draws_every_checked_relation_from_every_side(found: Diagnosis, measured: Table) -> None:
+def test_the_page_draws_every_checked_relation_from_every_side(found: DiagnosisResult, measured: Table) -> None:
     html = build(found, [measured], [measured]).html()
     for name, figures in found.relations.items():
         sides = set(re.findall(rf'aria-label="{name} by ([a-z ]+)"', html))
@@ -83,20 +83,21 @@ def test_the_page_draws_every_checked_relation_from_every_side(found: Diagnosis,
     assert "the clock is told from one column" in html
 
 
-def test_the_page_ranks_what_was_rejected(found: Diagnosis, measured: Table) -> None:
+def test_the_page_ranks_what_was_rejected(found: DiagnosisResult, measured: Table) -> None:
     html = build(found, [measured], []).html()
     assert re.search(r"<td[^>]*>cable_friction</td><td[^>]*>chosen</td>", html)
     assert re.search(r"<td[^>]*>as simulated</td><td[^>]*>the simulation as it was</td>", html)
 
 
-def test_the_page_says_what_could_have_been_seen(found: Diagnosis, measured: Table) -> None:
+def test_the_page_says_what_could_have_been_seen(found: DiagnosisResult, measured: Table) -> None:
     html = build(found, [measured], []).html()
     rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
         ("cable_friction", "0.02", "yes: found"), ("slack", "–", "no")]
 
 
-def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: Diagnosis, measured: Table) -> None:
+def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: DiagnosisResult,
+                                                                           measured: Table) -> None:
     told = headline(found)
     old = healthy_value(found, found.causes[0], "mu1")
     new = found.causes[0]["parameters"]["mu1"]["value"]
@@ -120,29 +121,29 @@ def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found
     ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
     ({"verdict": "found", "rivals": ["cable_friction"], "experiment": None}, "--controller-model extended.toml"),
 ])
-def test_every_verdict_has_its_first_lines(found: Diagnosis, changed: dict[str, Any], sentence: str) -> None:
+def test_every_verdict_has_its_first_lines(found: DiagnosisResult, changed: dict[str, Any], sentence: str) -> None:
     assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
 
 
-def test_the_detection_limit_never_contradicts_what_was_found(found: Diagnosis) -> None:
+def test_the_detection_limit_never_contradicts_what_was_found(found: DiagnosisResult) -> None:
     change = found.causes[0]["parameters"]["mu1"]["value"] - healthy_value(found, found.causes[0], "mu1")
     for limit in (None, 5.0, 0.001):
         told = dataclasses.replace(found, detection_limit={
             "cable_friction": {"parameter": "mu1", "value": limit, "unit": ""},
             "start_gain": {"parameter": "start_gain", "value": 0.5, "unit": ""},
             "end_gain": {"parameter": "end_gain", "value": 0.01, "unit": ""}})
-        named, beyond, within = tables.limit_rows(told)
+        named, beyond, within = figure_tables.limit_rows(told)
         assert named[5] == "yes: found"
         assert named[2] == pytest.approx(min(abs(change), math.inf if limit is None else limit))
         assert (beyond[5], within[5]) == ("only beyond the likely range", "the larger ones")
 
 
-def test_the_picture_has_both_branches_and_less_residual_after(found: Diagnosis, measured: Table) -> None:
+def test_the_picture_has_both_branches_and_less_residual_after(found: DiagnosisResult, measured: Table) -> None:
     sides = residuals.compared(found, [measured])
-    one = picture.residual(found, sides)
+    one = residual_picture.residual(found, sides)
     assert one is not None
     assert one.word == "gait phase"
-    rising, falling = picture.loops(sides)
+    rising, falling = residual_picture.loops(sides)
     both = np.isfinite(rising.measured) & np.isfinite(falling.measured)
     assert both.sum() > 50
     assert np.mean(rising.measured[both] - falling.measured[both]) > 1.0  # N: pulling takes more START for one END
@@ -150,23 +151,24 @@ def test_the_picture_has_both_branches_and_less_residual_after(found: Diagnosis,
     assert left[1] < left[0]
 
 
-def test_figures_are_exported_as_pictures_and_tables(found: Diagnosis, measured: Table, tmp_path: Path) -> None:
+def test_figures_are_exported_as_pictures_and_tables(found: DiagnosisResult, measured: Table, tmp_path: Path) -> None:
     folder = tmp_path / "figures"
-    made = export.write(found, [measured], folder)
-    assert sorted(path.name for path in made) == sorted(export.NAMES) == sorted(path.name for path in folder.iterdir())
+    made = figure_export.write(found, [measured], folder)
+    names = sorted(path.name for path in made)
+    assert names == sorted(figure_export.NAMES) == sorted(path.name for path in folder.iterdir())
     assert (folder / "loop.png").read_bytes().startswith(b"\x89PNG")
     (row,) = list(csv.DictReader((folder / "causes.csv").read_text().splitlines()))
     assert (row["effect"], row["parameter"]) == ("cable_friction", "mu1")
     assert float(row["old"]) < float(row["new"])
     assert len(list(csv.DictReader((folder / "residual.csv").read_text().splitlines()))) > 10
     with pytest.raises(InputError, match="give another folder or --overwrite"):
-        export.write(found, [measured], folder)
-    export.write(found, [measured], folder, overwrite=True)
+        figure_export.write(found, [measured], folder)
+    figure_export.write(found, [measured], folder, overwrite=True)
     with pytest.raises(InputError, match="is a file; give a folder"):
-        export.write(found, [measured], folder / "loop.png")
+        figure_export.write(found, [measured], folder / "loop.png")
 
 
-def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measured: Table) -> None:
+def test_what_is_unexplained_is_told_by_place_and_size(found: DiagnosisResult, measured: Table) -> None:
     strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
     html = build(strange, [measured], []).html()
     # the fixture's figures: 0.5 after, over a floor of 0.25
@@ -177,7 +179,7 @@ def test_what_is_unexplained_is_told_by_place_and_size(found: Diagnosis, measure
 def test_a_fault_of_the_wire_is_told_as_one(measured: Table) -> None:
     cause = {"effect": "lost_pdo", "site": "bus", "gain_percent": 100.0, "parameters": {
         "lost_share": {"value": 0.05, "low": 0.04, "high": 0.06, "unit": ""}}}
-    told = Diagnosis("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {
+    told = DiagnosisResult("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {
         name: Figures(relation.unit, False) for name, relation in RELATIONS.items()})
     html = build(told, [measured], []).html()
     assert "late_pdo (PDOs arrive" in html
@@ -194,7 +196,7 @@ def test_half_of_the_squares_is_found_where_it_lies() -> None:
 
 
 def test_a_browser_shows_it_with_nothing_fetched(
-    found: Diagnosis, measured: Table, browser: Any, tmp_path: Path
+    found: DiagnosisResult, measured: Table, browser: Any, tmp_path: Path
 ) -> None:
     path = tmp_path / "diagnosis.html"
     write(found, [measured], [measured], path)
@@ -208,7 +210,7 @@ def test_a_browser_shows_it_with_nothing_fetched(
     assert "" not in legends
 
 
-def test_the_page_is_written_whole_and_loads_nothing(found: Diagnosis, measured: Table, tmp_path: Path) -> None:
+def test_the_page_is_written_whole_and_loads_nothing(found: DiagnosisResult, measured: Table, tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.html"
     assert write(found, [measured], [], path) == path.stat().st_size
     html = path.read_text(encoding="utf-8")
@@ -217,12 +219,12 @@ def test_the_page_is_written_whole_and_loads_nothing(found: Diagnosis, measured:
 
 
 def test_a_refused_diagnosis_has_a_page_too(measured: Table) -> None:
-    html = build(Diagnosis("refused", warnings=["velocity is no derivative"]), [measured], []).html()
+    html = build(DiagnosisResult("refused", warnings=["velocity is no derivative"]), [measured], []).html()
     assert "velocity is no derivative" in html
     assert "contradict themselves" in html
 
 
-def test_residuals_are_what_was_measured_less_what_was_simulated(found: Diagnosis, measured: Table) -> None:
+def test_residuals_are_what_was_measured_less_what_was_simulated(found: DiagnosisResult, measured: Table) -> None:
     parts = residuals.compared(found, [measured])
     assert set(parts) == {name for name, figures in found.relations.items() if figures.checked}
     first = parts["friction"][0]
@@ -239,7 +241,7 @@ def test_bins_hold_the_mean_and_the_spread() -> None:
     assert np.isnan(residuals.binned(np.append(along, 9.0), np.zeros(101), bins=9)[1][-1])
 
 
-def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: Diagnosis) -> None:
+def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: DiagnosisResult) -> None:
     elsewhere = dataclasses.replace(found, reference="none", experiment="two_peaks")
     assert "bowden trial" not in words.paragraph(elsewhere)
     assert "bowden trial --experiment two_peaks" in words.paragraph(dataclasses.replace(found, experiment="two_peaks"))

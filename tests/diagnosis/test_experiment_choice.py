@@ -12,7 +12,7 @@ import pytest
 from diagnosis.judgement import experiment_choice as choice
 from diagnosis.problem.candidates import candidates
 from diagnosis.problem.floors import FLOORS
-from diagnosis.problem.reference import of_bench
+from diagnosis.problem.healthy_reference import of_bench
 from physics.effects.separating_experiments import EXPERIMENTS
 
 SENSORS = ("friction", "elasticity", "kinematics")

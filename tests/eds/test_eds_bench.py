@@ -5,8 +5,8 @@ import math
 import pytest
 
 import eds
-from eds import bench, cia301, scales, setup
-from eds.bench import Network
+from eds import bench_network, cia301, scale_factors, setup
+from eds.bench_network import Network
 from eds.datatype import DataType
 from eds.device_mapping import KneeMapping, ServoMapping
 from eds.dictionary import key
@@ -44,15 +44,15 @@ def test_plans_speak_si(wire):
 
 def test_units_come_from_the_devices_own_objects(wire):
     servo, knee, start = (wire.nodes[node].dictionary for node in (eds.SERVO, eds.KNEE, eds.START))
-    assert scales.position_unit(servo) == 1e-6
-    assert scales.position_unit(knee) == pytest.approx(math.radians(1e-3))
-    assert scales.velocity_unit(knee) == pytest.approx(math.radians(1e-3))
-    assert scales.drum_radius_m(servo) == pytest.approx(0.020, rel=1e-6)
-    assert scales.torque_unit(servo) / scales.drum_radius_m(servo) == pytest.approx(0.1, rel=1e-6)
-    assert scales.gear_ratio(knee) == 20
-    assert scales.increments_per_unit(knee) == pytest.approx(4000 * 20 / 360_000)
-    assert scales.increments_per_unit(servo) == pytest.approx(131_072 * 10 / 1_256_637)
-    assert scales.process_value_unit(start) == 0.01
+    assert scale_factors.position_unit(servo) == 1e-6
+    assert scale_factors.position_unit(knee) == pytest.approx(math.radians(1e-3))
+    assert scale_factors.velocity_unit(knee) == pytest.approx(math.radians(1e-3))
+    assert scale_factors.drum_radius_m(servo) == pytest.approx(0.020, rel=1e-6)
+    assert scale_factors.torque_unit(servo) / scale_factors.drum_radius_m(servo) == pytest.approx(0.1, rel=1e-6)
+    assert scale_factors.gear_ratio(knee) == 20
+    assert scale_factors.increments_per_unit(knee) == pytest.approx(4000 * 20 / 360_000)
+    assert scale_factors.increments_per_unit(servo) == pytest.approx(131_072 * 10 / 1_256_637)
+    assert scale_factors.process_value_unit(start) == 0.01
 
 
 def apply(dictionary, writes):
@@ -113,7 +113,7 @@ def test_set_up_starts_the_supervision(wire):
 
 
 def test_the_servo_lets_go_and_the_knee_holds(wire):
-    servo, knee = (apply(wire.nodes[n].dictionary, wire.setup(n)) for n in bench.DRIVES)
+    servo, knee = (apply(wire.nodes[n].dictionary, wire.setup(n)) for n in bench_network.DRIVES)
     assert (servo[key(0x605A)], servo[key(0x605E)], servo[key(0x6007)]) == (2, 0, 2)
     assert (knee[key(0x605A)], knee[key(0x6007)]) == (6, 3)
     assert servo[key(0x6060)] == knee[key(0x6060)] == 8

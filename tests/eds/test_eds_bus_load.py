@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import eds
 from eds import bus_load
-from eds.bench import Network
+from eds.bench_network import Network
 from eds.bus_load import Kind, Stream, frame_bits, response_ns
 from parameters import InputError
 

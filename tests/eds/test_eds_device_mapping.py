@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import eds
-from eds import bench, check
+from eds import bench_network, check
 from eds.device_mapping import KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import key
 from parameters import InputError, from_table
@@ -37,8 +37,8 @@ def test_its_set_up_leaves_out_only_what_is_optional():
 
 
 def test_nothing_is_lacking_in_a_device_that_fits():
-    assert bench.lacks(eds.Network(), {}) == []
-    assert bench.lacks(eds.Network(), knee()) == []
+    assert bench_network.lacks(eds.Network(), {}) == []
+    assert bench_network.lacks(eds.Network(), knee()) == []
 
 
 def test_every_lack_is_said_at_once(tmp_path):
@@ -46,11 +46,11 @@ def test_every_lack_is_said_at_once(tmp_path):
     text = Path(VENDOR).read_text(encoding="cp1252")
     path.write_text(text.replace("[605E]", "[Gone]").replace("[1400Sub5]", "[Gone too]"))
     device_mappings = knee(file=str(path))
-    assert [sentence.split(",")[0] for sentence in bench.lacks(eds.Network(), device_mappings)] == [
+    assert [sentence.split(",")[0] for sentence in bench_network.lacks(eds.Network(), device_mappings)] == [
         f"{path}: no object 1400:05", f"{path}: no object 605E:00"]
     with pytest.raises(InputError, match="1400:05"):
         eds.wire(eds.Network(), device_mappings).setup(eds.KNEE)
-    unready, unknown = bench.lacks(eds.Network(), knee(position="6060", target="9999"))
+    unready, unknown = bench_network.lacks(eds.Network(), knee(position="6060", target="9999"))
     assert "6060 Mode" in unready
     assert "no object 9999" in unknown
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eds import dictionary
 from eds.datatype import DataType
 from eds.dictionary import Dictionary, Entry, key
-from eds.plan import JOINED_BYTES, Joined, compile_plan, overlay
+from eds.pdo_plan import JOINED_BYTES, Joined, compile_plan, overlay
 from parameters import InputError
 
 NODE = 5

@@ -14,7 +14,7 @@ from typing import Any
 
 import can
 
-from eds.bench import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START
 from physics.calibration import nominal
 from tests.faults import plants
 from tests.faults.plants import lying, stuck

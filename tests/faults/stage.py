@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import can
 import numpy as np
 
-from eds.bench import MASTER
+from eds.bench_network import MASTER
 from eds.frame import Frame
 from master import settings
-from master.motion import experiment as trials
+from master.motion import experiment_run as trials
 from master.network.link import Link
 from physics.reference import paper_reference
 from tests.faults import plants
@@ -32,7 +32,7 @@ from trial.signals import INDEX
 from virtual_bus import outages
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, Judge
+from virtual_bus.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, InjectedFaults
 from virtual_bus.kernel import TIMER
 from virtual_bus.station import Station
 
@@ -87,7 +87,7 @@ class Scene(NamedTuple):
         fault = Fault(kind, start_s=now_s, stop_s=now_s + for_s, **fields)
         bench = self.bench
         if kind in OF_A_FRAME | OF_TIME:
-            bench.wire._judge = Judge([fault], SEED)  # the trial itself runs with a judge that lets everything pass
+            bench.wire._judge = InjectedFaults([fault], SEED)  # the trial began with faults that let everything pass
         elif kind in OF_A_NODE | {"babble"}:
             outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
                             bench.wire.bit_ns)
@@ -110,7 +110,7 @@ class Row:
     silent: str = ""
     needs_sto: bool = False
     slow: bool = False
-    experiment: Callable[[trials.Experiment], trials.Experiment] = field(default=lambda given: given)
+    experiment: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = field(default=lambda given: given)
     own_signal: str = ""
     run: dict[str, Any] = field(default_factory=dict)
 
@@ -190,7 +190,7 @@ class _Stage:
 
     def run(self) -> Told:
         """The unharmed trial, from bring-up to its end; in a child: that row's."""
-        run = trials.Experiment(
+        run = trials.ExperimentSetup(
             paper_reference(PEAK_N, PERIOD_S),
             gait=settings.Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=CYCLES, settle=0, controller="paper"))
         for row in self.rows:
@@ -200,7 +200,7 @@ class _Stage:
         self._wait(0)
         return self._one(run)
 
-    def _one(self, run: trials.Experiment) -> Told:
+    def _one(self, run: trials.ExperimentSetup) -> Told:
         channel = f"faults-{os.getpid()}-{next(_CHANNELS)}"
         given: dict[str, Any] = {
             "plant": "tests.faults.plants:breakable", "seed": SEED, "serial": 1,

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eds import dictionary
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from eds.frame import Frame
 from nodes import build
 from parameters import InputError

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from master import settings
-from master.cycle.log import Sink
-from master.motion.experiment import Experiment, Result, run
+from master.cycle.log import CycleSink
+from master.motion.experiment_run import ExperimentSetup, Result, run
 from master.network.link import Link
 from physics.reference import paper_reference
 from trial import read
@@ -23,7 +23,7 @@ from trial.record import Recorder
 from virtual_bus.bus import BowdenBus
 
 CHANNELS = itertools.count()
-Wrap = Callable[[Recorder], Sink]
+Wrap = Callable[[Recorder], CycleSink]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Composer:
         path, truth = self.folder / f"{number}.mcap", self.folder / f"{number}.truth.mcap"
         link, tap = self.link(truth=str(truth), **options)
         recorder = Recorder(path, metadata={}, attachments={}, threaded=False)
-        chosen = Experiment(
+        chosen = ExperimentSetup(
             paper_reference(peak_n, period_s),
             gait=settings.Gait(
                 peak_n=peak_n, period_s=period_s, cycles=cycles, controller=controller, soft_start=soft_start),

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
-from eds.bench import KNEE, SERVO, Network, Wire, wire
+from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
 from master.cycle.acknowledge import acknowledge
 from master.cycle.drives import RELEASE
-from master.network.bringup import RefusedError
+from master.network.bringup import BringUpError
 from master.network.link import Link
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def test_nothing_is_enabled_by_it(link: Link) -> None:
 def test_a_bench_that_another_master_runs_is_let_be(composer: Composer) -> None:
     link, tap = composer.link(faults=BOTH)
     tap.send_periodic(can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False), 0.1)
-    with pytest.raises(RefusedError, match="another master"):
+    with pytest.raises(BringUpError, match="another master"):
         told(link)
 
 
@@ -59,5 +59,5 @@ def test_a_device_without_the_object_is_said_to_have_none(link: Link) -> None:
     knee = right.nodes[KNEE]
     entries = {at: entry for at, entry in knee.dictionary.entries.items() if at >> 8 != RELEASE}
     bare = knee._replace(dictionary=replace(knee.dictionary, entries=entries))
-    found = acknowledge(link, Wire(Network(), {**right.nodes, KNEE: bare}))
+    found = acknowledge(link, WireLayout(Network(), {**right.nodes, KNEE: bare}))
     assert found[1] == ("knee", "no such object")

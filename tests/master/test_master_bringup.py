@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
-from eds.bench import Network, NodeEntry, Wire, wire
+from eds.bench_network import Network, NodeEntry, WireLayout, wire
 from eds.cia301 import NmtCommand, NmtState
 from master.cycle import drives
 from master.cycle.exchange import Exchange
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from conftest import Composer
 
 
-def brought_up(composer: Composer, described: Wire | None = None, **options: Any) -> dict[int, int]:
+def brought_up(composer: Composer, described: WireLayout | None = None, **options: Any) -> dict[int, int]:
     link, tap = composer.link(**options)
     described = described or wire(Network())
     return bringup.bring_up(link, described, Log(tap, None, described.targets.cob_id))
@@ -47,7 +47,7 @@ def test_a_second_bring_up_takes_over_what_the_first_left(composer: Composer) ->
 
 
 def test_a_missing_node_is_named(composer: Composer) -> None:
-    with pytest.raises(bringup.RefusedError, match=r"start \(node 3\) does not answer"):
+    with pytest.raises(bringup.BringUpError, match=r"start \(node 3\) does not answer"):
         brought_up(composer, faults=[{"kind": "power_off", "node": 3}])
 
 
@@ -58,15 +58,15 @@ def test_a_late_node_is_waited_for(composer: Composer) -> None:
 def test_another_devices_identity_is_refused(composer: Composer) -> None:
     right = wire(Network())
     swapped = {**right.nodes, 2: NodeEntry(2, "knee", right.nodes[1].dictionary)}
-    with pytest.raises(bringup.RefusedError, match=r"knee \(node 2\): (device type|product code) is 0x"):
-        brought_up(composer, Wire(Network(), swapped))
+    with pytest.raises(bringup.BringUpError, match=r"knee \(node 2\): (device type|product code) is 0x"):
+        brought_up(composer, WireLayout(Network(), swapped))
 
 
 def test_a_second_master_is_refused(composer: Composer) -> None:
     link, tap = composer.link()
     heartbeat = can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False)
     tap.send_periodic(heartbeat, 0.1)
-    with pytest.raises(bringup.RefusedError, match="another master"):
+    with pytest.raises(bringup.BringUpError, match="another master"):
         bringup.bring_up(link, wire(Network()), Log(None, None, 0x201))
 
 

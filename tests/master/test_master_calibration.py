@@ -10,7 +10,7 @@ import pytest
 
 from parameters import InputError, Remark
 from physics import calibration
-from physics.calibration import Calibration, Evidence
+from physics.calibration import Calibration, ScalarEvidence
 from physics.parameters import BY_CALIBRATION
 
 
@@ -27,7 +27,7 @@ def test_at_most_thirty_scalars_and_no_sequence() -> None:
 
 
 def test_reads_back_what_it_wrote(tmp_path: Path) -> None:
-    evidence = {"stiffness_b": Evidence(2.9e-4, 3.1e-4, 0.98, "2025-11-20", "stiffness.mcap", 4e-6)}
+    evidence = {"stiffness_b": ScalarEvidence(2.9e-4, 3.1e-4, 0.98, "2025-11-20", "stiffness.mcap", 4e-6)}
     made = dataclasses.replace(calibration.nominal(), stiffness_b=3.05e-4, bench="7", evidence=evidence)
     path = written(tmp_path, calibration.write(made))
     back = calibration.read(path, bench="7")

@@ -34,7 +34,7 @@ def table(peak_n: float = 40.0, calibration: Calibration | None = None) -> GaitT
     return tabulate(calibration or nominal(), knee, desired, 1.0 / RATE, 4e-3)
 
 
-def configured(name: str, impedance: settings.Impedance | None = None) -> paper.Config:
+def configured(name: str, impedance: settings.Impedance | None = None) -> paper.PaperConfig:
     listens, compensates = name in ("impedance", "paper"), name in ("friction", "paper")
     return paper.configure(nominal(), table(), impedance or settings.Impedance(), compensates=compensates,
                            listens=listens)
@@ -56,7 +56,7 @@ def test_none_is_stretch_and_swing_alone() -> None:
     config_ = configured("none")
     i = at_percent(15)
     knee = config_.gait.knee[i]
-    outputs, state, _ = paper.step(seen(i, 123.0, knee), paper.State(), config_)
+    outputs, state, _ = paper.step(seen(i, 123.0, knee), paper.PaperState(), config_)
     desired = config_.gait.desired[i]
     assert outputs.servo_target_m == pytest.approx(float(laws.rope_position(desired, knee)), abs=1e-9)
     assert outputs.knee_target_rad == knee
@@ -70,7 +70,7 @@ def test_friction_adds_fl_and_ft_as_printed() -> None:
         i = at_percent(percent)
         knee, desired = plain.gait.knee[i], plain.gait.desired[i]
         rope, strain = plain.gait.rope_direction[i], plain.gait.fabric_direction[i]
-        more = [paper.step(seen(i, 0.0, knee), paper.State(), c)[0].servo_target_m
+        more = [paper.step(seen(i, 0.0, knee), paper.PaperState(), c)[0].servo_target_m
                 for c in (compensated, plain)]
         expected = laws.cable_loss(desired, calibration.cable_exponent, rope) + laws.fabric_loss(
             desired, float(fabric_exponent(calibration, knee)), strain)
@@ -81,7 +81,7 @@ def test_friction_adds_fl_and_ft_as_printed() -> None:
 def test_without_impedance_start_changes_nothing(name: str) -> None:
     config_ = configured(name)
     i = at_percent(18)
-    outputs = {paper.step(seen(i, start, config_.gait.knee[i]), paper.State(), config_)[0]
+    outputs = {paper.step(seen(i, start, config_.gait.knee[i]), paper.PaperState(), config_)[0]
                for start in (0.0, 40.0, 90.0)}
     assert len(outputs) == 1
 
@@ -93,7 +93,7 @@ def test_estimate_inverts_friction_in_series() -> None:
     knee = config_.gait.knee[i]
     fabric = float(fabric_exponent(calibration, knee))
     start = float(laws.series_input(40.0, calibration.cable_exponent, 1.0, fabric, 1.0))
-    _, _, trace = paper.step(seen(i, start, knee), paper.State(), config_)
+    _, _, trace = paper.step(seen(i, start, knee), paper.PaperState(), config_)
     assert trace.estimated_end_force_n == pytest.approx(40.0, rel=1e-12)
     assert trace.friction_ratio == pytest.approx(start / 40.0, rel=1e-12)
 
@@ -103,9 +103,9 @@ def test_impedance_is_first_order_with_the_papers_gain_and_time_constant() -> No
     config_ = configured("impedance")
     i = at_percent(20) - 1
     knee, desired = config_.gait.knee[i], config_.gait.desired[i]
-    exponent = math.log(paper.step(seen(i, 1.0, knee), paper.State(), config_)[2].friction_ratio)
+    exponent = math.log(paper.step(seen(i, 1.0, knee), paper.PaperState(), config_)[2].friction_ratio)
     start = (desired - 1.0) * math.exp(exponent)
-    state, steps = paper.State(), round(RATE / 3.0)
+    state, steps = paper.PaperState(), round(RATE / 3.0)
     for _ in range(steps):
         _, state, _ = paper.step(seen(i, start, knee), state, config_)
     expected = (1.0 - math.exp(-steps / RATE * 3.0)) / 300.0
@@ -119,16 +119,16 @@ def test_impedance_is_first_order_with_the_papers_gain_and_time_constant() -> No
 def test_impedance_forgets_while_the_rope_is_slack() -> None:
     config_ = configured("paper")
     i = at_percent(60)
-    _, state, _ = paper.step(seen(i, 50.0, config_.gait.knee[i]), paper.State(1e-3), config_)
+    _, state, _ = paper.step(seen(i, 50.0, config_.gait.knee[i]), paper.PaperState(1e-3), config_)
     assert state.deviation_m == pytest.approx(1e-3 * config_.decay)
 
 
 def test_step_is_pure() -> None:
     config_ = configured("paper")
-    state = paper.State(1e-4)
+    state = paper.PaperState(1e-4)
     look = seen(at_percent(22), 33.0, -0.5)
     assert paper.step(look, state, config_) == paper.step(look, state, config_)
-    assert state == paper.State(1e-4)
+    assert state == paper.PaperState(1e-4)
 
 
 def test_the_table_closes_and_rises_without_a_step() -> None:

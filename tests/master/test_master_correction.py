@@ -12,12 +12,12 @@ import pytest
 
 from master import settings
 from master.control import controller
-from master.control.controller_io import ControllerInput, Outputs
+from master.control.controller_io import ControllerInput, ControllerOutput
 from master.control.effect_correction import Correction, calibrated, correction
 from master.control.gait_table import GaitTable, tabulate
 from master.control.packaged import PaperController
 from master.motion import gait
-from master.motion.experiment import Experiment, run
+from master.motion.experiment_run import ExperimentSetup, run
 from master.network.link import Link
 from physics.calibration import Calibration, nominal
 from physics.effects.catalogue import CATALOGUE
@@ -106,7 +106,7 @@ def test_the_rope_is_led_where_the_leg_asks_for_it() -> None:
     knee = np.array(table().knee)
     # smoothing over 20 ms flattens the swing's turn by less than 20 µm
     np.testing.assert_allclose(found.rope_m, 1.5e-3 * (knee**2 - KNEE_AT_FIT**2), atol=20e-6)
-    led = found.feed_forward(Outputs(0.02, -0.5), SAMPLES + 7)
+    led = found.feed_forward(ControllerOutput(0.02, -0.5), SAMPLES + 7)
     assert led.servo_target_m == pytest.approx(0.02 + found.rope_m[7])
 
 
@@ -146,8 +146,8 @@ def tracked(folder: Path, at_work: Effects, known: Effects, name: str) -> float:
     channel, truth, path = f"correction-{number}", folder / f"{number}.truth.mcap", folder / f"{number}.mcap"
     bus = BowdenBus(channel, serial=0, truth=str(truth), plant_model={"effects": at_work})
     tap, recorder = BowdenBus(channel), Recorder(path, metadata={}, attachments={}, threaded=False)
-    chosen = Experiment(paper_reference(40.0, 1.5), gait=settings.Gait(period_s=1.5, cycles=3, controller=name),
-                        known=known)
+    chosen = ExperimentSetup(paper_reference(40.0, 1.5), gait=settings.Gait(period_s=1.5, cycles=3, controller=name),
+                             known=known)
     result = run(Link(bus, bus.time_ns), tap, recorder, chosen)
     recorder.close({})
     tap.shutdown()

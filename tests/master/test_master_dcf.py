@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eds import dictionary
-from eds.bench import SERVO, START, Network, Wire, wire
+from eds.bench_network import SERVO, START, Network, WireLayout, wire
 from eds.cia301 import NmtCommand
 from eds.dictionary import key
 from master.cycle.log import Log
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 GAIN, MOMENT = (0x60FB, 1), datetime(2030, 5, 17, 9, 30)
 
 
-def backed_up(link: Link, described: Wire, node_id: int, path: Path) -> dictionary.Dictionary:
+def backed_up(link: Link, described: WireLayout, node_id: int, path: Path) -> dictionary.Dictionary:
     link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
     entry = described.nodes[node_id]
     values = {**dcf.backup(link, entry), **dcf.stamp(entry.dictionary, MOMENT)}
@@ -60,8 +60,8 @@ def test_bring_up_wants_the_configuration_that_the_dcf_names(composer: Composer,
     plain = wire(Network())
     file = backed_up(link, plain, SERVO, tmp_path / "servo.dcf")
     nodes = {**plain.nodes, SERVO: plain.nodes[SERVO]._replace(dictionary=file)}
-    described = Wire(Network(), nodes)
-    with pytest.raises(bringup.RefusedError, match=r"servo \(node 1\): configuration date \(0x1020\) is 0"):
+    described = WireLayout(Network(), nodes)
+    with pytest.raises(bringup.BringUpError, match=r"servo \(node 1\): configuration date \(0x1020\) is 0"):
         bringup.bring_up(link, described, Log(tap, None, 0x201))
     link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
     dcf.restore(link, nodes[SERVO], file)

@@ -12,7 +12,7 @@ import pytest
 from bowden.cli.options import SCRIPTS as TOLD
 from master import settings
 from master.motion import scripted_experiments
-from master.motion.experiment import Experiment
+from master.motion.experiment_run import ExperimentSetup
 from master.network.link import Link
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
@@ -31,7 +31,7 @@ def ran(name: str, path: Path, cycles: int = 2) -> read.Trial:
     channel = f"experiments-{next(CHANNELS)}"
     bus, tap = BowdenBus(channel, serial=2), BowdenBus(channel)
     recorder = Recorder(path, metadata={}, attachments={}, threaded=False)
-    chosen = Experiment(paper_reference(40.0, 1.1), gait=settings.Gait(period_s=1.1, cycles=cycles))
+    chosen = ExperimentSetup(paper_reference(40.0, 1.1), gait=settings.Gait(period_s=1.1, cycles=cycles))
     result = scripted_experiments.run(Link(bus, bus.time_ns), tap, recorder, chosen, name)
     recorder.close({})
     tap.shutdown()

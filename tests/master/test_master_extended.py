@@ -27,7 +27,7 @@ SLOPES_N_M = (2500.0, 3300.0, 6100.0, 10_400.0)
 BACK_AND_FORTH = np.concatenate([np.linspace(0.0, 45.0, 700), np.linspace(45.0, 1.0, 700)])
 
 
-def configured(day: HomingFit | None = None) -> extended.Config:
+def configured(day: HomingFit | None = None) -> extended.ExtendedConfig:
     knee, desired = gait.sampled(paper_reference(40.0, 2.0), SAMPLES)
     table = tabulate(nominal(), knee, desired, PERIOD_S, 2e-3)
     return extended.configure(nominal(), day or HomingFit(), table, Impedance())
@@ -142,7 +142,7 @@ def test_learning_converges_as_the_bound_says(slope: float) -> None:
 
 def test_step_is_pure_and_sees_no_end() -> None:
     config = configured()
-    state = extended.State(config.law)
+    state = extended.ExtendedState(config.law)
     for sample in range(-20, 40):
         look = ControllerInput(sample, 0.01, 5.0, config.gait.knee[sample % SAMPLES], 0.1)
         first = extended.step(look, state, config)
@@ -154,7 +154,7 @@ def test_step_is_pure_and_sees_no_end() -> None:
 def test_feedback_rests_while_the_friction_turns_over() -> None:
     """Around the peak START jumps and END does not: no correction may come of it."""
     config = configured()
-    state = extended.State(config.law)
+    state = extended.ExtendedState(config.law)
     moved = []
     for sample in range(180, 520):
         look = ControllerInput(sample, 0.0, 0.0, config.gait.knee[sample], 60.0)
@@ -169,7 +169,7 @@ def test_feedback_rests_while_the_friction_turns_over() -> None:
 def test_knee_ahead_of_its_reference_is_led() -> None:
     """A knee that runs off at a constant speed is met where it will be when the target acts."""
     config = dataclasses.replace(configured(), gain_m_n=0.0, lag=0.0)
-    state, knee, rope = extended.State(config.law), config.gait.knee, nominal().stiffness_c
+    state, knee, rope = extended.ExtendedState(config.law), config.gait.knee, nominal().stiffness_c
     for sample in range(1200, 1300):
         off = 0.05 + 0.2 * (sample - 1200) * PERIOD_S
         outputs, state, _ = extended.step(ControllerInput(sample, rope, 0.0, knee[sample] + off, 0.0), state, config)
@@ -184,7 +184,7 @@ def test_no_target_is_farther_from_the_rope_than_the_drive_follows() -> None:
     """A stretch of 5 mm in the first newton asks for a leap; the drive would stop with a following error."""
     config = configured()
     config = dataclasses.replace(config, law=config.law._replace(short=5e-3), lag=10.0)
-    state, rope = extended.State(config.law), 0.0
+    state, rope = extended.ExtendedState(config.law), 0.0
     for sample in range(150, 400):
         look = ControllerInput(sample, rope, 0.0, config.gait.knee[sample], 0.0)
         outputs, state, _ = extended.step(look, state, config)
@@ -207,7 +207,7 @@ def test_what_the_drive_makes_of_a_target_is_learnt_and_converges(lag_hz: float,
 
 def evidence_of(
     law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0, play_m: float = 0.0
-) -> list[friction_following.Evidence]:
+) -> list[friction_following.CycleEvidence]:
     """What one gait cycle tells a controller that believes `law` as followed on a bench that is `true`, with noise.
 
     `play_m`: half of the play at its knee, m of rope; the leg lies behind the way that the knee moves.
@@ -289,7 +289,7 @@ def test_without_evidence_friction_stays() -> None:
 
 def test_rows_at_the_start_of_the_loading_are_no_evidence() -> None:
     config = configured()
-    state = extended.State(config.law)
+    state = extended.ExtendedState(config.law)
     for sample in range(150, 300):
         i = sample % SAMPLES
         _, state, _ = extended.step(

@@ -8,13 +8,13 @@ import can
 import numpy as np
 import pytest
 
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from eds.cia301 import NmtCommand, NmtState
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
 from master.network import bringup
-from master.network.link import Emergency, Link, LinkError, stamp_ns
+from master.network.link import EmcyMessage, Link, LinkError, stamp_ns
 from master.settings import Limits
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def test_an_emergency_of_any_length_is_taken(composer: Composer) -> None:
     link.wait(10 * MS)
     assert [(e.node_id, e.code, e.register) for e in link.emergencies] == [
         (3, 0x1000, 0x01), (3, 0x1000, 0x01), (3, 0x8130, 0x11)]
-    assert isinstance(link.emergencies[0], Emergency)
+    assert isinstance(link.emergencies[0], EmcyMessage)
 
 
 @pytest.mark.parametrize("can_id", [0x000, 0x701, 0x77F, 0x580, 0x182])

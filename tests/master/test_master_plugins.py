@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bowden
-from bowden.controllers import Column, Conditions, Controller, ControllerInput, GaitTable, Outputs, Trace
+from bowden.controllers import Column, Conditions, Controller, ControllerInput, ControllerOutput, GaitTable, Trace
 from master.control import controller
 from master.control.packaged import PaperController
 from parameters import InputError
@@ -182,6 +182,6 @@ def test_a_replay_onto_a_controller_of_others_compares_its_own_columns() -> None
     assert set(found.differing) == {"steps"}
 
 
-def _later(given: tuple[Outputs, Any, Trace]) -> tuple[Outputs, Any, Trace]:
+def _later(given: tuple[ControllerOutput, Any, Trace]) -> tuple[ControllerOutput, Any, Trace]:
     outputs, state, trace = given
     return outputs, state, trace._replace(own=(trace.own[0] + 1.0,))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
-from eds.bench import KNEE, SERVO, Network, Wire, wire
+from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives
@@ -85,22 +85,22 @@ def test_sync_that_somebody_sends_is_no_bench_to_start_on(composer: Composer) ->
 
 
 @pytest.fixture(params=[1, 2, 3], ids=["vendor-ID", "product code", "revision number"])
-def other_edition(request: pytest.FixtureRequest) -> tuple[str, Wire]:
+def other_edition(request: pytest.FixtureRequest) -> tuple[str, WireLayout]:
     """A wire whose knee's EDS has another number in 0x1018."""
     right = wire(Network())
     knee, at = right.nodes[KNEE], key(0x1018, request.param)
     entry = knee.dictionary.entries[at]
     entries = {**knee.dictionary.entries, at: replace(entry, default=int(entry.default or 0) + 1)}
     other = knee._replace(dictionary=replace(knee.dictionary, entries=entries))
-    return request.node.callspec.id, Wire(Network(), {**right.nodes, KNEE: other})
+    return request.node.callspec.id, WireLayout(Network(), {**right.nodes, KNEE: other})
 
 
 def test_another_edition_of_the_device_is_refused_by_its_number(
-    composer: Composer, other_edition: tuple[str, Wire]
+    composer: Composer, other_edition: tuple[str, WireLayout]
 ) -> None:
     name, described = other_edition
     link, tap = composer.link()
-    with pytest.raises(bringup.RefusedError, match=rf"knee \(node 2\): {name} is 0x[0-9A-F]+, its EDS .* says 0x"):
+    with pytest.raises(bringup.BringUpError, match=rf"knee \(node 2\): {name} is 0x[0-9A-F]+, its EDS .* says 0x"):
         bringup.bring_up(link, described, Log(tap, None, 0x201))
     assert State.OPERATION_ENABLED not in states(link)
 

@@ -14,15 +14,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eds.bench import END, KNEE, SERVO, START, Network, wire
+from eds.bench_network import END, KNEE, SERVO, START, Network, wire
 from eds.cia301 import NmtCommand
 from master.cycle import plausibility
 from master.cycle.blame import blamed, suspected
-from master.cycle.plausibility import Finding, Plausibility
+from master.cycle.plausibility import Implausibility, Plausibility
 from master.cycle.reception import ENOUGH, Reception
 from master.cycle.run_safely import ENDING, interruption
 from master.cycle.safety import Condition
-from master.motion.experiment import Experiment, run
+from master.motion.experiment_run import ExperimentSetup, run
 from master.network.bus_watch import FLOOD, BusWatch
 from master.settings import Limits
 from parameters import InputError
@@ -54,7 +54,7 @@ def ratios(**broken: float) -> tuple[float, ...]:
 ])
 def test_the_pattern_of_relations_names_the_suspect(broken: dict[str, float], node: int, words: str) -> None:
     relation = ("servo", "knee", "ratio", "force", "start", "end").index(next(iter(broken)))
-    finding = Finding(relation, 5.0, 40.0, ratios(**broken))
+    finding = Implausibility(relation, 5.0, 40.0, ratios(**broken))
     assert suspected(finding).node == node
     stop = blamed(finding)
     assert stop.condition is Condition.IMPLAUSIBLE
@@ -65,12 +65,12 @@ def test_the_pattern_of_relations_names_the_suspect(broken: dict[str, float], no
 def test_a_motion_that_is_not_the_commanded_one_names_its_axis() -> None:
     for relation, node in ((plausibility.SERVO_TRACK, SERVO), (plausibility.KNEE_TRACK, KNEE),
                            (plausibility.STILL_SERVO, SERVO), (plausibility.STILL_KNEE, KNEE)):
-        stop = blamed(Finding(relation, 0.1, 0.2, ratios()))
+        stop = blamed(Implausibility(relation, 0.1, 0.2, ratios()))
         assert (stop.condition, stop.node_id) == (Condition.OFF_TARGET, node)
 
 
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
-    stop = blamed(Finding(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405))
+    stop = blamed(Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405))
     assert "swing_k = 0.0809 m/rad, 0.0405 would fit" in str(stop)
 
 
@@ -237,7 +237,7 @@ def test_a_motion_beyond_the_knees_limits_is_refused_before_a_frame_is_sent(comp
     link, tap = composer.link()
     for limits, text in ((Limits(knee_low_rad=-0.5), "knee would move from"), (Limits(knee_rad_s=2.0), "rad/s")):
         with pytest.raises(InputError, match=text):
-            run(link, tap, None, Experiment(paper_reference(40.0, 1.1), limits=limits))
+            run(link, tap, None, ExperimentSetup(paper_reference(40.0, 1.1), limits=limits))
     assert link.clock() == 0
 
 

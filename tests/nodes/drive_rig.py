@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterable
 
 import nodes
-from eds.bench import KNEE, SERVO, Network, Wire, wire
+from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia301 import NmtCommand
 from eds.cia402 import State, next_controlword, state_of
 from eds.dictionary import key
@@ -19,7 +19,7 @@ from nodes import Drive
 
 MS = 1_000_000
 TICK_NS = 250_000
-WIRE: Wire = wire(Network())
+WIRE: WireLayout = wire(Network())
 
 
 class AbortedError(Exception):

@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from eds.cia301 import Abort, NmtCommand
 from eds.cia402 import state_of
 from eds.frame import Frame

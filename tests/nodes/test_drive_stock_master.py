@@ -24,9 +24,9 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from eds import dictionary
-from eds.bench import END, FILES, KNEE, SERVO, START
+from eds.bench_network import END, FILES, KNEE, SERVO, START
 from virtual_bus.build import build
-from virtual_bus.options import Options
+from virtual_bus.bus_options import Options
 from virtual_bus.serve import serve
 
 pytestmark = pytest.mark.walltime

@@ -8,7 +8,7 @@ import pytest
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import RELATION_PARAMETERS, healthy, ideal
 from physics.relations.measured import Signals
-from physics.relations.recorded import Memory, Recorded
+from physics.relations.recorded_reads import Memory, Recorded
 from physics.relations.relation import RELATIONS, predict, read_by
 
 STEP_S = 5e-3

@@ -18,9 +18,9 @@ def make(controller: str, folder: Path) -> None:
     """Run one walk on the simulated bench and keep the rows of its gait, with the frames of targets."""
     from bowden.cli.app import run
     from bowden.replay.onto_controller import INPUTS, OUTPUTS, walked
-    from eds.bench import TARGETS_COB_ID
+    from eds.bench_network import TARGETS_COB_ID
     from trial import read
-    from trial.assemble import Content, write
+    from trial.assemble import TrialContent, write
     from trial.signals import PDO_NAMES
 
     path = folder / f"{controller}.mcap"
@@ -34,7 +34,8 @@ def make(controller: str, folder: Path) -> None:
     first, last = trial.time_ns[rows.start], trial.time_ns[kept.stop - 1]
     frames = frames[(frames["time_ns"] > first) & (frames["time_ns"] < last + trial.time_ns[1] - trial.time_ns[0])]
     write(
-        FOLDER / path.name, Content(trial.time_ns[kept], {name: trial.columns[name][kept] for name in names}, frames),
+        FOLDER / path.name, TrialContent(trial.time_ns[kept], {name: trial.columns[name][kept] for name in names},
+                                         frames),
         metadata={key: text for key, text in trial.metadata.items() if key != "commit"}, result=trial.result or {},
         attachments={name: trial.attachments[name] for name in ATTACHED}, overwrite=True)
 

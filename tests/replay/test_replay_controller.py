@@ -16,7 +16,7 @@ from bowden.replay.onto_controller import OUTPUTS, replay, walked
 from master.control.controller import CONTROLLERS
 from master.settings import Impedance
 from parameters import InputError
-from trial.assemble import Content, write
+from trial.assemble import TrialContent, write
 from trial.read import Trial
 from trial.read import open as opened
 
@@ -25,7 +25,7 @@ CURVE = 100
 
 def rewritten(trial: Trial, path: Path, **columns: Any) -> Trial:
     """The same trial with other columns."""
-    content = Content(trial.time_ns, {**trial.columns, **columns}, trial.frames, [tuple(e) for e in trial.events])
+    content = TrialContent(trial.time_ns, {**trial.columns, **columns}, trial.frames, [tuple(e) for e in trial.events])
     write(path, content, metadata=trial.metadata, result=trial.result or {}, attachments=trial.attachments)
     return opened(path)
 
@@ -74,7 +74,7 @@ def test_a_changed_byte_on_the_wire_is_seen(recorded: Callable[..., Trial], tmp_
     targets = np.flatnonzero(frames["can_id"] == 0x201)
     place = targets[np.searchsorted(frames["time_ns"][targets], trial.time_ns[walked(trial).start + 300])]
     frames["data"][place, 2] ^= 1
-    content = Content(trial.time_ns, trial.columns, frames)
+    content = TrialContent(trial.time_ns, trial.columns, frames)
     path = tmp_path / "changed.mcap"
     write(path, content, metadata=trial.metadata, result=trial.result or {}, attachments=trial.attachments)
     found = replay(opened(path), experiment(trial))

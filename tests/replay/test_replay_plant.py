@@ -13,7 +13,7 @@ import pytest
 from bowden.replay.plant_residuals import PREFIX, commands, origin_ns, residuals
 from bowden.replay.schedule import plan
 from parameters import InputError
-from trial.assemble import Content, write
+from trial.assemble import TrialContent, write
 from trial.read import Trial
 from trial.read import open as opened
 
@@ -71,14 +71,14 @@ def test_a_trial_that_was_stamped_by_the_day_is_replayed_at_its_phase(
     frames = trial.frames.copy()
     frames["time_ns"] += epoch
     path = tmp_path / "dated.mcap"
-    write(path, Content(trial.time_ns + epoch, trial.columns, frames), metadata=trial.metadata, result={},
+    write(path, TrialContent(trial.time_ns + epoch, trial.columns, frames), metadata=trial.metadata, result={},
           attachments=trial.attachments)
     told = bowden("replay", path, "--onto", "plant", "--json")
     assert told.status == 0, told
 
 
 def test_one_changed_bit_is_left_over(recorded: Callable[..., Trial]) -> None:
-    from eds.bench import Network, wire
+    from eds.bench_network import Network, wire
 
     trial, described = recorded(), wire(Network())
     assert residuals(trial, trial.frames, described).same
@@ -95,7 +95,7 @@ def test_one_changed_bit_is_left_over(recorded: Callable[..., Trial]) -> None:
 
 
 def test_commands_are_what_the_recording_computer_sent(recorded: Callable[..., Trial]) -> None:
-    from eds.bench import Network, wire
+    from eds.bench_network import Network, wire
 
     frames = recorded().frames
     chosen = plan(frames, commands(wire(Network())))
@@ -119,11 +119,11 @@ def test_only_simulated_benches_and_trials_with_frames(
     assert (told.status, told.stdout) == (2, "")
     assert "--interface means nothing to --onto plant" in told.stderr
     path = tmp_path / "columns.mcap"
-    write(path, Content(trial.time_ns, trial.columns), metadata=trial.metadata, result={})
+    write(path, TrialContent(trial.time_ns, trial.columns), metadata=trial.metadata, result={})
     told = bowden("replay", path, "--onto", "plant")
     assert (told.status, told.stdout) == (2, "")
     assert "no CAN frames" in told.stderr
-    from eds.bench import Network, wire
+    from eds.bench_network import Network, wire
 
     with pytest.raises(InputError, match="no SYNC"):
         residuals(opened(path), trial.frames[:10], wire(Network()))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import trial
-from trial.assemble import Content, write
+from trial.assemble import TrialContent, write
 from trial.compare import compare
 
 
@@ -21,7 +21,7 @@ def made(path: Path, rate_hz: int = 100, error_n: float = 0.0, start_ns: int = 0
         "time_s": time_s, "gait_percent": time_s % 2 * 50, "cycle": np.floor(time_s / 2),
         "tension_end_n": 40 * np.sin(time_s) + error_n, "servo_statusword": np.full(len(time_s), 0x1237 + error_n),
     }
-    content = Content(start_ns + np.rint(time_s * 1e9).astype(np.int64), columns)
+    content = TrialContent(start_ns + np.rint(time_s * 1e9).astype(np.int64), columns)
     write(path, content, metadata={"peak_n": "40", "seed": str(error_n)},
           result={"relative_rmse_percent": 2.0 + error_n, "outcome": "completed"},
           attachments={"bench.toml": config.encode(), "notes.txt": b"a\nb\n"})
@@ -71,7 +71,7 @@ def test_without_a_gait_rows_are_matched_by_time_and_unknown_values_left_out(tmp
     for name, rate in (("a.mcap", 100), ("b.mcap", 50)):
         time_s = np.arange(2 * rate) / rate
         end = np.where(time_s < 1, time_s, math.nan)
-        content = Content(np.rint(time_s * 1e9).astype(np.int64), {"time_s": time_s, "tension_end_n": end})
+        content = TrialContent(np.rint(time_s * 1e9).astype(np.int64), {"time_s": time_s, "tension_end_n": end})
         write(tmp_path / name, content, metadata={}, result={})
     found = compare(trial.open(tmp_path / "a.mcap"), trial.open(tmp_path / "b.mcap"))
     assert found.matched == "by time"
@@ -83,8 +83,8 @@ def test_without_a_gait_rows_are_matched_by_time_and_unknown_values_left_out(tmp
 def test_what_only_one_has_is_listed(tmp_path: Path) -> None:
     time_s = np.arange(10) / 10
     times = np.rint(time_s * 1e9).astype(np.int64)
-    write(tmp_path / "a.mcap", Content(times, {"time_s": time_s, "cycle": time_s}), metadata={"x": "1"}, result={})
-    write(tmp_path / "b.mcap", Content(times, {"time_s": time_s, "held": time_s}), metadata={}, result={"y": 1})
+    write(tmp_path / "a.mcap", TrialContent(times, {"time_s": time_s, "cycle": time_s}), metadata={"x": "1"}, result={})
+    write(tmp_path / "b.mcap", TrialContent(times, {"time_s": time_s, "held": time_s}), metadata={}, result={"y": 1})
     found = compare(trial.open(tmp_path / "a.mcap"), trial.open(tmp_path / "b.mcap"))
     assert (found.only_a, found.only_b) == (["cycle"], ["held"])
     assert found.metadata == [("x", "1", None)]

@@ -16,7 +16,7 @@ import pytest
 from mcap.writer import Writer
 
 import trial
-from eds.bench import Network, wire
+from eds.bench_network import Network, wire
 from parameters import InputError
 from trial.convert import candump, csv_table
 from trial.convert.frames import rows_of
@@ -346,7 +346,7 @@ def test_a_real_cable_drive_is_imported_whole(tmp_path: Path) -> None:
 
 def test_every_unit_of_a_signal_can_be_written_in_a_map() -> None:
     for signal in SIGNALS:
-        assert csv_table.Source(column="x", unit=signal.unit).factor(signal.name, "here") == 1.0
+        assert csv_table.SignalSource(column="x", unit=signal.unit).factor(signal.name, "here") == 1.0
 
 
 def test_a_trial_of_ours_passes_through_unchanged(tmp_path: Path) -> None:

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import can
 
-from eds.bench import END, KNEE, SERVO, START, Network
+from eds.bench_network import END, KNEE, SERVO, START, Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.run_safely import run_safely
-from master.motion.experiment import Experiment, Planned
+from master.motion.experiment_run import ExperimentSetup, Planned
 from master.network.link import WANTED, Link
 from master.settings import Gait, Limits
 from physics.reference import paper_reference
@@ -72,7 +72,7 @@ def ran(case: Case, folder: Path) -> Ran:
 
 def _gait(network: Network, controller: str) -> Callable[[Exchange], None]:
     gait = Gait(peak_n=30.0, period_s=0.8, cycles=1, settle=0, controller=controller)
-    return Planned(Experiment(paper_reference(30.0, 0.8), network, gait=gait)).perform
+    return Planned(ExperimentSetup(paper_reference(30.0, 0.8), network, gait=gait)).perform
 
 
 def _scripted(case: Case) -> Callable[[Exchange], None]:
@@ -104,7 +104,8 @@ def write(node: int, index: int, sub: int, data: bytes) -> Hook:
 def second_socket(cycles: int, filters: Any = None) -> Hook:
     """Open a second socket, use it for a while, close it; what it heard goes into an event."""
     def hook(exchange: Exchange) -> None:
-        other = BowdenBus(exchange.link.bus.channel_info.rpartition(" ")[2], can_filters=filters)  # type: ignore[attr-defined]
+        other = BowdenBus(exchange.link.bus.channel_info.rpartition(" ")[2],
+                          can_filters=filters)  # type: ignore[attr-defined]
         heard = hashlib.sha256()
         for _ in range(cycles):
             exchange.hold()

@@ -11,7 +11,7 @@ import can
 import pytest
 
 import eds
-from eds.bench import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START
 from eds.frame import Frame
 from trial import read
 from virtual_bus.bits import frame_bits

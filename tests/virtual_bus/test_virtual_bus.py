@@ -208,7 +208,8 @@ def test_remote_and_extended_messages_pass(open_bus: Open, echo: Any) -> None:
     bus.recv(0.01)
     assert [(m.arbitration_id, m.is_remote_frame, m.is_extended_id, m.dlc) for m in drain(tap)[1:]] == [
         (0x181, True, False, 4), (0x12345678, False, True, 1)]
-    assert [frame for _, frame in bench.nodes[1].device.heard] == [Frame(0x181, remote=True, dlc=4)]  # type: ignore[attr-defined]
+    assert [frame for _, frame in bench.nodes[1].device.heard] == [Frame(0x181, remote=True,
+                                                                         dlc=4)]  # type: ignore[attr-defined]
 
 
 def test_error_states_are_seen_as_socketcan_reports_them(open_bus: Open, echo: Any) -> None:

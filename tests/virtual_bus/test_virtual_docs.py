@@ -7,8 +7,8 @@ from pathlib import Path
 
 from parameters import declarations
 from virtual_bus.bits import BITRATES
+from virtual_bus.bus_options import Options
 from virtual_bus.faults import KINDS
-from virtual_bus.options import Options
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/virtual_bus.md").read_text(encoding="utf-8")
 

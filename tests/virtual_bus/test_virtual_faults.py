@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from eds.bench import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START
 from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench

@@ -71,7 +71,7 @@ def test_timers_are_kept_without_any_frame(echo: Any) -> None:
 
 def test_the_whole_bench_is_served(echo: Any) -> None:
     from virtual_bus.build import build
-    from virtual_bus.options import Options
+    from virtual_bus.bus_options import Options
 
     def ask(master: BowdenBus) -> None:
         for node_id in (1, 2, 3, 4):

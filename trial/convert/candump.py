@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
+from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
 from trial.mcap_file import cdr
 
 _LINE = re.compile(
@@ -38,7 +38,7 @@ def is_log(line: str) -> bool:
     return bool(_LINE.match(line.strip()) or _FD_LINE.match(line) or _SCREEN.match(line.strip()))
 
 
-def read(lines: Iterable[str]) -> Frames:
+def read(lines: Iterable[str]) -> LoggedFrames:
     """Read a candump log; `counts` tells malformed lines, CAN FD frames, which a trial cannot hold, and DLC above 8.
 
     Raises `InputError` for what candump showed on a screen without a time, or with the time since the line before.
@@ -56,7 +56,7 @@ def read(lines: Iterable[str]) -> Frames:
         if row is not None:
             rows.add(row)
     _refuse_screen(rows, counts)
-    return Frames(rows.rows(), channels.names, counts)
+    return LoggedFrames(rows.rows(), channels.names, counts)
 
 
 def _refuse_screen(rows: Gathered, counts: dict[str, int]) -> None:

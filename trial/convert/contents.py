@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench import NAMES, Network, wire
+from eds.bench_network import NAMES, Network, wire
 from parameters import InputError
 from parameters.files import refuse_special
 from trial.convert import imports
 from trial.convert.csv_table import offer
-from trial.convert.frames import Frames
+from trial.convert.frames import LoggedFrames
 from trial.convert.guess_map import guesses
-from trial.convert.sheet import Sheet
+from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr
 from trial.signals import UNITS
 
@@ -28,7 +28,7 @@ RECORDED_BY = ("operator", "specimen", "rope", "notes", "experiment", "controlle
                "imported_from", "interface", "channel", "source")
 
 
-class Stream(NamedTuple):
+class StreamSummary(NamedTuple):
     """One topic, kind of frame or table: how many, how often (Hz), gaps, and the longest silence (s)."""
 
     name: str
@@ -39,7 +39,7 @@ class Stream(NamedTuple):
     longest_gap_s: float | None
 
 
-class Column(NamedTuple):
+class ColumnSummary(NamedTuple):
     """One column of numbers: its unit, range and how many values are unknown."""
 
     name: str
@@ -57,8 +57,8 @@ class Contents:
     format: str
     begins_ns: int | None = None
     seconds: float | None = None
-    streams: list[Stream] = field(default_factory=list)
-    columns: list[Column] = field(default_factory=list)
+    streams: list[StreamSummary] = field(default_factory=list)
+    columns: list[ColumnSummary] = field(default_factory=list)
     about: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, int] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
@@ -80,26 +80,26 @@ def contents(path: Path) -> Contents:
     if path.suffix.lower() == ".mcap":
         return _mcap(path)
     found = imports.raw_content(path)
-    return _log(path, found) if isinstance(found, Frames) else _table(path, found)
+    return _log(path, found) if isinstance(found, LoggedFrames) else _table(path, found)
 
 
-def _stream(name: str, kind: str, times: NDArray[np.int64]) -> Stream:
+def _stream(name: str, kind: str, times: NDArray[np.int64]) -> StreamSummary:
     """Describe a stream by its times, ns."""
     steps: NDArray[np.float64] = np.diff(np.sort(times).astype(np.float64)) / 1e9
     if not len(steps):
-        return Stream(name, kind, len(times), None, None, None)
+        return StreamSummary(name, kind, len(times), None, None, None)
     middle, span = float(np.median(steps)), float(np.sum(steps))
     rate = (len(times) - 1) / span if span > 0 else None
     regular = middle > 0 and float(np.quantile(steps, 0.9)) <= GAP * middle  # frames come in bursts, which have no gaps
     gaps = int((steps > GAP * middle).sum()) if regular else None
-    return Stream(name, kind, len(times), rate, gaps, float(steps.max()))
+    return StreamSummary(name, kind, len(times), rate, gaps, float(steps.max()))
 
 
-def _column(name: str, unit: str, values: NDArray[np.float64]) -> Column:
+def _column(name: str, unit: str, values: NDArray[np.float64]) -> ColumnSummary:
     known = values[np.isfinite(values)]
     if not len(known):
-        return Column(name, unit, None, None, len(values))
-    return Column(name, unit, float(known.min()), float(known.max()), len(values) - len(known))
+        return ColumnSummary(name, unit, None, None, len(values))
+    return ColumnSummary(name, unit, float(known.min()), float(known.max()), len(values) - len(known))
 
 
 def _mcap(path: Path) -> Contents:
@@ -166,7 +166,7 @@ def _columns_of_trial(path: Path, found: Contents) -> None:
         found.remarks.append("recovered from a torn recording")
 
 
-def _log(path: Path, frames: Frames) -> Contents:
+def _log(path: Path, frames: LoggedFrames) -> Contents:
     rows = frames.rows
     found = Contents(path, "CAN log", counts=dict(frames.counts))
     if len(rows):
@@ -192,13 +192,13 @@ def _known_ids() -> dict[int, str]:
     return known
 
 
-def _table(path: Path, sheet: Sheet) -> Contents:
+def _table(path: Path, sheet: LabTable) -> Contents:
     found = Contents(path, f"table of {len(sheet)} rows", counts=dict(sheet.counts))
     found.remarks += [f"read with {', '.join(sheet.said)}"] if sheet.said else []
     for name in sheet.names:
         if name in sheet.faults:
             row, _ = sheet.faults[name]
-            found.columns.append(Column(name, "no numbers", None, None, len(sheet)))
+            found.columns.append(ColumnSummary(name, "no numbers", None, None, len(sheet)))
             if name in UNITS:
                 found.remarks.append(f"row {row} of {name} is no number")
         else:
@@ -209,13 +209,13 @@ def _table(path: Path, sheet: Sheet) -> Contents:
     return found
 
 
-def _clock(sheet: Sheet, found: Contents) -> None:
+def _clock(sheet: LabTable, found: Contents) -> None:
     guess = next((one for one in guesses(sheet) if one.signal == "time_s"), None)
     if guess is None:
         return
-    from trial.convert.csv_table import Source
+    from trial.convert.csv_table import SignalSource
 
-    values = sheet.column(guess.column) * Source(guess.column, guess.unit).factor("time_s", str(sheet.path))
+    values = sheet.column(guess.column) * SignalSource(guess.column, guess.unit).factor("time_s", str(sheet.path))
     known = values[np.isfinite(values)]
     times = np.rint((known - known[0]) * 1e9).astype(np.int64)
     found.streams.append(_stream(guess.column, f"time, {guess.unit}", times))

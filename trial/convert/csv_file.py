@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from parameters import InputError, parameter
 from parameters.files import content
 from trial.convert import times
-from trial.convert.sheet import Floats, Sheet, unique, unit_of
+from trial.convert.lab_table import Floats, LabTable, unique, unit_of
 from trial.signals import UNITS
 
 DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks"}
@@ -54,7 +54,7 @@ def reserved(name: str) -> bool:
     return name in UNITS or name == DEGREE_ALIAS
 
 
-def read(path: Path, dialect: Dialect | None = None) -> Sheet:
+def read(path: Path, dialect: Dialect | None = None) -> LabTable:
     """Read a CSV file, gzipped or not; raises `InputError` with the row where it makes no sense."""
     given = dialect or Dialect()
     raw = content(path, "a CSV file, gzipped or not", lines=True)
@@ -135,7 +135,7 @@ class _Reading:
             return text.split(self.delimiter)
         return next(csv.reader([text], delimiter=self.delimiter), [])
 
-    def sheet(self) -> Sheet:
+    def sheet(self) -> LabTable:
         if not self.lines:
             raise InputError(f"{self.path}: row 1 is no header, the file is empty; name the columns there.")
         header, names, begin = self._header()
@@ -150,8 +150,8 @@ class _Reading:
         names, units = self._trimmed(names, units, body)
         columns = _numbers(self, names, body)
         rows = np.fromiter((line.row for line in body), np.int64, len(body))
-        found = Sheet(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
-                      {}, {}, self.counts, self.said, header)
+        found = LabTable(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
+                         {}, {}, self.counts, self.said, header)
         found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
         for place, begins_ns in columns.begins_ns.items():
             found.begins_ns[found.names[place]] = begins_ns

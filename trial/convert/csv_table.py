@@ -15,7 +15,7 @@ import numpy as np
 
 from parameters import InputError, from_table, parameter, read_toml
 from trial.convert.csv_file import DEGREE_ALIAS, Dialect
-from trial.convert.sheet import TO_SI, Floats, Sheet, unit_of
+from trial.convert.lab_table import TO_SI, Floats, LabTable, unit_of
 from trial.convert.sheets import sheet_of
 from trial.signals import UNITS
 
@@ -23,7 +23,7 @@ CSV_TABLE = "csv"  # of a map: how the file is written
 
 
 @dataclass(frozen=True)
-class Source:
+class SignalSource:
     """Where a signal comes from: value = (number in the file × scale) in `unit`, converted, plus `offset`."""
 
     column: str = parameter("", "", "header of the file's column", source="the map file")
@@ -40,7 +40,7 @@ class Source:
         return factor * self.scale * (1e9 if si == "s" and UNITS[signal] == "ns" else 1.0)
 
 
-class Map(dict[str, Source]):
+class Map(dict[str, SignalSource]):
     """Sources by signal; `dialect` is how the file is written, where the map says so."""
 
     dialect: Dialect | None = None
@@ -73,17 +73,17 @@ def read_map(path: Path) -> Map:
         if signal == CSV_TABLE:
             mapped.dialect = from_table(Dialect, table, where=where)
             continue
-        mapped[signal] = from_table(Source, table, where=where)
+        mapped[signal] = from_table(SignalSource, table, where=where)
         mapped[signal].factor(signal, where)
     return mapped
 
 
-def read(path: Path, mapped: Mapping[str, Source] | None = None) -> Columns:
+def read(path: Path, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
     """Read a table; `mapped` says where signals come from that are not under their own names."""
     return columns_of(sheet_of(path, getattr(mapped, "dialect", None)), mapped)
 
 
-def columns_of(sheet: Sheet, mapped: Mapping[str, Source] | None = None) -> Columns:
+def columns_of(sheet: LabTable, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
     """Take signals out of a sheet; raises `InputError` without time, for units that do not fit and bad cells."""
     path = sheet.path
     sources = dict(_canonical(sheet, mapped or {})) | dict(mapped or {})
@@ -93,7 +93,7 @@ def columns_of(sheet: Sheet, mapped: Mapping[str, Source] | None = None) -> Colu
             raise InputError(f"{path}: the map takes {signal} from {source.column!r}, which is no column of the file; "
                              f"expected one of {_listed(sheet.names)}.")
         unit = source.unit or sheet.unit(source.column)
-        factor = Source(source.column, unit, source.scale).factor(signal, f"{path}: {source.column}")
+        factor = SignalSource(source.column, unit, source.scale).factor(signal, f"{path}: {source.column}")
         columns[signal] = sheet.column(source.column) * factor + source.offset
     if "time_s" not in columns:
         raise InputError(f"{path}: has no column time_s; {offer(path)}.")
@@ -115,20 +115,20 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")
 
 
-def _canonical(sheet: Sheet, mapped: Mapping[str, Source]) -> list[tuple[str, Source]]:
-    named = [(name, Source(column=name)) for name in sheet.names if name in UNITS and name not in mapped]
+def _canonical(sheet: LabTable, mapped: Mapping[str, SignalSource]) -> list[tuple[str, SignalSource]]:
+    named = [(name, SignalSource(column=name)) for name in sheet.names if name in UNITS and name not in mapped]
     for name, source in named:
         _refuse_other_unit(sheet, name, source)
     if DEGREE_ALIAS in sheet and "gait_percent" in sheet and not {"knee_angle_rad"} & (set(sheet.names) | set(mapped)):
-        named.append(("knee_angle_rad", Source(column=DEGREE_ALIAS, unit="deg")))
+        named.append(("knee_angle_rad", SignalSource(column=DEGREE_ALIAS, unit="deg")))
     return named
 
 
-def _refuse_other_unit(sheet: Sheet, name: str, source: Source) -> None:
+def _refuse_other_unit(sheet: LabTable, name: str, source: SignalSource) -> None:
     stated = sheet.unit(source.column)
     if stated and TO_SI[stated] != (UNITS[name], 1.0):
         raise InputError(f"{sheet.path}: {name} is in {UNITS[name]} by its name and in {stated} by the row of units; "
                          f"say which with --map: [{name}], column = \"{name}\" and unit.")
 
 
-__all__ = ["TO_SI", "Columns", "Map", "Source", "columns_of", "offer", "read", "read_map", "unit_of"]
+__all__ = ["TO_SI", "Columns", "Map", "SignalSource", "columns_of", "offer", "read", "read_map", "unit_of"]

@@ -15,24 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from parameters import InputError
-from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
+from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
 from trial.mcap_file import cdr, records, scan
 
 _FRAME = struct.Struct("<I3?B")
 
 
 @dataclass
-class Found:
+class ForeignContent:
     """What a file held: frames, a table (times and columns as its schema names them), and topics left out."""
 
-    frames: Frames
+    frames: LoggedFrames
     times: NDArray[np.int64]
     columns: dict[str, NDArray[np.float64]]
     units: dict[str, str]
     left_out: list[str]
 
 
-def read(path: Path) -> Found:
+def read(path: Path) -> ForeignContent:
     """Read every topic that can be read."""
     with records.mapped(path) as view:
         summary = scan.summary(view, path)
@@ -45,8 +45,9 @@ def read(path: Path) -> Found:
         columns, units = _columns(tables, path)
         times, values = _table(view, summary, tables, len(columns), path)
         left_out = [channel.topic for channel in summary.channels.values() if kinds[channel.number] == ""]
-        return Found(_frames(view, summary, frames, path), times, dict(zip(columns, values, strict=True)), units,
-                     [topic for topic in left_out if topic != cdr.EVENTS])
+        return ForeignContent(_frames(view, summary, frames, path), times, dict(zip(columns, values, strict=True)),
+                              units,
+                              [topic for topic in left_out if topic != cdr.EVENTS])
 
 
 def _kind(channel: records.Channel) -> str:
@@ -89,7 +90,7 @@ def _table(
     return np.array(times, np.int64), np.array(rows).T.copy() if rows else np.empty((width, 0))
 
 
-def _frames(view: records.View, summary: scan.Summary, channels: list[records.Channel], path: Path) -> Frames:
+def _frames(view: records.View, summary: scan.Summary, channels: list[records.Channel], path: Path) -> LoggedFrames:
     rows, numbers, malformed = Gathered(), ChannelNumbers(), 0
     for channel in channels:
         for _, time_ns, payload in _payloads(view, summary, channel, path):
@@ -98,7 +99,8 @@ def _frames(view: records.View, summary: scan.Summary, channels: list[records.Ch
             if row is not None:
                 rows.add(row)
     frames = rows.rows()
-    return Frames(frames[np.argsort(frames["time_ns"], kind="stable")], numbers.names, {"malformed_frames": malformed})
+    return LoggedFrames(frames[np.argsort(frames["time_ns"], kind="stable")], numbers.names,
+                        {"malformed_frames": malformed})
 
 
 def _frame(payload: bytes, time_ns: int, topic: str, numbers: ChannelNumbers) -> Row | None:

@@ -76,7 +76,7 @@ class Gathered:
 
 
 @dataclass
-class Frames:
+class LoggedFrames:
     """A log's frames, what its channels are called, and what was counted in reading it."""
 
     rows: NDArray[np.void]

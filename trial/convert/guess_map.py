@@ -15,8 +15,8 @@ import numpy as np
 
 from parameters import InputError
 from trial.convert.csv_file import reserved
-from trial.convert.csv_table import Source
-from trial.convert.sheet import TO_SI, Floats, Sheet, unit_of
+from trial.convert.csv_table import SignalSource
+from trial.convert.lab_table import TO_SI, Floats, LabTable, unit_of
 from trial.signals import MOTION_AND_FORCE
 
 
@@ -83,7 +83,7 @@ def split_unit(name: str) -> tuple[str, str]:
     return (name[:found.start()], unit) if found and unit else (name, "")
 
 
-def guesses(sheet: Sheet) -> list[Guess]:
+def guesses(sheet: LabTable) -> list[Guess]:
     """Return at most one column for each signal, the surest first taken."""
     found = [guess for name in sheet.names[:2000] if name not in sheet.faults
              for signal in MOTION_AND_FORCE if (guess := _guess(sheet, name, signal.name, signal.unit)) is not None]
@@ -96,7 +96,7 @@ def guesses(sheet: Sheet) -> list[Guess]:
     return [taken[signal.name] for signal in MOTION_AND_FORCE if signal.name in taken]
 
 
-def _guess(sheet: Sheet, name: str, signal: str, si: str) -> Guess | None:
+def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
     if reserved(name) and name != signal and name != "knee_angle_deg":
         return None
     bare, unit = split_unit(name)
@@ -148,7 +148,7 @@ def _unit(signal: str, si: str, stated: str, known: Floats) -> tuple[str, float,
     return unit, scale, why
 
 
-def text(sheet: Sheet, map_name: str) -> str:
+def text(sheet: LabTable, map_name: str) -> str:
     """Write the map of a table, commented; raises `InputError` where no column looks like time."""
     found = guesses(sheet)
     if not found:
@@ -169,7 +169,7 @@ def text(sheet: Sheet, map_name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _how(sheet: Sheet) -> list[str]:
+def _how(sheet: LabTable) -> list[str]:
     if not sheet.said:
         return []
     return [f"# Read with: {'; '.join(sheet.said)}. To read it otherwise:", "# [csv]",
@@ -177,10 +177,10 @@ def _how(sheet: Sheet) -> list[str]:
             f"# header_row = {sheet.header_row}", "# units_row = 0", ""]
 
 
-def _table(sheet: Sheet, guess: Guess) -> list[str]:
+def _table(sheet: LabTable, guess: Guess) -> list[str]:
     meaning = next(signal for signal in MOTION_AND_FORCE if signal.name == guess.signal)
     values = sheet.column(guess.column)
-    source = Source(guess.column, guess.unit, guess.scale)
+    source = SignalSource(guess.column, guess.unit, guess.scale)
     converted = values * source.factor(guess.signal, str(sheet.path))
     lines = [f"[{guess.signal}]  # {meaning.text}", f"column = {json.dumps(guess.column, ensure_ascii=False)}"
              f"  # {_range(values)} in the file, {_range(converted)} {meaning.unit} then"]
@@ -193,7 +193,7 @@ def _range(values: Floats) -> str:
     return f"{known.min():.6g} … {known.max():.6g}" if len(known) else "nothing known"
 
 
-def _rest(sheet: Sheet, names: Iterable[str]) -> list[str]:
+def _rest(sheet: LabTable, names: Iterable[str]) -> list[str]:
     rows = []
     for name in list(names)[:200]:
         rows.append(f"#   {json.dumps(name, ensure_ascii=False)}: "

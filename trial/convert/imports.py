@@ -15,16 +15,16 @@ from typing import BinaryIO, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench import Network, Wire
-from eds.bench import wire as wire_of
+from eds.bench_network import Network, WireLayout
+from eds.bench_network import wire as wire_of
 from parameters import InputError
 from parameters.files import refuse_special, unpacked_limit
 from trial import assemble, decode
-from trial.assemble import Content, Progress, silent
+from trial.assemble import Progress, TrialContent, silent
 from trial.convert import candump, clock, csv_table, foreign_mcap, sheets
-from trial.convert.csv_table import Source
-from trial.convert.frames import Frames, oddities
-from trial.convert.sheet import Sheet
+from trial.convert.csv_table import SignalSource
+from trial.convert.frames import LoggedFrames, oddities
+from trial.convert.lab_table import LabTable
 from trial.mcap_file import cdr
 from trial.signals import UNITS
 
@@ -53,16 +53,17 @@ class Imported:
                 "channels": self.channels, "read_as": self.read_as}
 
 
-class Asked(NamedTuple):
+class ImportRequest(NamedTuple):
     """What an import is told: where columns come from, what CAN frames mean, and who hears how much is read."""
 
-    mapped: Mapping[str, Source] | None
-    wire: Wire
+    mapped: Mapping[str, SignalSource] | None
+    wire: WireLayout
     progress: Progress
 
 
 def import_file(
-    source: str | Path, target: str | Path, *, mapped: Mapping[str, Source] | None = None, wire: Wire | None = None,
+    source: str | Path, target: str | Path, *, mapped: Mapping[str, SignalSource] | None = None,
+    wire: WireLayout | None = None,
     overwrite: bool = False, progress: Progress = silent,
 ) -> Imported:
     """Make a trial of `source`, a table, a CAN log or an MCAP file (`FORMATS`); raises `InputError`.
@@ -76,14 +77,14 @@ def import_file(
     reader = _reader(source)
     if mapped is not None and reader is not _from_table and reader is not _from_mcap:
         raise InputError(f"{source}: is a CAN log, which a map does not apply to; leave out --map.")
-    asked = Asked(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
+    asked = ImportRequest(mapped, wire or wire_of(Network()), lambda share: progress(READING * share))
     content = reader(source, report, asked)
     assemble.write(target, content, metadata={"imported_from": source.name}, result=report.as_json(),
                    overwrite=overwrite, progress=lambda share: progress(READING + (1 - READING) * share))
     return report
 
 
-Reader = Callable[[Path, Imported, Asked], Content]
+Reader = Callable[[Path, Imported, ImportRequest], TrialContent]
 
 
 FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .parquet, .mat, .mf4, .asc, .blf, .trc, .db or .mcap"
@@ -109,7 +110,7 @@ def _reader(source: Path) -> Reader:
     raise InputError(f"{source}: the ending {ending or 'is missing and'} names no format; expected {FORMATS}.")
 
 
-def table_of(source: Path) -> Sheet:
+def table_of(source: Path) -> LabTable:
     """Return the table in a file; raises `InputError` where it holds CAN frames or is a trial."""
     refuse_special(source)
     if not source.exists():
@@ -120,7 +121,7 @@ def table_of(source: Path) -> Sheet:
     return sheets.sheet_of(source)
 
 
-def raw_content(source: Path) -> Frames | Sheet:
+def raw_content(source: Path) -> LoggedFrames | LabTable:
     """Return the frames or the table in a file as they are; raises `InputError`, also for MCAP."""
     reader = _reader(source)
     if reader is _from_table:
@@ -152,14 +153,14 @@ def _is_python_cans(source: Path) -> bool:
     return first_lines(source, 1)[:1] == [CSV_HEADER]
 
 
-def _from_table(source: Path, report: Imported, asked: Asked) -> Content:
+def _from_table(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     table = csv_table.read(source, asked.mapped)
     report.counts |= table.counts
     report.left_out, report.read_as = table.left_out, table.said
     times, columns = _ordered(source, table, report)
     if table.begins_ns is not None and table.begins_ns >= 0:
         times = times + table.begins_ns
-    return Content(times, columns, np.empty(0, cdr.FRAME_ROW), [])
+    return TrialContent(times, columns, np.empty(0, cdr.FRAME_ROW), [])
 
 
 def _ordered(
@@ -188,11 +189,11 @@ def _ordered(
     return mended.times, {name: column[kept] for name, column in columns.items()}
 
 
-def _from_candump(source: Path, report: Imported, asked: Asked) -> Content:
+def _from_candump(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     return _from_log(source, _candump_frames(source, asked.progress), report, asked.wire)
 
 
-def _candump_frames(source: Path, progress: Progress) -> Frames:
+def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
     import gzip
     import io
 
@@ -228,7 +229,7 @@ def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) ->
         yield line
 
 
-def _from_log(source: Path, frames: Frames, report: Imported, wire: Wire) -> Content:
+def _from_log(source: Path, frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
     if not len(frames.rows):
         fd_frames = frames.counts.get("fd_frames", 0)
         if fd_frames:
@@ -238,13 +239,13 @@ def _from_log(source: Path, frames: Frames, report: Imported, wire: Wire) -> Con
     return _from_frames(frames, report, wire)
 
 
-def _from_python_can(source: Path, report: Imported, asked: Asked) -> Content:
+def _from_python_can(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     from trial.convert.python_can import read_log
 
     return _from_log(source, read_log(source, asked.progress), report, asked.wire)
 
 
-def _from_mcap(source: Path, report: Imported, asked: Asked) -> Content:
+def _from_mcap(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     found = foreign_mcap.read(source)
     report.left_out = found.left_out
     content = _from_frames(found.frames, report, asked.wire)
@@ -264,12 +265,12 @@ def _from_mcap(source: Path, report: Imported, asked: Asked) -> Content:
 
 
 def _mapped_columns(
-    source: Path, found: foreign_mcap.Found, mapped: Mapping[str, Source] | None, report: Imported
+    source: Path, found: foreign_mcap.ForeignContent, mapped: Mapping[str, SignalSource] | None, report: Imported
 ) -> dict[str, Floats]:
     columns = {}
     for name, unit in found.units.items():
         if name in UNITS:
-            columns[name] = found.columns[name] * Source(column=name, unit=unit).factor(name, f"{source}: {name}")
+            columns[name] = found.columns[name] * SignalSource(column=name, unit=unit).factor(name, f"{source}: {name}")
     for name, given in (mapped or {}).items():
         if given.column not in found.columns:
             raise InputError(f"{source}: the map takes {name} from {given.column!r}, which is no column of the file.")
@@ -279,7 +280,7 @@ def _mapped_columns(
     return columns
 
 
-def _from_frames(frames: Frames, report: Imported, wire: Wire) -> Content:
+def _from_frames(frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
     mended = clock.mend(frames.rows["time_ns"])
     frames.rows["time_ns"] = mended.times
     report.counts |= frames.counts | oddities(frames.rows)
@@ -287,4 +288,4 @@ def _from_frames(frames: Frames, report: Imported, wire: Wire) -> Content:
     report.channels = frames.channels
     events, found = decode.decoded_events_and_cycles(frames.rows, wire)
     report.counts |= found.counts
-    return Content(found.time_ns, found.columns, frames.rows, events)
+    return TrialContent(found.time_ns, found.columns, frames.rows, events)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from parameters import InputError
 from parameters.files import LONGEST_LINE, READ_LIMIT, refuse_special, unpacked_limit
-from trial.convert.frames import ChannelNumbers, Frames, Gathered, Row
+from trial.convert.frames import ChannelNumbers, Gathered, LoggedFrames, Row
 from trial.mcap_file import cdr
 from trial.read import frames_of
 from trial.record import Recorder
@@ -233,7 +233,7 @@ def _sqlite(path: Path) -> Iterator[can.Message]:
                               is_fd=len(data or b"") > 8)
 
 
-def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> Frames:
+def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
     """Read a log that python-can knows (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
     `counts` tells CAN FD frames, which a trial cannot hold, DLC above 8 of classical ones, and frames that are none;
@@ -259,7 +259,7 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
     except Exception as error:  # python-can's readers raise whatever their parsing meets
         reason = (str(error) or type(error).__name__)[:200]
         raise InputError(f"{path}: after {len(rows)} frames: {reason}; mend the file or cut it there.") from None
-    return Frames(rows.rows(), channels.names, counts)
+    return LoggedFrames(rows.rows(), channels.names, counts)
 
 
 def _take(message: can.Message, rows: Gathered, channels: ChannelNumbers, counts: dict[str, int]) -> None:

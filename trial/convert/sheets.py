@@ -16,14 +16,14 @@ import numpy as np
 from parameters import InputError
 from parameters.files import READ_LIMIT, refuse_special
 from trial.convert import csv_file
-from trial.convert.sheet import Floats, Sheet, unique
+from trial.convert.lab_table import Floats, LabTable, unique
 
 TEXT = (".csv", ".tsv", ".dat", ".txt")
 ENDINGS = (*TEXT, ".parquet", ".mat", ".mf4", ".mdf")
 Arrays = dict[str, np.ndarray[Any, Any]]
 
 
-def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> Sheet:
+def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
     """Read the table in a file; CSV where its ending names none of the other formats."""
     ending = path.suffix.lower()
     readers = {".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
@@ -52,7 +52,7 @@ def missing(path: Path, what: str, extra: str) -> InputError:
     return InputError(f"{path}: {what}; say pip install bowden-bench[{extra}].")
 
 
-def parquet(path: Path) -> Sheet:
+def parquet(path: Path) -> LabTable:
     """Read a Parquet file; units are those of its fields' metadata."""
     try:
         from pyarrow import parquet as format_
@@ -68,7 +68,7 @@ def parquet(path: Path) -> Sheet:
     return _sheet(path, columns, units, [])
 
 
-def matlab(path: Path) -> Sheet:
+def matlab(path: Path) -> LabTable:
     """Read the vectors of a MATLAB file, those of equal length; of v7.3 ones, which are HDF5, by h5py."""
     with path.open("rb") as file:
         head = file.read(520)
@@ -124,7 +124,7 @@ def _flatten(prefix: str, found: Mapping[str, Any], flat: Arrays) -> None:
                 flat[full] = value.ravel()
 
 
-def mdf(path: Path) -> Sheet:
+def mdf(path: Path) -> LabTable:
     """Read the signals of an MDF file on the clock of its largest group; slower ones are held."""
     try:
         from asammdf import MDF
@@ -166,7 +166,7 @@ def has_can_frames(path: Path) -> bool:
         return False
 
 
-def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str]) -> Sheet:
+def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str]) -> LabTable:
     """Make a sheet of the columns of numbers that have the commonest length."""
     numbers = {name: values for name, values in columns.items() if values.dtype.kind in "fiub"}
     stamps = {name: values for name, values in columns.items() if values.dtype.kind == "M"}
@@ -188,8 +188,8 @@ def _sheet(path: Path, columns: Arrays, units: Mapping[str, str], said: list[str
     counts = {"columns_of_no_numbers": left_out} if left_out else {}
     names = _shortest(list(values))
     stated = ["s" if name in begins else units.get(name, "") for name in values]
-    found = Sheet(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
-                  counts=counts, said=said, header_row=0)
+    found = LabTable(path, unique(names, csv_file.reserved), list(values.values()), stated, range(1, length + 1),
+                     counts=counts, said=said, header_row=0)
     found.begins_ns = {name: begins[full] for name, full in zip(names, values, strict=True) if full in begins}
     return found
 

@@ -22,7 +22,7 @@ INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 ZSTD_LEVEL = 1  # level 3 costs 1.6 times the processor time for a tenth of the size
 
 
-class Sink(Protocol):
+class ByteSink(Protocol):
     """Where bytes go: an unbuffered binary file."""
 
     def write(self, data: bytes, /) -> int | None: ...
@@ -46,7 +46,7 @@ def record(opcode: int, *parts: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(body)) + body
 
 
-def write_all(sink: Sink, data: bytes) -> None:
+def write_all(sink: ByteSink, data: bytes) -> None:
     """Write every byte of `data`; an unbuffered file may take fewer at a time than it is given."""
     view = memoryview(data)
     while view:
@@ -59,7 +59,7 @@ def write_all(sink: Sink, data: bytes) -> None:
 class Container:
     """An MCAP file being written: header and descriptions first, then chunks of one channel each."""
 
-    def __init__(self, sink: Sink, library: str) -> None:
+    def __init__(self, sink: ByteSink, library: str) -> None:
         self.position = 0
         self._sink = sink
         self._crc = 0

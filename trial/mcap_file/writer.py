@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping
 from io import FileIO
 from pathlib import Path
 
-from trial.mcap_file.blocks import Block, Events
 from trial.mcap_file.container import Container
+from trial.mcap_file.message_blocks import Block, Events
 
 IDLE_S = 0.1  # where the bus falls silent, what is waiting is written after this long
 

@@ -16,7 +16,7 @@ from trial.mcap_file import cdr
 from trial.read import Trial
 from trial.report.force_section import TIME, chosen, over_time
 from trial.report.page import Cell, Page, Series
-from trial.report.setting import Setting, known, seconds
+from trial.report.setting import TrialSetting, known, seconds
 from trial.signals import PDO_NAMES
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ KINDS = (
 )
 
 
-def timing(page: Page, trial: Trial, setting: Setting, *, on_bus: bool = True) -> None:
+def timing(page: Page, trial: Trial, setting: TrialSetting, *, on_bus: bool = True) -> None:
     """Add age and arrival of the PDOs, SYNC, misses and the step's duration; of a table the steps of its time."""
     if not on_bus and not _timed(trial):
         _sampling(page, trial)
@@ -77,7 +77,7 @@ def _timed(trial: Trial) -> list[str]:
     return list(chosen(trial, [*names, "sync_jitter_ns", "step_duration_ns"]))
 
 
-def _sync(trial: Trial, setting: Setting) -> tuple[str, Floats] | None:
+def _sync(trial: Trial, setting: TrialSetting) -> tuple[str, Floats] | None:
     """Return SYNC's jitter as recorded, else the intervals between cycles against the period."""
     jitter = known(trial, "sync_jitter_ns")
     if jitter is not None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trial import metrics
-from trial.compare import Comparison, Difference, aligned
+from trial.compare import FieldDifference, TrialComparison, aligned
 from trial.read import Trial
 from trial.report.force_section import BINS, FORCE, MOTION
 from trial.report.packing import broken, thinned
@@ -23,12 +23,12 @@ A, B = "#1f6fb2", "#d9730d"
 MOST_ROWS = 400
 
 
-def write(a: Trial, b: Trial, found: Comparison, path: Path, *, overwrite: bool = False) -> int:
+def write(a: Trial, b: Trial, found: TrialComparison, path: Path, *, overwrite: bool = False) -> int:
     """Write the page; returns its bytes.  Raises `InputError`."""
     return build(a, b, found).write(path, overwrite=overwrite)
 
 
-def build(a: Trial, b: Trial, found: Comparison) -> Page:
+def build(a: Trial, b: Trial, found: TrialComparison) -> Page:
     """Return the page of a comparison."""
     badge = ("the same", "good") if found.same else ("they differ", "plain")
     page = Page("Two trials", f"A: {a.path.name} · B: {b.path.name} · signals matched {found.matched}", badge=badge)
@@ -60,19 +60,19 @@ def _judged(side: Trial) -> dict[str, float | None]:
                                 settle=judged.settle))
 
 
-def _result(page: Page, found: Comparison) -> None:
+def _result(page: Page, found: TrialComparison) -> None:
     rows = _rows([*found.metadata, *(row for row in found.result if row.a != row.b)])
     if rows:
         page.heading("What else came out or was told differently")
         page.table(("key", "A", "B"), rows, tall=len(rows) > 20)
 
 
-def _rows(differences: Sequence[Difference], prefix: str = "") -> list[tuple[Cell, ...]]:
+def _rows(differences: Sequence[FieldDifference], prefix: str = "") -> list[tuple[Cell, ...]]:
     return [(f"{prefix}{row.key}", *("–" if value is None else str(value)[:300] for value in (row.a, row.b)))
             for row in differences[:MOST_ROWS]]
 
 
-def _signals(page: Page, a: Trial, b: Trial, found: Comparison) -> None:
+def _signals(page: Page, a: Trial, b: Trial, found: TrialComparison) -> None:
     page.section("Signals")
     if found.signals:
         page.table(("signal", "unit", "RMS of A − B", "mean", "largest", "at (s)"), [
@@ -103,7 +103,7 @@ def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:
               height=150)
 
 
-def _told(page: Page, found: Comparison) -> None:
+def _told(page: Page, found: TrialComparison) -> None:
     if not found.attachments:
         return
     page.section("Attached files that differ")

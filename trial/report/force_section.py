@@ -16,7 +16,7 @@ from trial import metrics
 from trial.read import Trial
 from trial.report.packing import broken, thinned
 from trial.report.page import Page, Series
-from trial.report.setting import Setting, known, seconds
+from trial.report.setting import TrialSetting, known, seconds
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
     return {name: column for name, column in found.items() if column is not None}
 
 
-def force(page: Page, trial: Trial, setting: Setting) -> None:
+def force(page: Page, trial: Trial, setting: TrialSetting) -> None:
     """Add force over time, per gait cycle, and its error; nothing where no force is known."""
     if not chosen(trial, FORCE):
         return
@@ -131,7 +131,7 @@ def motion(page: Page, trial: Trial) -> None:
             over_time(page, trial, title, columns, unit)
 
 
-def _by_cycle(page: Page, trial: Trial, setting: Setting, error: Floats) -> int | None:
+def _by_cycle(page: Page, trial: Trial, setting: TrialSetting, error: Floats) -> int | None:
     """Plot the relative RMSE by gait cycle; returns the worst one that counts."""
     if setting.peak_n is None:
         return None
@@ -170,7 +170,7 @@ class Phases(NamedTuple):
         return found.reshape(len(self.cycles), 2 * self.bins)
 
 
-def _phases(trial: Trial, setting: Setting) -> Phases | None:
+def _phases(trial: Trial, setting: TrialSetting) -> Phases | None:
     percent, cycle = known(trial, "gait_percent"), known(trial, "cycle")
     if percent is None or cycle is None:
         return None

@@ -18,7 +18,7 @@ SETTLE = 1  # first gait cycles that no figure counts, where nothing else is sta
 
 
 @dataclass(frozen=True)
-class Setting:
+class TrialSetting:
     """Peak of the desired force (N), control rate (Hz; None: unknown), gait cycles, and what the columns gave."""
 
     peak_n: float | None
@@ -33,7 +33,7 @@ class Setting:
         return None if self.rate_hz is None else 1e9 / self.rate_hz
 
 
-def setting(trial: Trial) -> Setting:
+def setting(trial: Trial) -> TrialSetting:
     """Return the setting of a trial, one's own or an imported one."""
     stated = {name: _figure(trial.metadata.get(name)) for name in ("peak_n", "rate_hz", "cycles", "settle")}
     measured = {"peak_n": _peak(trial), "rate_hz": _rate(trial), "cycles": _cycles(trial), "settle": None}
@@ -41,7 +41,7 @@ def setting(trial: Trial) -> Setting:
     cycles = int(found["cycles"] or 0)
     settle = int(SETTLE if found["settle"] is None else found["settle"])
     read_off = tuple(name for name, value in stated.items() if value is None and measured[name] is not None)
-    return Setting(found["peak_n"], found["rate_hz"], cycles, min(settle, max(cycles - 1, 0)), read_off)
+    return TrialSetting(found["peak_n"], found["rate_hz"], cycles, min(settle, max(cycles - 1, 0)), read_off)
 
 
 def known(trial: Trial, name: str) -> Floats | None:

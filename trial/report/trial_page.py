@@ -13,7 +13,7 @@ from trial.read import Trial
 from trial.report import bus_section, force_section
 from trial.report.bus_section import FrameBits
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
-from trial.report.setting import Setting, known, setting, unknown
+from trial.report.setting import TrialSetting, known, setting, unknown
 
 FIGURES = (
     ("relative_rmse_percent", "%", "relative RMSE of END, whole gait cycles, by the peak"),
@@ -81,7 +81,7 @@ def _of(told: Mapping[str, str], name: str, unit: str) -> str:
     return f"{told[name].removesuffix('.0')} {unit}" if name in told else ""
 
 
-def _summary(page: Page, trial: Trial, judged: Setting, published: Mapping[str, str]) -> None:
+def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
     page.section("Summary")
     result = trial.result or {}
     if result.get("stop_reason"):
@@ -120,7 +120,7 @@ def _told(value: object) -> Cell:
     return value if isinstance(value, str | int | float | None) else str(value)
 
 
-def _figures(page: Page, trial: Trial, judged: Setting, published: Mapping[str, str]) -> None:
+def _figures(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
     lacking = [name for name in NEEDED if known(trial, name) is None]
     if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
         page.text(f"No figures of force: {', '.join(lacking) or 'peak, rate or gait cycles'} not known.", "note")

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import Diagnosis
-from diagnosis.report import picture, tables
+from diagnosis.finder import DiagnosisResult
+from diagnosis.report import figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import compared
@@ -28,7 +28,8 @@ NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.
 """What a folder may hold afterwards; a picture and its CSV are left out where there is nothing to draw."""
 
 
-def write(found: Diagnosis, trials: Sequence[Table], folder: str | Path, *, overwrite: bool = False) -> list[Path]:
+def write(found: DiagnosisResult, trials: Sequence[Table], folder: str | Path, *,
+          overwrite: bool = False) -> list[Path]:
     """Write pictures and tables of a diagnosis of `trials` into `folder`; returns the files.  Raises `InputError`."""
     folder = Path(folder)
     refuse(folder, overwrite=overwrite)
@@ -40,10 +41,10 @@ def write(found: Diagnosis, trials: Sequence[Table], folder: str | Path, *, over
         "causes.csv": _csv(CAUSE_COLUMNS, [
             (c["effect"], c["site"], name, healthy_value(found, c, name), one["value"], one["low"], one["high"],
              one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),
-        "detection_limit.csv": _csv([name.replace(" ", "_") for name in tables.LIMIT_COLUMNS],
-                                    tables.limit_rows(found))}
+        "detection_limit.csv": _csv([name.replace(" ", "_") for name in figure_tables.LIMIT_COLUMNS],
+                                    figure_tables.limit_rows(found))}
     sides = compared(found, trials)
-    made |= _residual(picture.residual(found, sides)) | _loop(picture.loops(sides))
+    made |= _residual(residual_picture.residual(found, sides)) | _loop(residual_picture.loops(sides))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in made.items():
@@ -80,7 +81,7 @@ def _columns(columns: Mapping[str, Any]) -> bytes:
     return _csv(list(columns), [[float(value) for value in row] for row in zip(*columns.values(), strict=True)])
 
 
-def _residual(one: picture.Residual | None) -> dict[str, bytes]:
+def _residual(one: residual_picture.MeanResidual | None) -> dict[str, bytes]:
     if one is None:
         return {}
     along = one.axis.split(" (")[0]
@@ -94,7 +95,7 @@ def _residual(one: picture.Residual | None) -> dict[str, bytes]:
     return {"residual.csv": _columns(told), "residual.png": _png(figure, axes)}
 
 
-def _loop(branches: Sequence[picture.Loop]) -> dict[str, bytes]:
+def _loop(branches: Sequence[residual_picture.ForceLoop]) -> dict[str, bytes]:
     if not branches:
         return {}
     figure, axes = _axes("START over END", "END (N)", "START (N)")

@@ -26,7 +26,7 @@ def text(value: object) -> str:
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
-class Table:
+class SweepTable:
     """Rows by their parameters, all of them text; opened, it takes what a partial file has."""
 
     def __init__(self, path: Path, parameters: Sequence[str], *, overwrite: bool = False) -> None:
@@ -48,7 +48,7 @@ class Table:
         self._write(self.rows.values())
         self._file = self.growing.open("a", newline="", encoding="utf-8")
 
-    def __enter__(self) -> Table:
+    def __enter__(self) -> SweepTable:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.finder import Diagnosis
+from diagnosis.finder import DiagnosisResult
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import LEAST_IN_BIN, Compared, binned, bins_of, joined
@@ -26,7 +26,7 @@ GRID: Final = 120
 ALONG: Final = (("gait_percent", "gait_percent (%)", "gait phase"), ("time_s", "time_s (s)", "time"))
 
 
-class Residual(NamedTuple):
+class MeanResidual(NamedTuple):
     """Mean residual and its root mean square in bins, before and after, of one relation."""
 
     relation: str
@@ -38,7 +38,7 @@ class Residual(NamedTuple):
     after: tuple[Array, Array]
 
 
-class Loop(NamedTuple):
+class ForceLoop(NamedTuple):
     """START over END of the mean gait cycle while the tension rises, or falls: measured, simulated before, after."""
 
     direction: str
@@ -48,7 +48,7 @@ class Loop(NamedTuple):
     after: Array
 
 
-def section(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> None:
+def section(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> None:
     """Draw the two; say so where there is nothing to draw."""
     one = residual(found, sides)
     if one is None:
@@ -75,7 +75,7 @@ def section(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared]
     page.plot("START over END, tension rising and falling", drawn[0].end_n, lines, "tension_end_n (N)", "N", height=300)
 
 
-def residual(found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> Residual | None:
+def residual(found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> MeanResidual | None:
     """Return the strongest relation's residual over gait phase, over time where there is no gait; None without one."""
     best = strongest(found)
     if best is None or not sides.get(best[0]):
@@ -87,11 +87,11 @@ def residual(found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> Resid
             bins = bins_of(along.size)
             centres, mean, square = binned(along, before, bins)
             _, mended, left = binned(along, after, bins)
-            return Residual(name, parts[0].block.relation.unit, axis, word, centres, (mean, square), (mended, left))
+            return MeanResidual(name, parts[0].block.relation.unit, axis, word, centres, (mean, square), (mended, left))
     return None
 
 
-def loops(sides: Mapping[str, Sequence[Compared]]) -> list[Loop]:
+def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
     """Return both branches of START over END of the mean gait cycle, from the friction relation.
 
     Up: from the last minimum of END before its peak; down: to the first minimum after it.  [] where there is no gait,
@@ -112,7 +112,7 @@ def loops(sides: Mapping[str, Sequence[Compared]]) -> list[Loop]:
     mean_end, *lines = (np.bincount(place, values, bins)[full] / count[full]
                         for values in (end, measured, measured - before, measured - after))
     grid = np.linspace(float(mean_end.min()), float(mean_end.max()), GRID)
-    return [Loop(direction, grid, *(_along(grid, mean_end[branch], line[branch]) for line in lines))
+    return [ForceLoop(direction, grid, *(_along(grid, mean_end[branch], line[branch]) for line in lines))
             for direction, branch in _branches(mean_end) if branch.size > 2]
 
 

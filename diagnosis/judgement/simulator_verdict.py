@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from diagnosis import simulation
 from diagnosis.data.table import Table
 from diagnosis.judgement.judge import Judge
-from diagnosis.problem import simulated
+from diagnosis.problem import simulated_blocks
 from diagnosis.problem.blocks import cycles_of, signals_of
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.search.search import Model
+from diagnosis.search.search import FittedEffects
 
 Values = Mapping[str, float]
 
@@ -28,12 +28,12 @@ def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], heal
            ) -> dict[str, Any] | None:
     """Return `before_rms_n`, `after_rms_n` and what they are `on`; None where nothing can be simulated."""
     setting = judge.setting
-    if setting.any_rig or setting.elsewhere or not any(simulated.can(t) for t in (holdout or trials)):
+    if setting.any_rig or setting.elsewhere or not any(simulated_blocks.can(t) for t in (holdout or trials)):
         return None
     base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
     before, after = judge.found.baseline, judge.found.best
     if holdout:
-        ahead = [t for t in holdout if simulated.can(t)]
+        ahead = [t for t in holdout if simulated_blocks.can(t)]
         told = [simulation.rms(ahead, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
         return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "holdout"}
     told = [_unseen(judge, m, trials, base) for m in (before, after if after.effects else before)]
@@ -44,12 +44,12 @@ def _moved(base: Values, learnt: Values, fitted: Values) -> dict[str, float]:
     return {**fitted, **{n: base[n] + fitted[n] - learnt[n] for n in base if n in learnt}}
 
 
-def _unseen(judge: Judge, model: Model, trials: Sequence[Table], base: Values) -> float | None:
+def _unseen(judge: Judge, model: FittedEffects, trials: Sequence[Table], base: Values) -> float | None:
     """Return the RMS over the first fold's cycles, of values fitted to the other cycles."""
     values = _moved(base, judge.setting.reference.values, model.unseen.fitted[0])
     total, count, first = 0.0, 0, 0
     for given in trials:
-        if not simulated.can(given):
+        if not simulated_blocks.can(given):
             continue
         cycle = cycles_of(signals_of(given, 1e9))
         cycle = cycle - cycle[0] + first

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bowden import bench_model, buses
-from bowden.bench_model import Model
+from bowden import buses, model_files
+from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.recorded_trial import Trial
 
 if TYPE_CHECKING:
-    from bowden.replay.plant_residuals import Residual
+    from bowden.replay.plant_residuals import SignalResidual
     from physics.bench_model import BenchModel
 
 
@@ -36,7 +36,7 @@ class Simulation:
     measured: Mapping[str, NDArray[np.float64]]
     simulated: Mapping[str, NDArray[np.float64]]
     residuals: Mapping[str, NDArray[np.float64]]
-    figures: Mapping[str, Residual]
+    figures: Mapping[str, SignalResidual]
 
 
 def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progress = SILENT) -> Simulation:
@@ -46,7 +46,7 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
     """
     from bowden.replay import onto_plant
 
-    known = bench_model.given(model)
+    known = model_files.given(model)
     if not isinstance(trial, Trial) and not str(trial).endswith(".mcap"):
         return _under_motion(known, Path(trial))
     recorded = (trial if isinstance(trial, Trial) else Trial(trial)).recorded

@@ -46,7 +46,7 @@ def unit_of(text: str) -> str:
 
 
 @dataclass
-class Sheet:
+class LabTable:
     """A table: `names` and, of equal length, `values`; `units` are what the file says, empty where it says nothing.
 
     `rows[i]` is the number of row i in the file.  `faults` gives, by column, the first cell that is no number, with

@@ -29,7 +29,7 @@ LIKE_THIS_BENCH: Final = (0.7, 1.4)
 
 
 @dataclass(frozen=True)
-class Reference:
+class HealthyReference:
     """Healthy values, and what a baseline may move; `kind`: calibration, nominal or none."""
 
     kind: str
@@ -42,7 +42,7 @@ IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presli
 """What the relations take from a calibration; the rest has its healthy value."""
 
 
-def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
+def of_bench(calibration: Mapping[str, Any] | None) -> HealthyReference:
     """Return the bench of the signal table, its values from `calibration` where that has them."""
     values = {**healthy(), **_brought()}
     model = bench_model.from_tables(calibration or {}, "calibration")
@@ -57,7 +57,7 @@ def of_bench(calibration: Mapping[str, Any] | None) -> Reference:
         if sigma > 0.0:
             at, (low, high) = values[name], p.rig_bounds
             nuisance.append(Free(name, max(low, at - BAND * sigma), min(high, at + BAND * sigma), at, sigma, sigma))
-    return Reference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
+    return HealthyReference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
 
 
 def _measured(model: BenchModel) -> tuple[str, ...]:
@@ -85,7 +85,7 @@ def _brought() -> dict[str, float]:
             for effect in CATALOGUE.values() for p in effect.parameters if p.name not in RELATION_PARAMETERS}
 
 
-def of_unknown_rig(blocks: Sequence[Block]) -> Reference:
+def of_unknown_rig(blocks: Sequence[Block]) -> HealthyReference:
     """Return an ideal transmission whose offsets, ratios and load-free friction are whatever the data say."""
     values = {**ideal(), **_brought()}
     for block in blocks:
@@ -97,7 +97,7 @@ def of_unknown_rig(blocks: Sequence[Block]) -> Reference:
     nuisance = tuple(
         Free(name, *p.rig_bounds, values[name], math.inf, _scale(blocks, p.unit, values[name]))
         for name, p in RELATION_PARAMETERS.items() if p.free)
-    return Reference("none", values, nuisance)
+    return HealthyReference("none", values, nuisance)
 
 
 def _scale(blocks: Sequence[Block], unit: str, at: float) -> float:

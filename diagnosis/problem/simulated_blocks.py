@@ -18,7 +18,7 @@ from diagnosis.data.table import Table
 from diagnosis.problem.blocks import Block, cycles_of, signals_of
 from diagnosis.problem.deviations import deviating
 from diagnosis.problem.fit import Free, Problem, solve
-from diagnosis.problem.reference import BAND
+from diagnosis.problem.healthy_reference import BAND
 from physics.relations.measured import Signals
 from physics.relations.relation import Relation
 

@@ -18,7 +18,7 @@ FRAMES_PER_CHUNK = CHUNK_BYTES // cdr.FRAME_RECORD.itemsize
 EVENTS_PER_CHUNK = 256
 
 
-class Content(NamedTuple):
+class ChunkContent(NamedTuple):
     """What a chunk holds: message records, the time of each (ns), and where in `data` each begins."""
 
     data: bytes
@@ -26,7 +26,7 @@ class Content(NamedTuple):
     offsets: NDArray[np.int64]
 
 
-class Frames:
+class FrameBlock:
     """CAN frames, as `cdr.FRAME_STRUCT` packs them."""
 
     __slots__ = ("count", "rows", "taken")
@@ -36,13 +36,13 @@ class Frames:
         self.rows = bytearray(FRAMES_PER_CHUNK * cdr.FRAME_ROW.itemsize)
         self.count = self.taken = 0
 
-    def content(self, first: int, end: int, channel: int, sequence: int) -> Content:
+    def content(self, first: int, end: int, channel: int, sequence: int) -> ChunkContent:
         """Return rows `first` to `end` as message records, numbered from `sequence`."""
         rows = np.frombuffer(self.rows, cdr.FRAME_ROW)[first:end]
         return _fixed(cdr.frame_records(rows, channel, sequence), rows["time_ns"])
 
 
-class Cycles:
+class CycleBlock:
     """Control cycles, as `cdr.cycle_row(width)` packs them."""
 
     __slots__ = ("count", "dtype", "rows", "taken", "topic")
@@ -53,7 +53,7 @@ class Cycles:
         self.rows = bytearray(cycles_per_chunk(width) * self.dtype.itemsize)
         self.count = self.taken = 0
 
-    def content(self, first: int, end: int, channel: int, sequence: int) -> Content:
+    def content(self, first: int, end: int, channel: int, sequence: int) -> ChunkContent:
         """Return rows `first` to `end` as message records, numbered from `sequence`."""
         rows = np.frombuffer(self.rows, self.dtype)[first:end]
         return _fixed(cdr.cycle_records(rows, channel, sequence), rows["time_ns"])
@@ -69,7 +69,7 @@ class Events:
         self.rows: list[tuple[int, str, str, str]] = []
         self.count = self.taken = 0
 
-    def content(self, first: int, end: int, channel: int, sequence: int) -> Content:
+    def content(self, first: int, end: int, channel: int, sequence: int) -> ChunkContent:
         """Return events `first` to `end` as message records, numbered from `sequence`."""
         data, offsets = bytearray(), []
         for number, (time_ns, kind, source, text) in enumerate(self.rows[first:end], start=sequence):
@@ -77,10 +77,10 @@ class Events:
             offsets.append(len(data))
             data += cdr.MESSAGE_HEAD.pack(cdr.MESSAGE, len(payload) + 22, channel, number, time_ns, time_ns) + payload
         times = np.array([row[0] for row in self.rows[first:end]], np.int64)
-        return Content(bytes(data), times, np.array(offsets, np.int64))
+        return ChunkContent(bytes(data), times, np.array(offsets, np.int64))
 
 
-Block = Frames | Cycles | Events
+Block = FrameBlock | CycleBlock | Events
 
 
 def cycles_per_chunk(width: int) -> int:
@@ -88,6 +88,6 @@ def cycles_per_chunk(width: int) -> int:
     return max(1, CHUNK_BYTES // cdr.cycle_record(width).itemsize)
 
 
-def _fixed(records: NDArray[np.void], times: NDArray[np.int64]) -> Content:
+def _fixed(records: NDArray[np.void], times: NDArray[np.int64]) -> ChunkContent:
     offsets = np.arange(len(records), dtype=np.int64) * records.dtype.itemsize
-    return Content(records.tobytes(), times.copy(), offsets)
+    return ChunkContent(records.tobytes(), times.copy(), offsets)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import Diagnosis
-from diagnosis.report import picture, plots, tables, tracking
+from diagnosis.finder import DiagnosisResult
+from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.remaining import where
@@ -24,7 +24,7 @@ KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplain
 
 
 def write(
-    found: Diagnosis, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
+    found: DiagnosisResult, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
     tracked: tuple[str | Path, str | Path] | None = None, *, overwrite: bool = True,
 ) -> int:
     """Write the report of a diagnosis of `trials` as one HTML file; returns its bytes.  Raises `InputError`.
@@ -35,7 +35,7 @@ def write(
 
 
 def build(
-    found: Diagnosis, trials: Sequence[Table], holdout: Sequence[Table],
+    found: DiagnosisResult, trials: Sequence[Table], holdout: Sequence[Table],
     tracked: tuple[str | Path, str | Path] | None = None,
 ) -> Page:
     """Return the page of a diagnosis; tables as they were read."""
@@ -47,7 +47,7 @@ def build(
     sides = compared(found, trials)
     _first(page, found)
     if not found.candidates:
-        picture.section(page, found, sides)
+        residual_picture.section(page, found, sides)
     _summary(page, found, sides)
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
@@ -56,13 +56,13 @@ def build(
     if tracked is not None:
         tracking.section(page, *tracked, (BEFORE, AFTER))
     if not found.candidates:
-        tables.ranking(page, found)
-        tables.limits(page, found)
+        figure_tables.ranking(page, found)
+        figure_tables.limits(page, found)
     _said(page, found)
     return page
 
 
-def _against(found: Diagnosis) -> str:
+def _against(found: DiagnosisResult) -> str:
     if found.found is None and found.causes:
         return "what a sound wire and converter give"
     return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
@@ -70,7 +70,7 @@ def _against(found: Diagnosis) -> str:
             "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
 
 
-def _first(page: Page, found: Diagnosis) -> None:
+def _first(page: Page, found: DiagnosisResult) -> None:
     """Say what is wrong, what it costs and what to do, before anything else."""
     page.section("What is wrong")
     told = headline(found)
@@ -79,7 +79,7 @@ def _first(page: Page, found: Diagnosis) -> None:
             page.text(sentence)
 
 
-def _summary(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared]]) -> None:
+def _summary(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> None:
     page.section("Figures")
     page.text(paragraph(found))
     if found.verdict == "unexplained" and (left := where(found, sides)):
@@ -91,11 +91,11 @@ def _summary(page: Page, found: Diagnosis, sides: Mapping[str, Sequence[Compared
         page.table(("cause", "value", "law", "how it shows"), [
             (c["effect"], f"{name} = {interval(one)}", CATALOGUE[c["effect"]].law, CATALOGUE[c["effect"]].signature)
             for c in found.causes for name, one in c["parameters"].items()])
-    tables.relations(page, found)
-    tables.rivals(page, found)
+    figure_tables.relations(page, found)
+    figure_tables.rivals(page, found)
 
 
-def _said(page: Page, found: Diagnosis) -> None:
+def _said(page: Page, found: DiagnosisResult) -> None:
     page.section("What to keep in mind")
     for warning in found.warnings:
         page.text(warning, "warning")

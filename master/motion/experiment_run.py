@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from eds.bench import Network
+from eds.bench_network import Network
 from master import settings
 from master.control import controller
 from master.control.controller import Conditions, Controller, ControllerInput
@@ -23,7 +23,7 @@ from master.control.homing_fit import HomingFit
 from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange
-from master.cycle.log import Sink
+from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.motion import gait, moves
 from master.motion.home import Homed, home
@@ -38,7 +38,7 @@ KNEE_SAMPLES = 400
 
 
 @dataclass(frozen=True)
-class Experiment:
+class ExperimentSetup:
     """What is to be run: declared sections, a reference and a calibration; `dry_run` never enables a drive.
 
     `motion`, where it is given, is what the knee really does: the controller still expects `reference`.
@@ -78,7 +78,7 @@ class Result:
     signal: int = 0
 
 
-def run(link: Link, tap: can.BusABC | None, recorder: Sink | None, experiment: Experiment) -> Result:
+def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experiment: ExperimentSetup) -> Result:
     """Run an experiment on the bus of `link`; the recorder hears the bus through `tap`.
 
     Raises `InputError` before anything is sent where the experiment cannot be run at all; whatever happens on the
@@ -102,7 +102,7 @@ def result_of(outcome: Outcome, trial: Planned) -> Result:
     )
 
 
-def refuse_beyond_limits(experiment: Experiment) -> None:
+def refuse_beyond_limits(experiment: ExperimentSetup) -> None:
     """Raise `InputError` for a knee motion that the limits would stop."""
     limits = experiment.limits
     for reference in filter(None, (experiment.reference, experiment.motion)):
@@ -125,7 +125,7 @@ class Planned:
     Whatever takes longer than a part of a control cycle is done here: nothing waits for it once SYNC runs.
     """
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: ExperimentSetup) -> None:
         chosen, rate_hz = experiment.gait, experiment.network.rate_hz
         calibration, rest = calibrated(experiment.calibration, experiment.known)
         self.kind = controller.find(chosen.controller, where="gait")
@@ -151,7 +151,7 @@ class Planned:
         inverse.prepare()
         self._rehearse()
 
-    def run(self, link: Link, tap: can.BusABC | None, recorder: Sink | None) -> Result:
+    def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
         """Run it on the bus of `link`, as `run` does."""
         experiment = self.experiment
         return result_of(

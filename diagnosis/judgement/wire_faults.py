@@ -203,7 +203,7 @@ def coarse(trials: Sequence[Table], healthy: Sequence[Table]) -> dict[str, tuple
 
 
 @dataclass(frozen=True)
-class Wire:
+class WireFindings:
     """What was found: effects that stand, the best first, and the figures of the relations that were looked at."""
 
     told: list[Told]
@@ -220,7 +220,7 @@ def _told(value: float, half: float, unit: str) -> dict[str, Any]:
     return {"value": value, "low": max(0.0, value - half), "high": value + half, "unit": unit}
 
 
-def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> Wire:
+def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
     """Say what wire and converter did to the values of `trials`."""
     grids, seen = coarse(trials, healthy), ages(trials, healthy)
     worst = max((mine for mine, rest in grids.values() if mine >= max(LEAST_STEP, COARSER * rest)), default=0.0)
@@ -232,4 +232,4 @@ def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> Wire:
         # a coarse grid repeats values by itself
         told = told or stale(seen)
         figures["bus"] = Figures("s", True, None, seen.rms_s, seen.rms_s)
-    return Wire(told, figures)
+    return WireFindings(told, figures)

@@ -23,11 +23,11 @@ from diagnosis.problem.deviations import chance, correlated, deviating
 from diagnosis.problem.discrepancy import Discrepancy
 from diagnosis.problem.fit import Fit, Free, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, MOST_CORRELATION_LENGTH
-from diagnosis.problem.reference import BAND, Reference
+from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
-from physics.relations.recorded import Memory
+from physics.relations.recorded_reads import Memory
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ class Learnt:
     `noise`: what of both is the sensors' noise of the healthy trials, which another trial need not have.
     """
 
-    reference: Reference
+    reference: HealthyReference
     sigma: Mapping[str, float]
     floors: Mapping[str, float]
     plain: Mapping[str, float]
@@ -179,7 +179,7 @@ def _less(whole: float, noise: float) -> float:
     return math.sqrt(max(whole**2 - noise**2, (0.1 * noise) ** 2, 1e-24))
 
 
-def learn(trials: Sequence[Sequence[Block]], reference: Reference, floors: Mapping[str, float],
+def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors: Mapping[str, float],
           correlation_length: Mapping[str, float], others: Sequence[Values] = ()) -> Learnt:
     """Learn a bench from the blocks of each of its healthy trials; `others`: further values to start from.
 
@@ -200,17 +200,17 @@ def learn(trials: Sequence[Sequence[Block]], reference: Reference, floors: Mappi
     together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, (*wide, *deviations), thorough=True)
                     for fit in carried), key=lambda f: f.cost)
     values = {n: together.values[n] for n in reference.values}
-    moved = Reference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
-                      _bands(reference, values, len(trials), floors))
+    moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
+                             _bands(reference, values, len(trials), floors))
     return _judged(trials, moved, together, weights, rest)
 
 
-def _own(reference: Reference) -> tuple[Free, ...]:
+def _own(reference: HealthyReference) -> tuple[Free, ...]:
     """Return in what one trial may differ from another of the same bench."""
     return reference.nuisance
 
 
-def _wide(reference: Reference) -> list[Free]:
+def _wide(reference: HealthyReference) -> list[Free]:
     """Return every constant with what is known of it beforehand."""
     found = {f.name: f for f in reference.nuisance}
     for name, sigma in WIDE.items():
@@ -277,7 +277,8 @@ def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
             "stiffness_shape": shape if found.linear > 0.0 else 0.0, "home_preload": 0.0}
 
 
-def _bands(reference: Reference, values: Values, trials: int, relations: Mapping[str, float]) -> tuple[Free, ...]:
+def _bands(reference: HealthyReference, values: Values, trials: int, relations: Mapping[str, float]) -> tuple[Free,
+                                                                                                              ...]:
     """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them."""
     known = {f.name: f for f in reference.nuisance}
     found = []
@@ -293,7 +294,7 @@ def _bands(reference: Reference, values: Values, trials: int, relations: Mapping
     return tuple(found)
 
 
-def _judged(trials: Sequence[Sequence[Block]], moved: Reference, together: Fit, weights: Mapping[str, float],
+def _judged(trials: Sequence[Sequence[Block]], moved: HealthyReference, together: Fit, weights: Mapping[str, float],
             rest: Mapping[str, float]) -> Learnt:
     """Fit each trial alone inside the bands, learn what the laws leave, and say how much of it is seen again."""
     names = list(weights)

@@ -12,10 +12,10 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
-from eds.device_mapping import DeviceMapping, KneeMapping, Part, SensorMapping, ServoMapping, part
+from eds.device_mapping import DeviceMapping, KneeMapping, MappedPart, SensorMapping, ServoMapping, part
 from eds.dictionary import Dictionary, key
 from eds.network import Network as Network
-from eds.plan import PdoPlan, compile_plan, overlay
+from eds.pdo_plan import PdoPlan, compile_plan, overlay
 from eds.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from parameters import InputError
 
@@ -64,7 +64,7 @@ class NodeEntry(NamedTuple):
     dictionary: Dictionary
     fitting: DeviceMapping | None = None
 
-    def part(self, name: str) -> Part:
+    def part(self, name: str) -> MappedPart:
         """Find the object that plays a part; `InputError` where there is none."""
         return part(self.dictionary, self.fitting or FITTINGS[self.node_id], name)
 
@@ -77,7 +77,7 @@ class NodeEntry(NamedTuple):
                 yield str(error)
 
 
-class Wire:
+class WireLayout:
     """Everything that both ends of the wire must know, built once; treat it as read-only.
 
     `tpdo` maps COB-ID to plan (181h servo, 182h knee, 183h START, 184h END), `targets` and `controlwords` are the
@@ -178,7 +178,7 @@ def tpdo_cob_id(node_id: int) -> int:
     return cia301.TPDO_BASE + node_id
 
 
-def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> Wire:
+def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> WireLayout:
     """Build the wire of a network; `device_mappings` (else the network's own) put other devices in a node's place.
 
     Raises `InputError` for a bit rate or cycle that the objects cannot express, or a device that cannot play its part.
@@ -191,7 +191,7 @@ def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None =
                          "of 1000000 such as 1000, 500, 250 or 100.")
     interpolation_period(network.period_us)
     device_mappings = dict(network.device_mappings) if device_mappings is None else device_mappings
-    return Wire(network, {node: _entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES})
+    return WireLayout(network, {node: _entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES})
 
 
 def lacks(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> list[str]:
