@@ -351,10 +351,10 @@ TARGETS = (
     Target("jump at the peak, worst (% of peak)", 2.5, _worst(_jump), _jump, why=REVERSAL),
     Target("RMSE above that of cycle 0, worst (points)", 0.05, _worst(_rise), _rise, why=(
         "Learning goes to where START, its friction undone, says that END is as desired. Where that is off by the "
-        "share that the last table shows and the model alone came nearer, the error rises to it.")),
+        "share that the table by structure shows and the model alone came nearer, the error rises to it.")),
     Target("walks whose followed friction is farther from the truth", 0.0,
            lambda all_: float(sum(not _no_farther(w) for w in all_)) if all_ else math.nan,
-           lambda walk: 0.0 if _no_farther(walk) else 1.0),
+           lambda walk: 0.0 if _no_farther(walk) else 1.0, why="What moved it was not traced."),
     Target("loaded part by that with START ignored, median", 1.0 / 1.5,
            lambda all_: _middle(loaded(w) / loaded(w, "blind") for w in all_)),
 )
