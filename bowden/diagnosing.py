@@ -17,7 +17,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from diagnosis.data.table import Table
-    from diagnosis.finder import DiagnosisResult as Verdict
+    from diagnosis.finder import Findings
 
 Given = Trial | str | Path
 """A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
@@ -36,19 +36,26 @@ class Diagnosis:
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
         self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
+        self._measured = known is not None
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
         """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
         self._finder.fit([_table(trial) for trial in _several(healthy)])
+        self._measured = True
         return self
 
     def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = ()) -> DiagnosisResult:
         """Say what is wrong in `trials`, and why; nothing is fitted on `holdout`.
 
-        Raises `InputError` for files that cannot be used; data that contradict themselves give the verdict `refused`.
+        Without a model or healthy trials, trials that ran on the packaged calibration get no cause named: see
+        `on_its_footing`.  Raises `InputError` for files that cannot be used; data that contradict themselves give the
+        verdict `refused`.
         """
-        asked, unseen = ([_table(trial) for trial in _several(given)] for given in (trials, holdout))
-        return DiagnosisResult(self._finder.diagnose(asked, unseen), asked, unseen, self.model)
+        given = _several(trials)
+        asked, unseen = [_table(trial) for trial in given], [_table(trial) for trial in _several(holdout)]
+        paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
+        found = on_its_footing(self._finder.diagnose(asked, unseen), paths, measured=self._measured)
+        return DiagnosisResult(found, asked, unseen, self.model)
 
 
 class DiagnosisResult:
@@ -61,7 +68,7 @@ class DiagnosisResult:
     """
 
     def __init__(
-        self, found: Verdict, trials: Sequence[Table], holdout: Sequence[Table], model: BenchModel | None
+        self, found: Findings, trials: Sequence[Table], holdout: Sequence[Table], model: BenchModel | None
     ) -> None:
         self.found = found
         self.verdict, self.causes, self.rivals = found.verdict, found.causes, found.rivals
@@ -98,17 +105,16 @@ class DiagnosisResult:
         return Path(path)
 
 
-def on_its_footing(
-    found: Verdict, trials: Sequence[Path], calibration: Path | None, healthy: Sequence[Path]
-) -> Verdict:
+def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -> Findings:
     """Return what was found; without a cause named where nothing says what this bench is by itself.
 
-    That is so where every trial ran on the packaged calibration, without a calibration or healthy trials given now.
+    That is so where every trial ran on the packaged calibration; `measured`: a calibration or healthy trials were given
+    beside them.
     """
     from diagnosis.data.table import NOMINAL
     from trial.read import open as opened
 
-    measured = calibration is not None or healthy or not all(
+    measured = measured or not all(
         path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL for path in trials)
     return found if measured or found.verdict == "refused" else found.unnamed()
 

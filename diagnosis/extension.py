@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from parameters import InputError, read_toml
 from physics.bench_model import TABLES
 from physics.calibration import VERSION, rows
@@ -35,7 +35,7 @@ class Extension:
     evidence: Mapping[str, Any]
 
 
-def text(found: DiagnosisResult, trials: Sequence[Table]) -> str:
+def text(found: Findings, trials: Sequence[Table]) -> str:
     """Return `found` as the text of extended.toml; raises `InputError` where it refused the trials."""
     if found.verdict == "refused":
         raise InputError(f"{trials[0].source if trials else 'diagnose'}: refused, so nothing was found to extend by; "
@@ -55,7 +55,7 @@ def text(found: DiagnosisResult, trials: Sequence[Table]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _bench(found: DiagnosisResult) -> list[str]:
+def _bench(found: Findings) -> list[str]:
     """Return what is known of the bench as the rows of a bench model; none where it is nobody's or another rig's."""
     if found.bench is None or not found.bench.values:
         return []

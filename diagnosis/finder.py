@@ -32,7 +32,7 @@ from physics.relations.relation import RELATIONS
 
 
 @dataclass(frozen=True)
-class DiagnosisResult:
+class Findings:
     """The verdict and its figures; `as_json` gives exactly the published keys.
 
     `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
@@ -57,7 +57,7 @@ class DiagnosisResult:
     candidates: list[dict[str, Any]] = field(default_factory=list)
     bench: BenchModel | None = field(default=None, repr=False)
 
-    def unnamed(self) -> DiagnosisResult:
+    def unnamed(self) -> Findings:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
         if not self.causes:
             return self
@@ -114,7 +114,7 @@ class Finder:
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
         return self
 
-    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> DiagnosisResult:
+    def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
         """Say what the simulation gets wrong about `trials`, and why; nothing is fitted on `holdout`.
 
         Raises `InputError` for files that cannot be used; data that contradict themselves are `refused`.
@@ -126,7 +126,7 @@ class Finder:
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
 
-    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> DiagnosisResult:
+    def _diagnosed(self, trials: Sequence[Given], holdout: Sequence[Given]) -> Findings:
         if not trials:
             raise InputError("diagnose: no trial given; name at least one.")
         held = [[_read(t) for t in group] for group in (trials, holdout)]
@@ -139,13 +139,13 @@ class Finder:
                                                                   for n in t.notes]
         refusals = [f.text for f in findings if f.refuses]
         if refusals:
-            return DiagnosisResult("refused", warnings=refusals + warnings)
+            return Findings("refused", warnings=refusals + warnings)
         plain = [[integrity.usable(t) for t in group] for group in held]
         groups = [[_filtered(t, self.lowpass) for t in group] for group in plain]
         return self._judged(groups[0], groups[1], wire_faults.examine(plain[0], self._plain), warnings)
 
     def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
-                ) -> DiagnosisResult:
+                ) -> Findings:
         healthy, known = self._healthy, self._known(trials)
         settled = problem.build_problem(trials, healthy, known)
         if settled.any_rig and healthy and settled.checked:
@@ -153,25 +153,25 @@ class Finder:
         source = ", ".join(t.source for t in trials)
         if not settled.checked:
             lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in settled.missing.items() if c)
-            return DiagnosisResult("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
+            return Findings("refused", warnings=[f"{source}: no relation can be checked ({lacks}).", *warnings])
         cycles = len(np.unique(np.concatenate([b.cycle for b in settled.blocks])))
         if cycles < integrity.LEAST_CYCLES:
-            return DiagnosisResult("refused", warnings=[
+            return Findings("refused", warnings=[
                 f"{source}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so that some stay unseen.",
                 *warnings])
         unfit = _unfit(settled)
         if unfit:
             named = ", ".join(h.source for h in healthy)
-            return DiagnosisResult("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
+            return Findings("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
         if carried.told and not settled.any_rig and not settled.elsewhere:
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
-        return DiagnosisResult(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
-                               warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
-                               reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
-                               simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
-                               bench=_bench(settled, known))
+        return Findings(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
+                        warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
+                        reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
+                        simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
+                        bench=_bench(settled, known))
 
 
 def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> BenchModel | None:
@@ -188,7 +188,7 @@ def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> 
 def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
     holdout: Sequence[Given] = (), lowpass: float | None = None,
-) -> DiagnosisResult:
+) -> Findings:
     """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
     return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
 
@@ -227,13 +227,13 @@ def _unfit(settled: problem.ProblemSetting) -> list[str]:
     return told
 
 
-def _of_wire(carried: WireFindings, warnings: list[str]) -> DiagnosisResult:
+def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
     """Return what is at fault before the bench is: its laws are not asked of values that are late, lost or coarse."""
     names = [t.effect.name for t in carried.told]
     figures = {name: Figures(relation.unit, False) for name, relation in RELATIONS.items()} | carried.figures
-    return DiagnosisResult("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
-                           carried.told[0].effect.experiment if len(names) > 1 else None, figures,
-                           [*warnings, "wire and converter come first: the bench's own relations were not searched."])
+    return Findings("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
+                    carried.told[0].effect.experiment if len(names) > 1 else None, figures,
+                    [*warnings, "wire and converter come first: the bench's own relations were not searched."])
 
 
 def _said(settled: problem.ProblemSetting, healthy: bool) -> list[str]:

@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from diagnosis.finder import DiagnosisResult
+    from diagnosis.finder import Findings
     from diagnosis.judgement.plan import Plan
 
 Trials = Annotated[list[Path] | None, typer.Argument(
@@ -185,7 +185,7 @@ def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
     figures: Path | None, *, overwrite: bool,
-) -> DiagnosisResult:
+) -> Findings:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing
     from diagnosis import extension
@@ -201,7 +201,7 @@ def _diagnosed(
     finder = Finder(calibration, lowpass).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
     found = finder.diagnose(groups[0], groups[2])
-    found = diagnosing.on_its_footing(found, trials, calibration, healthy)
+    found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
     step("writing", WRITING)
     if found.verdict == "refused":
         return found
@@ -218,7 +218,7 @@ def _diagnosed(
     return found
 
 
-def _tell(found: DiagnosisResult, result: dict[str, Any]) -> None:
+def _tell(found: Findings, result: dict[str, Any]) -> None:
     from diagnosis.report.headline import headline
 
     for sentence in headline(found):

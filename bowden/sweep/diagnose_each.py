@@ -40,14 +40,14 @@ def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[r
 def perform(trial: Path, given: Given) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
     from bowden.diagnosing import on_its_footing
-    from diagnosis.finder import DiagnosisResult
+    from diagnosis.finder import Findings
 
     began = time.perf_counter()
     try:
         told = on_its_footing(_finder(given, _state(given)).diagnose([trial], given.holdout), [trial],
-                              given.calibration, given.healthy)
+                              measured=bool(given.calibration or given.healthy))
     except InputError as error:
-        told = DiagnosisResult("refused", warnings=[str(error)], lowpass_hz=given.lowpass)
+        told = Findings("refused", warnings=[str(error)], lowpass_hz=given.lowpass)
     return told.as_json() | {"seconds": time.perf_counter() - began}
 
 

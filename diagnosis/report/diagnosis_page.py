@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline
 from diagnosis.report.plots import AFTER, BEFORE
@@ -24,7 +24,7 @@ KINDS: Final = {"none": "good", "found": "warn", "ambiguous": "warn", "unexplain
 
 
 def write(
-    found: DiagnosisResult, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
+    found: Findings, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
     tracked: tuple[str | Path, str | Path] | None = None, *, overwrite: bool = True,
 ) -> int:
     """Write the report of a diagnosis of `trials` as one HTML file; returns its bytes.  Raises `InputError`.
@@ -35,7 +35,7 @@ def write(
 
 
 def build(
-    found: DiagnosisResult, trials: Sequence[Table], holdout: Sequence[Table],
+    found: Findings, trials: Sequence[Table], holdout: Sequence[Table],
     tracked: tuple[str | Path, str | Path] | None = None,
 ) -> Page:
     """Return the page of a diagnosis; tables as they were read."""
@@ -62,7 +62,7 @@ def build(
     return page
 
 
-def _against(found: DiagnosisResult) -> str:
+def _against(found: Findings) -> str:
     if found.found is None and found.causes:
         return "what a sound wire and converter give"
     return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
@@ -70,7 +70,7 @@ def _against(found: DiagnosisResult) -> str:
             "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
 
 
-def _first(page: Page, found: DiagnosisResult) -> None:
+def _first(page: Page, found: Findings) -> None:
     """Say what is wrong, what it costs and what to do, before anything else."""
     page.section("What is wrong")
     told = headline(found)
@@ -79,7 +79,7 @@ def _first(page: Page, found: DiagnosisResult) -> None:
             page.text(sentence)
 
 
-def _summary(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> None:
+def _summary(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
     page.section("Figures")
     page.text(paragraph(found))
     if found.verdict == "unexplained" and (left := where(found, sides)):
@@ -95,7 +95,7 @@ def _summary(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Co
     figure_tables.rivals(page, found)
 
 
-def _said(page: Page, found: DiagnosisResult) -> None:
+def _said(page: Page, found: Findings) -> None:
     page.section("What to keep in mind")
     for warning in found.warnings:
         page.text(warning, "warning")

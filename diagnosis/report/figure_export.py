@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.report import figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
@@ -28,7 +28,7 @@ NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.
 """What a folder may hold afterwards; a picture and its CSV are left out where there is nothing to draw."""
 
 
-def write(found: DiagnosisResult, trials: Sequence[Table], folder: str | Path, *,
+def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
           overwrite: bool = False) -> list[Path]:
     """Write pictures and tables of a diagnosis of `trials` into `folder`; returns the files.  Raises `InputError`."""
     folder = Path(folder)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.judgement.verdict import RIVAL_GAIN, RIVAL_RMSE, SPLIT_GAIN, SPLIT_RMSE
 from diagnosis.report.headline import healthy_value
 from diagnosis.search.search import FittedEffects, SearchResult
@@ -20,7 +20,7 @@ from trial.report.page import Cell, Page
 MODELS_SHOWN: Final = 40
 
 
-def relations(page: Page, found: DiagnosisResult) -> None:
+def relations(page: Page, found: Findings) -> None:
     """Tell every relation, those that could not be checked with a dash."""
     page.heading("Relations, root mean square on cycles that no fit has seen")
     page.table(("relation", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high",
@@ -37,7 +37,7 @@ def _figures(name: str, f: Any) -> tuple[Cell, ...]:
             f.holdout_after)
 
 
-def rivals(page: Page, found: DiagnosisResult) -> None:
+def rivals(page: Page, found: Findings) -> None:
     """Tell what these data cannot tell apart."""
     chosen = {c["effect"] for c in found.causes}
     if len(found.rivals) <= len(chosen):
@@ -49,7 +49,7 @@ def rivals(page: Page, found: DiagnosisResult) -> None:
         for name in found.rivals])
 
 
-def ranking(page: Page, found: DiagnosisResult) -> None:
+def ranking(page: Page, found: Findings) -> None:
     """Tell every model that was fitted, what it gains, and why it was not chosen."""
     page.section("What was tried")
     if found.found is None:
@@ -84,7 +84,7 @@ def _why(model: FittedEffects, found: SearchResult, rivals: list[str]) -> str:
     return "rejected: leaves more" if model.score > found.best.score else "rejected: needs more effects than it gains"
 
 
-def limits(page: Page, found: DiagnosisResult) -> None:
+def limits(page: Page, found: Findings) -> None:
     """Tell the smallest size of each effect that these data could have shown, never above what was found in them."""
     page.section("Detection limit")
     if not found.detection_limit:
@@ -100,7 +100,7 @@ def limits(page: Page, found: DiagnosisResult) -> None:
 LIMIT_COLUMNS: Final = ("effect", "parameter", "smallest", "unit", "likely range", "would be seen")
 
 
-def limit_rows(found: DiagnosisResult) -> list[tuple[Cell, ...]]:
+def limit_rows(found: Findings) -> list[tuple[Cell, ...]]:
     """Return a row of `LIMIT_COLUMNS` for each effect."""
     sizes = {(c["effect"], name): abs(float(one["value"]) - old) for c in found.causes
              for name, one in c["parameters"].items() if (old := healthy_value(found, c, name)) is not None}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.judgement.verdict import Figures
 from diagnosis.report.plots import MEANING
 from physics.effects.catalogue import CATALOGUE
@@ -34,7 +34,7 @@ UNMEASURED: Final = (
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
 
 
-def headline(found: DiagnosisResult) -> Headline:
+def headline(found: Findings) -> Headline:
     """Return what is wrong, what it costs in N and what to do next."""
     if found.candidates:
         return Headline(UNMEASURED, _cost(found), "bowden identify all -o calibration.toml, then record again or "
@@ -42,7 +42,7 @@ def headline(found: DiagnosisResult) -> Headline:
     return Headline(_wrong(found), _cost(found), _todo(found))
 
 
-def _wrong(found: DiagnosisResult) -> str:
+def _wrong(found: Findings) -> str:
     if found.verdict == "refused":
         return "These data contradict themselves, so nothing is said about the bench: " + (
             found.warnings[0] if found.warnings else "no reason was given.")
@@ -55,13 +55,13 @@ def _wrong(found: DiagnosisResult) -> str:
     return told + (f" These trials cannot tell it from: {', '.join(others)}." if others else "")
 
 
-def _cause(found: DiagnosisResult, cause: Mapping[str, Any]) -> str:
+def _cause(found: Findings, cause: Mapping[str, Any]) -> str:
     effect = CATALOGUE[cause["effect"]]
     changes = [change(found, cause, name) for name in cause["parameters"]]
     return f"{effect.words.rstrip('.')} ({effect.name}): {'; '.join(changes)}."
 
 
-def change(found: DiagnosisResult, cause: Mapping[str, Any], name: str) -> str:
+def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
     """Return a parameter as: name old → new unit (95 %: low … high); the old value left out where it is not known."""
     one, old = cause["parameters"][name], healthy_value(found, cause, name)
     unit = f" {one['unit']}" if one["unit"] else ""
@@ -70,7 +70,7 @@ def change(found: DiagnosisResult, cause: Mapping[str, Any], name: str) -> str:
             f"{number(one['high'], 3)}{'' if old is None else f'; old: {_against(found)}'})")
 
 
-def healthy_value(found: DiagnosisResult, cause: Mapping[str, Any], name: str) -> float | None:
+def healthy_value(found: Findings, cause: Mapping[str, Any], name: str) -> float | None:
     """Return the value that a parameter had in the simulation; None where it is not known.
 
     The fit works from the healthy trials' value; a cause is told on the scale of the calibration, shifted by the
@@ -83,13 +83,13 @@ def healthy_value(found: DiagnosisResult, cause: Mapping[str, Any], name: str) -
     return None if mean is None else mean + float(cause["parameters"][name]["value"]) - best.fit.values[name]
 
 
-def _against(found: DiagnosisResult) -> str:
+def _against(found: Findings) -> str:
     if found.found is None and found.causes:
         return "a sound wire and converter"
     return AGAINST.get(found.reference, found.reference)
 
 
-def strongest(found: DiagnosisResult, unit: str | None = None) -> tuple[str, Figures] | None:
+def strongest(found: Findings, unit: str | None = None) -> tuple[str, Figures] | None:
     """Return the relation that gains most, of those in `unit` where one is given; None where none was checked."""
     told = [(name, f) for name, f in found.relations.items()
             if f.checked and f.rmse_before is not None and f.rmse_after is not None and unit in (None, f.unit)]
@@ -98,7 +98,7 @@ def strongest(found: DiagnosisResult, unit: str | None = None) -> tuple[str, Fig
     return max(told, key=lambda one: one[1].gain_percent if one[1].gain_percent is not None else 0.0)
 
 
-def _cost(found: DiagnosisResult) -> str:
+def _cost(found: Findings) -> str:
     simulated: Mapping[str, Any] | None = getattr(found, "simulation", None)
     lines = []
     if simulated is not None:
@@ -123,7 +123,7 @@ def _cost(found: DiagnosisResult) -> str:
     return " ".join(lines)
 
 
-def _todo(found: DiagnosisResult) -> str:
+def _todo(found: Findings) -> str:
     if found.verdict == "refused":
         return "Mend the data and record again."
     if found.experiment is not None and found.experiment in EXPERIMENTS:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.report.residuals import Compared, directions, joined, rms
 from trial.report.page import number
 
@@ -20,7 +20,7 @@ HALF: Final = 0.5
 BINS: Final = 50
 
 
-def where(found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> str:
+def where(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> str:
     """Return a sentence or three on what is left; "" where no healthy floor says what is too much."""
     above = {name: f.rmse_after / f.floor for name, f in found.relations.items()
              if f.checked and f.floor and f.rmse_after is not None and sides.get(name)}

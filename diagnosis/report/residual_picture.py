@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import LEAST_IN_BIN, Compared, binned, bins_of, joined
@@ -48,7 +48,7 @@ class ForceLoop(NamedTuple):
     after: Array
 
 
-def section(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> None:
+def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
     """Draw the two; say so where there is nothing to draw."""
     one = residual(found, sides)
     if one is None:
@@ -75,7 +75,7 @@ def section(page: Page, found: DiagnosisResult, sides: Mapping[str, Sequence[Com
     page.plot("START over END, tension rising and falling", drawn[0].end_n, lines, "tension_end_n (N)", "N", height=300)
 
 
-def residual(found: DiagnosisResult, sides: Mapping[str, Sequence[Compared]]) -> MeanResidual | None:
+def residual(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> MeanResidual | None:
     """Return the strongest relation's residual over gait phase, over time where there is no gait; None without one."""
     best = strongest(found)
     if best is None or not sides.get(best[0]):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
 from physics.laws import Array
@@ -46,7 +46,7 @@ class Compared:
         return signals[name][self.block.keep] if signals.has(name) else np.full(self.measured.size, np.nan)
 
 
-def compared(found: DiagnosisResult, trials: Sequence[Table]) -> dict[str, list[Compared]]:
+def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compared]]:
     """Return, by checked relation, the comparison on each of `trials` (as they were read); {} where nothing was found.
 
     A trial that lacks a relation's columns is left out of it.

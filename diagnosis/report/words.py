@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
 
 
-def paragraph(found: DiagnosisResult) -> str:
+def paragraph(found: Findings) -> str:
     """Return the verdict in words."""
     if found.candidates:
         return ("The simulation of the nominal bench leaves more than a healthy bench would; which of several effects "
@@ -44,7 +44,7 @@ def interval(parameter: Mapping[str, Any]) -> str:
             f"{number(parameter['high'], 3)})")
 
 
-def _gain(found: DiagnosisResult) -> str:
+def _gain(found: Findings) -> str:
     gains = [(f.gain_percent, name, f) for name, f in found.relations.items()
              if f.checked and f.gain_percent is not None and f.low is not None and f.low > 0.0]
     if not gains or not found.causes:
@@ -60,7 +60,7 @@ def _gain(found: DiagnosisResult) -> str:
     return text + "."
 
 
-def _class(found: DiagnosisResult) -> str:
+def _class(found: Findings) -> str:
     others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
     if not others:
         return ""
@@ -73,7 +73,7 @@ def _clause(sentence: str) -> str:
     return (sentence[0] if acronym else sentence[0].lower()) + sentence[1:].rstrip(".")
 
 
-def _next(found: DiagnosisResult) -> str:
+def _next(found: Findings) -> str:
     if found.experiment is None or found.experiment not in EXPERIMENTS:
         return ""
     chosen = EXPERIMENTS[found.experiment]
@@ -82,7 +82,7 @@ def _next(found: DiagnosisResult) -> str:
     return f"To tell them apart: {chosen.motion}{by_hand}. Look at {chosen.reads}."
 
 
-def _unchecked(found: DiagnosisResult) -> str:
+def _unchecked(found: Findings) -> str:
     if found.found is None and found.causes:
         return "The bench's own relations were not searched: mend the wire, record again, and diagnose that."
     blind = [name for name, figures in found.relations.items() if not figures.checked]

@@ -10,7 +10,7 @@ import pytest
 
 from diagnosis.data.table import Table, table
 from diagnosis.extension import read, text
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from parameters import InputError
 from physics import bench_model
 from physics.bench_model import BenchModel
@@ -29,9 +29,9 @@ def cause(name: str, **values: float) -> dict[str, Any]:
 
 
 def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
-    found = DiagnosisResult("ambiguous", [cause("presliding", presliding=4e-4), cause("end_gain", end_gain=1.05)],
-                            ["presliding", "end_gain", "stiffness"], "amplitude_sweep", lowpass_hz=20.0,
-                            reference="nominal")
+    found = Findings("ambiguous", [cause("presliding", presliding=4e-4), cause("end_gain", end_gain=1.05)],
+                     ["presliding", "end_gain", "stiffness"], "amplitude_sweep", lowpass_hz=20.0,
+                     reference="nominal")
     path = tmp_path / "extended.toml"
     path.write_text(text(found, [TRIAL]), encoding="utf-8")
     extension = read(path)
@@ -45,8 +45,8 @@ def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
 
 def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> None:
     known = BenchModel({"mu1": 0.11, "rope_zero": 0.03}, {"mu1": ScalarEvidence(0.10, 0.12)})
-    found = DiagnosisResult("found", [cause("presliding", presliding=4e-4)], ["presliding"], reference="healthy",
-                            bench=known)
+    found = Findings("found", [cause("presliding", presliding=4e-4)], ["presliding"], reference="healthy",
+                     bench=known)
     path = tmp_path / "extended.toml"
     path.write_text(text(found, [TRIAL]), encoding="utf-8")
     model = bench_model.read(path)
@@ -60,8 +60,8 @@ def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> 
 
 def test_an_effect_per_trial_says_how_long_the_trial_was(tmp_path: Path) -> None:
     path = tmp_path / "extended.toml"
-    drift = DiagnosisResult("found", [cause("friction_drift", friction_drift=0.4)], ["friction_drift"],
-                            reference="nominal")
+    drift = Findings("found", [cause("friction_drift", friction_drift=0.4)], ["friction_drift"],
+                     reference="nominal")
     path.write_text(text(drift, [TRIAL]), encoding="utf-8")
     assert plant_model.read(str(path)).effects["plant"]["friction_drift_s"] == 12.5
 
@@ -70,7 +70,7 @@ def test_an_effect_per_trial_says_how_long_the_trial_was(tmp_path: Path) -> None
 def test_every_effect_of_the_catalogue_can_be_written_and_read(name: str, tmp_path: Path) -> None:
     values = {p.name: 0.75 * p.likely[0] + 0.25 * p.likely[1] for p in CATALOGUE[name].parameters}
     path = tmp_path / "extended.toml"
-    found = DiagnosisResult("found", [cause(name, **values)], [name], reference="nominal")
+    found = Findings("found", [cause(name, **values)], [name], reference="nominal")
     path.write_text(text(found, [TRIAL]), encoding="utf-8")
     told = read(path).effects[name]
     assert {key: told[key] for key in values} == values
@@ -79,13 +79,13 @@ def test_every_effect_of_the_catalogue_can_be_written_and_read(name: str, tmp_pa
 
 def test_nothing_found_is_an_empty_model(tmp_path: Path) -> None:
     path = tmp_path / "extended.toml"
-    path.write_text(text(DiagnosisResult("none"), [TRIAL]), encoding="utf-8")
+    path.write_text(text(Findings("none"), [TRIAL]), encoding="utf-8")
     assert read(path).effects == {}
 
 
 def test_a_refused_trial_extends_nothing() -> None:
     with pytest.raises(InputError, match=r"gait\.mcap: refused"):
-        text(DiagnosisResult("refused", warnings=["a clock runs fast"]), [TRIAL])
+        text(Findings("refused", warnings=["a clock runs fast"]), [TRIAL])
 
 
 @pytest.mark.parametrize(("written", "says"), [

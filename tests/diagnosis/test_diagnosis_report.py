@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.table import Table, table
-from diagnosis.finder import DiagnosisResult
+from diagnosis.finder import Findings
 from diagnosis.judgement.verdict import Figures
 from diagnosis.problem.fit import solve
 from diagnosis.problem.problem import build_problem
@@ -36,7 +36,7 @@ def measured() -> Table:
 
 
 @pytest.fixture(scope="module")
-def found(measured: Table) -> DiagnosisResult:
+def found(measured: Table) -> Findings:
     """A diagnosis as the finder gives it, of two models fitted here."""
     setting = build_problem([measured], (), None)
     candidate = next(c for c in setting.offered if c.name == "cable_friction")
@@ -49,14 +49,14 @@ def found(measured: Table) -> DiagnosisResult:
                if name in setting.checked else Figures(relation.unit, False) for name, relation in RELATIONS.items()}
     cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
         "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}}}
-    return DiagnosisResult("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
-                           ["the clock is told from one column"], {
+    return Findings("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
+                    ["the clock is told from one column"], {
                          "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
                          "slack": {"parameter": "slack", "value": None, "unit": "m"}}, 1.0, None, "nominal",
-                           SearchResult(base, best, (best, base)))
+                    SearchResult(base, best, (best, base)))
 
 
-def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: DiagnosisResult) -> None:
+def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: Findings) -> None:
     said = words.paragraph(found)
     assert CATALOGUE["cable_friction"].words in said
     assert "falls by 75 % (95 %: 70 … 79 %), from 2 to 0.5" in said
@@ -69,10 +69,10 @@ def test_the_paragraph_says_cause_gain_class_and_what_to_do(found: DiagnosisResu
     ("none", "Nothing was found"), ("refused", "contradict themselves"), ("unexplained", "no effect of the catalogue"),
 ])
 def test_every_verdict_has_its_words(verdict: str, says: str) -> None:
-    assert says in words.paragraph(DiagnosisResult(verdict))
+    assert says in words.paragraph(Findings(verdict))
 
 
-def test_the_page_draws_every_checked_relation_from_every_side(found: DiagnosisResult, measured: Table) -> None:
+def test_the_page_draws_every_checked_relation_from_every_side(found: Findings, measured: Table) -> None:
     html = build(found, [measured], [measured]).html()
     for name, figures in found.relations.items():
         sides = set(re.findall(rf'aria-label="{name} by ([a-z ]+)"', html))
@@ -83,20 +83,20 @@ def test_the_page_draws_every_checked_relation_from_every_side(found: DiagnosisR
     assert "the clock is told from one column" in html
 
 
-def test_the_page_ranks_what_was_rejected(found: DiagnosisResult, measured: Table) -> None:
+def test_the_page_ranks_what_was_rejected(found: Findings, measured: Table) -> None:
     html = build(found, [measured], []).html()
     assert re.search(r"<td[^>]*>cable_friction</td><td[^>]*>chosen</td>", html)
     assert re.search(r"<td[^>]*>as simulated</td><td[^>]*>the simulation as it was</td>", html)
 
 
-def test_the_page_says_what_could_have_been_seen(found: DiagnosisResult, measured: Table) -> None:
+def test_the_page_says_what_could_have_been_seen(found: Findings, measured: Table) -> None:
     html = build(found, [measured], []).html()
     rows = re.findall(r"<td[^>]*>(cable_friction|slack)</td>" + 5 * r"<td[^>]*>([^<]*)</td>", html)
     assert [(row[0], row[2], row[5]) for row in rows] == [
         ("cable_friction", "0.02", "yes: found"), ("slack", "–", "no")]
 
 
-def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: DiagnosisResult,
+def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: Findings,
                                                                            measured: Table) -> None:
     told = headline(found)
     old = healthy_value(found, found.causes[0], "mu1")
@@ -121,11 +121,11 @@ def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found
     ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
     ({"verdict": "found", "rivals": ["cable_friction"], "experiment": None}, "--controller-model extended.toml"),
 ])
-def test_every_verdict_has_its_first_lines(found: DiagnosisResult, changed: dict[str, Any], sentence: str) -> None:
+def test_every_verdict_has_its_first_lines(found: Findings, changed: dict[str, Any], sentence: str) -> None:
     assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
 
 
-def test_the_detection_limit_never_contradicts_what_was_found(found: DiagnosisResult) -> None:
+def test_the_detection_limit_never_contradicts_what_was_found(found: Findings) -> None:
     change = found.causes[0]["parameters"]["mu1"]["value"] - healthy_value(found, found.causes[0], "mu1")
     for limit in (None, 5.0, 0.001):
         told = dataclasses.replace(found, detection_limit={
@@ -138,7 +138,7 @@ def test_the_detection_limit_never_contradicts_what_was_found(found: DiagnosisRe
         assert (beyond[5], within[5]) == ("only beyond the likely range", "the larger ones")
 
 
-def test_the_picture_has_both_branches_and_less_residual_after(found: DiagnosisResult, measured: Table) -> None:
+def test_the_picture_has_both_branches_and_less_residual_after(found: Findings, measured: Table) -> None:
     sides = residuals.compared(found, [measured])
     one = residual_picture.residual(found, sides)
     assert one is not None
@@ -151,7 +151,7 @@ def test_the_picture_has_both_branches_and_less_residual_after(found: DiagnosisR
     assert left[1] < left[0]
 
 
-def test_figures_are_exported_as_pictures_and_tables(found: DiagnosisResult, measured: Table, tmp_path: Path) -> None:
+def test_figures_are_exported_as_pictures_and_tables(found: Findings, measured: Table, tmp_path: Path) -> None:
     folder = tmp_path / "figures"
     made = figure_export.write(found, [measured], folder)
     names = sorted(path.name for path in made)
@@ -168,7 +168,7 @@ def test_figures_are_exported_as_pictures_and_tables(found: DiagnosisResult, mea
         figure_export.write(found, [measured], folder / "loop.png")
 
 
-def test_what_is_unexplained_is_told_by_place_and_size(found: DiagnosisResult, measured: Table) -> None:
+def test_what_is_unexplained_is_told_by_place_and_size(found: Findings, measured: Table) -> None:
     strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
     html = build(strange, [measured], []).html()
     # the fixture's figures: 0.5 after, over a floor of 0.25
@@ -179,7 +179,7 @@ def test_what_is_unexplained_is_told_by_place_and_size(found: DiagnosisResult, m
 def test_a_fault_of_the_wire_is_told_as_one(measured: Table) -> None:
     cause = {"effect": "lost_pdo", "site": "bus", "gain_percent": 100.0, "parameters": {
         "lost_share": {"value": 0.05, "low": 0.04, "high": 0.06, "unit": ""}}}
-    told = DiagnosisResult("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {
+    told = Findings("ambiguous", [cause], ["lost_pdo", "late_pdo"], "bus_log", {
         name: Figures(relation.unit, False) for name, relation in RELATIONS.items()})
     html = build(told, [measured], []).html()
     assert "late_pdo (PDOs arrive" in html
@@ -196,7 +196,7 @@ def test_half_of_the_squares_is_found_where_it_lies() -> None:
 
 
 def test_a_browser_shows_it_with_nothing_fetched(
-    found: DiagnosisResult, measured: Table, browser: Any, tmp_path: Path
+    found: Findings, measured: Table, browser: Any, tmp_path: Path
 ) -> None:
     path = tmp_path / "diagnosis.html"
     write(found, [measured], [measured], path)
@@ -210,7 +210,7 @@ def test_a_browser_shows_it_with_nothing_fetched(
     assert "" not in legends
 
 
-def test_the_page_is_written_whole_and_loads_nothing(found: DiagnosisResult, measured: Table, tmp_path: Path) -> None:
+def test_the_page_is_written_whole_and_loads_nothing(found: Findings, measured: Table, tmp_path: Path) -> None:
     path = tmp_path / "diagnosis.html"
     assert write(found, [measured], [], path) == path.stat().st_size
     html = path.read_text(encoding="utf-8")
@@ -219,12 +219,12 @@ def test_the_page_is_written_whole_and_loads_nothing(found: DiagnosisResult, mea
 
 
 def test_a_refused_diagnosis_has_a_page_too(measured: Table) -> None:
-    html = build(DiagnosisResult("refused", warnings=["velocity is no derivative"]), [measured], []).html()
+    html = build(Findings("refused", warnings=["velocity is no derivative"]), [measured], []).html()
     assert "velocity is no derivative" in html
     assert "contradict themselves" in html
 
 
-def test_residuals_are_what_was_measured_less_what_was_simulated(found: DiagnosisResult, measured: Table) -> None:
+def test_residuals_are_what_was_measured_less_what_was_simulated(found: Findings, measured: Table) -> None:
     parts = residuals.compared(found, [measured])
     assert set(parts) == {name for name, figures in found.relations.items() if figures.checked}
     first = parts["friction"][0]
@@ -241,7 +241,7 @@ def test_bins_hold_the_mean_and_the_spread() -> None:
     assert np.isnan(residuals.binned(np.append(along, 9.0), np.zeros(101), bins=9)[1][-1])
 
 
-def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: DiagnosisResult) -> None:
+def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: Findings) -> None:
     elsewhere = dataclasses.replace(found, reference="none", experiment="two_peaks")
     assert "bowden trial" not in words.paragraph(elsewhere)
     assert "bowden trial --experiment two_peaks" in words.paragraph(dataclasses.replace(found, experiment="two_peaks"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from diagnosis.data.table import Table, read
-from diagnosis.finder import DiagnosisResult, Finder, diagnose
+from diagnosis.finder import Finder, Findings, diagnose
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SEAL, TRIBOMETER = DATA / "pneumatic_seal", DATA / "tribometer"
@@ -17,18 +17,18 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def seal() -> DiagnosisResult:
+def seal() -> Findings:
     if not SEAL.is_dir():
         pytest.skip("the seal's recordings are not beside the repository")
     return diagnose(sorted(SEAL.glob("*_fit.csv.gz")), holdout=sorted(SEAL.glob("*_hold.csv.gz")))
 
 
-def test_the_seals_causes_are_named_and_no_other(seal: DiagnosisResult) -> None:
+def test_the_seals_causes_are_named_and_no_other(seal: Findings) -> None:
     assert seal.verdict == "found"
     assert {cause["effect"] for cause in seal.causes} == {"presliding", "cable_friction", "viscous_friction"}
 
 
-def test_the_rods_force_follows_on_strokes_never_fitted(seal: DiagnosisResult) -> None:
+def test_the_rods_force_follows_on_strokes_never_fitted(seal: Findings) -> None:
     # least squares by hand reaches 0.98 N there; recordings held out are looked at as the fitted ones are
     held = seal.relations["friction"].holdout_after
     assert held is not None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.data.table import Table, table
-from diagnosis.finder import DiagnosisResult, diagnose
+from diagnosis.finder import Findings, diagnose
 from tests.plants import draws, effects, imposed, oracle
 from tests.plants.bench import Bench, replaced
 
@@ -117,7 +117,7 @@ def answer(job: Job, judged: bool = True) -> Answer:
     return answered(job, made, told, judged)
 
 
-def answered(job: Job, made: Case, told: DiagnosisResult, judged: bool) -> Answer:
+def answered(job: Job, made: Case, told: Findings, judged: bool) -> Answer:
     """Put what was said beside what was hidden."""
     found = {c["effect"]: {n: p["value"] for n, p in c["parameters"].items()} for c in told.causes}
     return Answer(job, made.bench.structure.implementation, told.verdict, tuple(found), tuple(told.rivals), found,

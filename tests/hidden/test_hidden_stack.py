@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bowden.cli.app import run
-from diagnosis.finder import DiagnosisResult, diagnose
+from diagnosis.finder import Findings, diagnose
 from physics.parameters import PARAMETERS
 from trial import read
 
@@ -54,7 +54,7 @@ def record(path: Path, plant: str, wire: str = "", seed: int = SEED, cycles: int
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> dict[Hidden, DiagnosisResult]:
+def told(tmp_path_factory: pytest.TempPathFactory) -> dict[Hidden, Findings]:
     """Every case's diagnosis, beside one healthy trial of a like bench."""
     folder = tmp_path_factory.mktemp("hidden")
     healthy = record(folder / "good.mcap", "healthy", seed=SEED + 2)
@@ -67,24 +67,24 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[Hidden, DiagnosisResu
     return found
 
 
-def said(told: dict[Hidden, DiagnosisResult], holds: Callable[[Hidden, DiagnosisResult], bool]) -> dict[str, str]:
+def said(told: dict[Hidden, Findings], holds: Callable[[Hidden, Findings], bool]) -> dict[str, str]:
     """What was said of the cases of which something holds."""
     return {f"{h.plant} {h.wire}".strip(): f"{d.verdict} {', '.join(d.rivals)}" for h, d in told.items() if holds(h, d)}
 
 
-def test_no_wrong_name_is_given(told: dict[Hidden, DiagnosisResult]) -> None:
+def test_no_wrong_name_is_given(told: dict[Hidden, Findings]) -> None:
     assert not said(told, lambda h, d: bool(d.rivals) and not h.names & set(d.rivals))
 
 
-def test_nothing_is_wrong_with_a_healthy_bench(told: dict[Hidden, DiagnosisResult]) -> None:
+def test_nothing_is_wrong_with_a_healthy_bench(told: dict[Hidden, Findings]) -> None:
     assert told[Hidden("healthy")].verdict == "none"
 
 
-def test_what_no_catalogue_has_is_not_named(told: dict[Hidden, DiagnosisResult]) -> None:
+def test_what_no_catalogue_has_is_not_named(told: dict[Hidden, Findings]) -> None:
     assert told[Hidden("resonance")].verdict == "unexplained"
 
 
-def test_effects_behind_the_nodes_are_in_the_class(told: dict[Hidden, DiagnosisResult]) -> None:
+def test_effects_behind_the_nodes_are_in_the_class(told: dict[Hidden, Findings]) -> None:
     missed = said(told, lambda h, d: bool(h.names) and not h.names <= set(d.rivals))
     # of eight, some are near the limit of five short cycles beside one healthy trial
     assert len(missed) <= 2, missed
