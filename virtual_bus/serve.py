@@ -7,7 +7,6 @@ own order and at its own time before any frame reaches a device; waiting is rece
 from __future__ import annotations
 
 import errno
-import gc
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -125,12 +124,7 @@ def serve(
         bench.wire.detach(station)
         if station is not bench.host:
             outside.attach(station)
-    gc.collect()
-    gc.freeze()  # else a collection of all that was ever imported stalls the nodes for some control cycles
-    try:
-        _run(bus, bench, outside, clock, stop)
-    finally:
-        gc.unfreeze()
+    _run(bus, bench, outside, clock, stop)
     return outside.served
 
 
