@@ -30,7 +30,7 @@ class State(Enum):
         return self.name.replace("_", " ").capitalize()
 
 
-class Event(Enum):
+class DriveEvent(Enum):
     """What moves the state machine: commands of the controlword, and events inside the drive."""
 
     INITIALISED = "initialised"
@@ -55,12 +55,12 @@ class Command(NamedTuple):
 
 
 COMMANDS: Final = MappingProxyType({
-    Event.DISABLE_VOLTAGE: Command(0x82, 0x00, 0x0000),
-    Event.QUICK_STOP: Command(0x86, 0x02, 0x0002),
-    Event.SHUTDOWN: Command(0x87, 0x06, 0x0006),
-    Event.SWITCH_ON: Command(0x8F, 0x07, 0x0007),
-    Event.ENABLE_OPERATION: Command(0x8F, 0x0F, 0x000F),
-    Event.FAULT_RESET: Command(0x80, 0x80, 0x0080),
+    DriveEvent.DISABLE_VOLTAGE: Command(0x82, 0x00, 0x0000),
+    DriveEvent.QUICK_STOP: Command(0x86, 0x02, 0x0002),
+    DriveEvent.SHUTDOWN: Command(0x87, 0x06, 0x0006),
+    DriveEvent.SWITCH_ON: Command(0x8F, 0x07, 0x0007),
+    DriveEvent.ENABLE_OPERATION: Command(0x8F, 0x0F, 0x000F),
+    DriveEvent.FAULT_RESET: Command(0x80, 0x80, 0x0080),
 })
 """Controlword commands (CiA 402-2, table 27). Switch on and disable operation are one word; fault reset acts on
 the rising edge of bit 7 only, and while bit 7 is set no other command is seen."""
@@ -71,13 +71,13 @@ class Transition(NamedTuple):
 
     number: int
     sources: tuple[State | None, ...]
-    events: tuple[Event, ...]
+    events: tuple[DriveEvent, ...]
     target: State
     text: str
 
 
 _S = State
-_E = Event
+_E = DriveEvent
 TRANSITIONS: Final = (
     Transition(0, (None,), (_E.INITIALISED,), _S.NOT_READY_TO_SWITCH_ON, "power on or reset: self-test"),
     Transition(1, (_S.NOT_READY_TO_SWITCH_ON,), (_E.INITIALISED,), _S.SWITCH_ON_DISABLED, "communication is up"),
@@ -104,17 +104,17 @@ STEP: Final = MappingProxyType({(s, e): t for t in TRANSITIONS for s in t.source
 """(state, event) → the row that it takes; no entry: the event does nothing in that state."""
 
 
-def command_of(controlword: int, previous: int, state: State) -> Event | None:
+def command_of(controlword: int, previous: int, state: State) -> DriveEvent | None:
     """Read the command that a controlword gives in a state; `previous` is the word before it, for the reset's edge.
 
     0x0007 is "switch on" except in OPERATION ENABLED, where it is "disable operation".
     """
     if controlword & 0x80:
-        return None if previous & 0x80 else Event.FAULT_RESET
+        return None if previous & 0x80 else DriveEvent.FAULT_RESET
     for event, command in COMMANDS.items():
         if controlword & command.mask == command.value:
-            disable = event is Event.SWITCH_ON and state is State.OPERATION_ENABLED
-            return Event.DISABLE_OPERATION if disable else event
+            disable = event is DriveEvent.SWITCH_ON and state is State.OPERATION_ENABLED
+            return DriveEvent.DISABLE_OPERATION if disable else event
     return None
 
 
@@ -142,8 +142,8 @@ _HOLD: Final = MappingProxyType({
 })
 
 
-def _word(event: Event) -> int | None:
-    command = COMMANDS.get(Event.SWITCH_ON if event is Event.DISABLE_OPERATION else event)
+def _word(event: DriveEvent) -> int | None:
+    command = COMMANDS.get(DriveEvent.SWITCH_ON if event is DriveEvent.DISABLE_OPERATION else event)
     return None if command is None else command.word
 
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from eds.cia301 import Emcy, NmtState
-from eds.cia402 import Event, Mode, State
+from eds.cia402 import DriveEvent, Mode, State
 from eds.datatype import Value
 from eds.dictionary import key
 from nodes import axis_law as law
@@ -93,7 +93,7 @@ class Drive(ModesOfOperation):
         mode = self.number(0x6060)
         self.mode, self.values[MODE_DISPLAY] = Mode(mode), mode
         self.configure()
-        self.fire(Event.INITIALISED, now_ns)
+        self.fire(DriveEvent.INITIALISED, now_ns)
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
         """Row 1 when communication is up; leaving OPERATIONAL ends motion, STOPPED and resets end power: 0x6007."""
@@ -102,7 +102,7 @@ class Drive(ModesOfOperation):
         if left or state in (NmtState.STOPPED, NmtState.INITIALISING):
             self.disconnected(Emcy.GENERIC, now_ns, announce=True)
         elif state is NmtState.PRE_OPERATIONAL and self.state is State.NOT_READY_TO_SWITCH_ON:
-            self.fire(Event.INITIALISED, now_ns)
+            self.fire(DriveEvent.INITIALISED, now_ns)
             if self.emergency_stopped:
                 self.emergency_stop(True, now_ns)
 

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds.cia301 import Emcy
-from eds.cia402 import STEP, AbortConnection, Event, Input, State, Status, Stop, Transition
+from eds.cia402 import STEP, AbortConnection, DriveEvent, Input, State, Status, Stop, Transition
 from eds.datatype import Value
 from eds.dictionary import key
 from nodes.axis import Axis
@@ -76,9 +76,9 @@ class StateMachine(Application):
 
     # ---- rows ----
 
-    def command(self, event: Event, now_ns: int) -> None:
+    def command(self, event: DriveEvent, now_ns: int) -> None:
         """Act on a command of the controlword; "enable operation" goes on from row 3 to row 4 and calls off a leave."""
-        if event is Event.ENABLE_OPERATION:
+        if event is DriveEvent.ENABLE_OPERATION:
             if self._leaving is not None:
                 self._leaving = self._at_rest = None
                 self.begin(now_ns)
@@ -86,7 +86,7 @@ class StateMachine(Application):
                 self.fire(event, now_ns)
         self.fire(event, now_ns)
 
-    def fire(self, event: Event, now_ns: int) -> None:
+    def fire(self, event: DriveEvent, now_ns: int) -> None:
         """Take the row that `event` opens in this state, if its guard agrees; its option code may brake first."""
         row = STEP.get((self.state, event))
         if row is None or not self._may(row):
@@ -162,13 +162,13 @@ class StateMachine(Application):
         if self.number(0x605A) in _HOLDING:
             self.axis.hold()
         else:
-            self.fire(Event.QUICK_STOP_DONE, now_ns)
+            self.fire(DriveEvent.QUICK_STOP_DONE, now_ns)
 
     def end_hold(self, now_ns: int) -> None:
         """Let go where the time that a lost connection leaves to a hold is over."""
         if self.hold_ends_ns is not None and now_ns >= self.hold_ends_ns:
             self.hold_ends_ns = None
-            self.fire(Event.QUICK_STOP_DONE, now_ns)
+            self.fire(DriveEvent.QUICK_STOP_DONE, now_ns)
 
     def _react(self, now_ns: int) -> None:
         option = self.number(0x605E)
@@ -178,7 +178,7 @@ class StateMachine(Application):
             self.brake(option, self._reacted)
 
     def _reacted(self, now_ns: int) -> None:
-        self.fire(Event.FAULT_REACTION_DONE, now_ns)
+        self.fire(DriveEvent.FAULT_REACTION_DONE, now_ns)
 
     def _forget_faults(self, now_ns: int) -> None:
         for code in self._errors:
@@ -194,7 +194,7 @@ class StateMachine(Application):
         if announce:
             self._errors.append(code)
             self.device.emergency(code, code.register)
-        self.fire(Event.FAULT_DETECTED, now_ns)
+        self.fire(DriveEvent.FAULT_DETECTED, now_ns)
 
     def disconnected(self, reason: Emcy, now_ns: int, announce: bool = False) -> None:
         """Act on a lost connection as 0x6007 says."""
@@ -204,9 +204,9 @@ class StateMachine(Application):
         if action == AbortConnection.FAULT:
             self.fault(reason, now_ns, announce)
         elif action == AbortConnection.DISABLE_VOLTAGE:
-            self.fire(Event.DISABLE_VOLTAGE, now_ns)
+            self.fire(DriveEvent.DISABLE_VOLTAGE, now_ns)
         elif action == AbortConnection.QUICK_STOP:
-            self.fire(Event.QUICK_STOP, now_ns)
+            self.fire(DriveEvent.QUICK_STOP, now_ns)
         hold_ms = self.number(HOLD_TIME)
         if hold_ms and self.hold_ends_ns is None and self.state is State.QUICK_STOP_ACTIVE:
             self.hold_ends_ns = now_ns + hold_ms * MS_NS

@@ -18,7 +18,7 @@ LONGEST_NS = 200_000_000
 SPEEDS = (0.001, 1000.0)
 
 
-class Status(Enum):
+class PlayerStatus(Enum):
     """Where playing stands; READY is paused at the start, until somebody plays or watches."""
 
     READY = "ready"
@@ -27,7 +27,7 @@ class Status(Enum):
     ENDED = "ended"
 
 
-class Control(Enum):
+class PlayerControl(Enum):
     """What a player is told; WATCH: a viewer has opened; END comes from the recording itself."""
 
     PLAY = "play"
@@ -38,7 +38,7 @@ class Control(Enum):
     END = "end"
 
 
-_S, _C = Status, Control
+_S, _C = PlayerStatus, PlayerControl
 TRANSITIONS: Final = MappingProxyType({
     (_S.READY, _C.PLAY): _S.PLAYING,
     (_S.READY, _C.PAUSE): _S.PAUSED,
@@ -74,12 +74,12 @@ class Playback:
     clock_ns: int
     origin_ns: int
     origin_clock_ns: int
-    status: Status = Status.READY
+    status: PlayerStatus = PlayerStatus.READY
     speed: float = 1.0
 
     def position_ns(self, clock_ns: int) -> int:
         """Return the position at that reading of the clock, at most the last one."""
-        if self.status is not Status.PLAYING:
+        if self.status is not PlayerStatus.PLAYING:
             return self.origin_ns
         return min(self.origin_ns + round((clock_ns - self.origin_clock_ns) * self.speed), self.last_ns)
 
@@ -91,12 +91,12 @@ class Playback:
         """Return it at a later look; what is due is in `self.at_ns` … `.at_ns`, without the latter."""
         late = max(0, clock_ns - self.clock_ns - LONGEST_NS)
         clock = replace(self, clock_ns=clock_ns, origin_clock_ns=self.origin_clock_ns + late)
-        if self.status is not Status.PLAYING:
+        if self.status is not PlayerStatus.PLAYING:
             return clock
         at = self.origin_ns + round((clock_ns - clock.origin_clock_ns) * self.speed)
         if at > self.last_ns:
             return replace(clock, at_ns=self.last_ns + 1, origin_ns=self.last_ns,
-                           status=TRANSITIONS[self.status, Control.END])
+                           status=TRANSITIONS[self.status, PlayerControl.END])
         return replace(clock, at_ns=max(at, self.at_ns))
 
     def at(self, position_ns: int, clock_ns: int) -> Playback:
@@ -105,10 +105,10 @@ class Playback:
 
     def watched(self, clock_ns: int) -> Playback:
         """Return it when somebody watches: READY begins, any other goes on undisturbed."""
-        return self.told(clock_ns, Control.WATCH) if (self.status, Control.WATCH) in TRANSITIONS else self
+        return self.told(clock_ns, PlayerControl.WATCH) if (self.status, PlayerControl.WATCH) in TRANSITIONS else self
 
     def told(
-        self, clock_ns: int, control: Control, *, speed: float | None = None, seek_ns: int | None = None
+        self, clock_ns: int, control: PlayerControl, *, speed: float | None = None, seek_ns: int | None = None
     ) -> Playback:
         """Return it after a control; a seek is held inside the recording, a speed between 0.001 and 1000.
 
@@ -119,7 +119,7 @@ class Playback:
         at = self.at_ns
         if seek_ns is not None:
             at = min(max(seek_ns, self.first_ns), self.last_ns)
-        elif status is Status.PLAYING and (at > self.last_ns or self.status is Status.ENDED):
+        elif status is PlayerStatus.PLAYING and (at > self.last_ns or self.status is PlayerStatus.ENDED):
             at = self.first_ns
         faster = self.speed if speed is None or not math.isfinite(speed) or speed <= 0 else speed
         held = min(max(faster, SPEEDS[0]), SPEEDS[1])

@@ -55,7 +55,7 @@ LONG_S: Final = 0.1  # a wait so long, s, leaves the bus to other threads in bet
 _OPEN: dict[str, Shared] = {}
 
 
-class WholeCycles:
+class SteadyCycles:
     """Whole control cycles at once: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
 
     def __init__(self, steady: Steady, asked: CycleRequest, lock: threading.RLock) -> None:
@@ -123,8 +123,8 @@ class BowdenBus(can.BusABC):
     def cycles(
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
         budget_ns: int, heartbeat: tuple[int, int, int],
-    ) -> WholeCycles | None:
-        """Offer whole control cycles at once to a master: see `WholeCycles`; None where this bench has none.
+    ) -> SteadyCycles | None:
+        """Offer whole control cycles at once to a master: see `SteadyCycles`; None where this bench has none.
 
         `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
         that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC; `heartbeat`
@@ -136,7 +136,7 @@ class BowdenBus(can.BusABC):
         asked = CycleRequest(self._socket, None if tap is None else tap._socket, *targets,
                              tuple([each for each, _ in inputs]),
                              budget_ns, Heartbeat(*heartbeat))
-        return WholeCycles(steady, asked, self._lock)
+        return SteadyCycles(steady, asked, self._lock)
 
     @property
     def whole_cycles(self) -> int:

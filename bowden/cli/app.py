@@ -11,10 +11,10 @@ from typing import Annotated, Final, TextIO
 import typer
 import typer.exceptions
 
-from bowden.cli.command import Application, NothingGivenError, found, short_help
+from bowden.cli.command import CommandGroup, NothingGivenError, found, short_help
 from parameters import InputError, Remark
 
-app = Application(
+app = CommandGroup(
     name="bowden",
     help="Drive stack for a Bowden cable–fabric force-transfer bench on CAN.",
     add_completion=True,

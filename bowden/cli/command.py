@@ -25,7 +25,7 @@ class NothingGivenError(InputError):
         self.needs = needs
 
 
-class Command(TyperCommand):
+class ShortHelpCommand(TyperCommand):
     """A command whose arguments are words."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
@@ -54,7 +54,7 @@ class Group(TyperGroup):
             formatter.write_dl(rows)
 
 
-class Application(typer.Typer):
+class CommandGroup(typer.Typer):
     """A Typer application of such commands."""
 
     def __init__(self, **given: Any) -> None:
@@ -62,7 +62,7 @@ class Application(typer.Typer):
 
     def command(self, name: str | None = None, **given: Any) -> Callable[[Registered], Registered]:
         """Register a command."""
-        return super().command(name, **{"cls": Command, **given})
+        return super().command(name, **{"cls": ShortHelpCommand, **given})
 
 
 def found(application: typer.Typer, words: Sequence[str]) -> tuple[Any, bool]:

@@ -12,7 +12,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.command import Application
+from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from master.network.link import Link
 
 Act = Callable[["Link", "NodeEntry", "Dictionary"], "list[ParameterDifference]"]
-node = Application(help="Parameters of one node, as DCF.", rich_markup_mode=None)
+node = CommandGroup(help="Parameters of one node, as DCF.", rich_markup_mode=None)
 app.add_typer(node, name="node")
 
 Name = Annotated[str, typer.Argument(metavar="NODE", help="servo, knee, start or end.", show_default=False)]

@@ -10,9 +10,9 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.command import Application
+from bowden.cli.command import CommandGroup
 
-check = Application(help="Find faults before anything runs.", rich_markup_mode=None)
+check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
 app.add_typer(check, name="check")
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="EDS or DCF files.", show_default=False)]

@@ -16,12 +16,13 @@ from bowden.live.viewer import Viewer
 from bowden.live.web import LivePage
 from eds.bench_network import Network, wire
 from trial.mcap_file import cdr
-from trial.playback import Playback, Status
+from trial.playback import Playback, PlayerStatus
 from trial.signals import INDEX
 
 FORCES: Final = ("desired_force_n", "tension_start_n", "tension_end_n")
 ALL: Final = frozenset((cdr.CYCLE, cdr.FRAMES, cdr.EVENTS))
-STATUS: Final = {Status.READY: "waiting", Status.PLAYING: "running", Status.PAUSED: "paused", Status.ENDED: "ended"}
+STATUS: Final = {PlayerStatus.READY: "waiting", PlayerStatus.PLAYING: "running", PlayerStatus.PAUSED: "paused",
+                 PlayerStatus.ENDED: "ended"}
 FRAME: Final = struct.Struct("<I3?B8s")
 FRAME_AT: Final = 24
 """Where a `/can/frames` payload's identifier begins: after encapsulation, stamp and frame_id."""
@@ -154,4 +155,4 @@ class PagedViewer:
         if self._viewer is not None:
             self._viewer.state(player, sought=sought)
         self._page.state.status(STATUS[player.status], "the recording has been played"
-                                if player.status is Status.ENDED else "")
+                                if player.status is PlayerStatus.ENDED else "")

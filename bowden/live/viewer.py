@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from parameters import InputError
 from trial.mcap_file import cdr
-from trial.playback import Control, Playback, Status
+from trial.playback import Playback, PlayerControl, PlayerStatus
 
 BACKLOG = 1 << 16  # messages a client may be behind; at ten times real time a span of 16 ms has 1 200
 
@@ -29,7 +29,7 @@ def installed() -> bool:
 class PlayerRequest(NamedTuple):
     """What a viewer's player controls ask for."""
 
-    control: Control
+    control: PlayerControl
     speed: float
     seek_ns: int | None
 
@@ -89,7 +89,8 @@ class Viewer:
 
     def _state(self, player: Playback, sought: bool, request: str | None) -> Any:
         status = self._sdk.PlaybackStatus
-        shown = {Status.PLAYING: status.Playing, Status.ENDED: status.Ended}.get(player.status, status.Paused)
+        shown = {PlayerStatus.PLAYING: status.Playing, PlayerStatus.ENDED: status.Ended}.get(player.status,
+                                                                                             status.Paused)
         return self._sdk.PlaybackState(shown, min(player.at_ns, player.last_ns), player.speed, sought, request)
 
     def close(self) -> None:
@@ -103,7 +104,7 @@ def _listener(asked: Callable[[PlayerRequest], Playback], state: Callable[[Playb
     class Listener(ServerListener):
         def on_playback_control_request(self, playback_control_request: Any) -> Any:
             told = playback_control_request
-            control = Control.PLAY if told.playback_command == PlaybackCommand.Play else Control.PAUSE
+            control = PlayerControl.PLAY if told.playback_command == PlaybackCommand.Play else PlayerControl.PAUSE
             return state(asked(PlayerRequest(control, told.playback_speed, told.seek_time)), told.seek_time is not None,
                          told.request_id)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bowden.replay.player import Lateness, Player
     from bowden.replay.playing_bus import Outlet
     from bowden.replay.schedule import Selection
-    from trial.playback import Status
+    from trial.playback import PlayerStatus
     from trial.read import Trial
 
 
@@ -30,7 +30,7 @@ class Played:
 
     frames: int
     passes: int
-    status: Status
+    status: PlayerStatus
     restored: int
     lost: int
     left_out: Mapping[str, int]

@@ -16,7 +16,7 @@ import numpy as np
 from bowden.replay.schedule import Schedule, frame_of, restoration
 from eds.frame import Frame
 from parameters import InputError
-from trial.playback import SPEEDS, TRANSITIONS, Control, Status, ready
+from trial.playback import SPEEDS, TRANSITIONS, PlayerControl, PlayerStatus, ready
 
 
 class Lateness(NamedTuple):
@@ -49,7 +49,7 @@ class Player:
         self._next = 0
 
     @property
-    def status(self) -> Status:
+    def status(self) -> PlayerStatus:
         """Where playing stands."""
         return self._playback.status
 
@@ -67,19 +67,19 @@ class Player:
         played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
         return (self.pass_ + played) / self._loops
 
-    def _told(self, control: Control, now_ns: int, speed: float | None = None) -> None:
+    def _told(self, control: PlayerControl, now_ns: int, speed: float | None = None) -> None:
         here = self._playback.at(self.position_ns(now_ns), now_ns)
         self._playback = here.told(now_ns, control, speed=speed)
 
     def play(self, now_ns: int) -> None:
         """Go on from where it is; from the first frame of the first pass where everything was played."""
-        if self.status is Status.ENDED:
+        if self.status is PlayerStatus.ENDED:
             self._next = self.pass_ = 0
-        self._told(Control.PLAY, now_ns)
+        self._told(PlayerControl.PLAY, now_ns)
 
     def pause(self, now_ns: int) -> None:
         """Send nothing until it is played again; the bus keeps what it was told last."""
-        self._told(Control.PAUSE, now_ns)
+        self._told(PlayerControl.PAUSE, now_ns)
 
     def set_speed(self, speed: float, now_ns: int) -> None:
         """Play faster or slower from here on."""
@@ -93,7 +93,7 @@ class Player:
         if not 0 <= position_ns <= self.schedule.length_ns:
             raise InputError(f"seek to {position_ns / 1e9:g} s: expected 0 … {self.schedule.length_ns / 1e9:g} s.")
         self._next = int(np.searchsorted(self.schedule.times, position_ns, side="left"))
-        self._playback = self._playback.told(now_ns, Control.SEEK, seek_ns=position_ns)
+        self._playback = self._playback.told(now_ns, PlayerControl.SEEK, seek_ns=position_ns)
         restored = restoration(self.schedule, self._next)
         for frame, channel in restored:
             self._send(frame, channel)
@@ -101,7 +101,7 @@ class Player:
 
     def step(self) -> Frame | None:
         """Send the next frame, whenever it was due; None at the end."""
-        if (self.status, Control.STEP) not in TRANSITIONS:
+        if (self.status, PlayerControl.STEP) not in TRANSITIONS:
             return None
         last = self._next == len(self._times)
         if last and self.pass_ + 1 == self._loops:
@@ -110,11 +110,11 @@ class Player:
         if last:
             self.pass_ += 1
             self._next = 0
-        self._playback = self._playback.told(0, Control.STEP, seek_ns=self._times[self._next])
+        self._playback = self._playback.told(0, PlayerControl.STEP, seek_ns=self._times[self._next])
         return self._send_next()
 
     def _end(self) -> None:
-        self._playback = self._playback.told(0, Control.END, seek_ns=self.schedule.length_ns)
+        self._playback = self._playback.told(0, PlayerControl.END, seek_ns=self.schedule.length_ns)
 
     def _send_next(self) -> Frame:
         frame = frame_of(self.schedule.frames[self._next])
@@ -126,7 +126,7 @@ class Player:
 
     def next_ns(self) -> int | None:
         """When `poll` has something to do: the next frame, or the end of this pass; None unless it plays."""
-        if self.status is not Status.PLAYING:
+        if self.status is not PlayerStatus.PLAYING:
             return None
         due = self._times[self._next] if self._next < len(self._times) else self.schedule.length_ns
         return self._playback.due_ns(due)

@@ -12,7 +12,7 @@ import can
 
 from bowden.replay.player import Player
 from eds.frame import Frame
-from trial.playback import Status
+from trial.playback import PlayerStatus
 
 NS = 1_000_000_000
 LINGER_NS = 10_000_000
@@ -66,7 +66,7 @@ def run(
         if player.sent - shown >= 1000:
             shown = player.sent
             progress(player.share(clock()))
-    if player.status is Status.ENDED:
+    if player.status is PlayerStatus.ENDED:
         wait(bus, clock, clock() + LINGER_NS, heard)
 
 

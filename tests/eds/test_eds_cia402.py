@@ -9,7 +9,7 @@ from eds.cia402 import (
     STEP,
     TRANSITIONS,
     Control,
-    Event,
+    DriveEvent,
     Mode,
     State,
     Status,
@@ -19,7 +19,8 @@ from eds.cia402 import (
 )
 
 WORDS = st.integers(0, 0xFFFF)
-BY_ITSELF = {State.NOT_READY_TO_SWITCH_ON: Event.INITIALISED, State.FAULT_REACTION_ACTIVE: Event.FAULT_REACTION_DONE}
+BY_ITSELF = {State.NOT_READY_TO_SWITCH_ON: DriveEvent.INITIALISED,
+             State.FAULT_REACTION_ACTIVE: DriveEvent.FAULT_REACTION_DONE}
 GOALS = (State.SWITCH_ON_DISABLED, State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED)
 STATUSWORDS = {
     0x0000: State.NOT_READY_TO_SWITCH_ON, 0x0250: State.SWITCH_ON_DISABLED, 0x0231: State.READY_TO_SWITCH_ON,
@@ -55,17 +56,17 @@ def test_a_controlword_gives_the_command_of_its_bits(word, previous, state):
     """The bits are written out here from CiA 402-2, table 27, apart from the masks."""
     bits = Control(word & 0x8F)
     if Control.FAULT_RESET in bits:
-        expected = None if previous & 0x80 else Event.FAULT_RESET
+        expected = None if previous & 0x80 else DriveEvent.FAULT_RESET
     elif Control.ENABLE_VOLTAGE not in bits:
-        expected = Event.DISABLE_VOLTAGE
+        expected = DriveEvent.DISABLE_VOLTAGE
     elif Control.QUICK_STOP not in bits:
-        expected = Event.QUICK_STOP
+        expected = DriveEvent.QUICK_STOP
     elif Control.SWITCH_ON not in bits:
-        expected = Event.SHUTDOWN
+        expected = DriveEvent.SHUTDOWN
     elif Control.ENABLE_OPERATION in bits:
-        expected = Event.ENABLE_OPERATION
+        expected = DriveEvent.ENABLE_OPERATION
     else:
-        expected = Event.DISABLE_OPERATION if state is State.OPERATION_ENABLED else Event.SWITCH_ON
+        expected = DriveEvent.DISABLE_OPERATION if state is State.OPERATION_ENABLED else DriveEvent.SWITCH_ON
     assert command_of(word, previous, state) is expected
 
 
@@ -104,7 +105,7 @@ def test_the_word_at_the_goal_moves_nothing(goal):
 
 def test_a_disabled_voltage_ends_operation_from_every_powered_state():
     for state in (State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
-        assert STEP[state, Event.DISABLE_VOLTAGE].target is State.SWITCH_ON_DISABLED
+        assert STEP[state, DriveEvent.DISABLE_VOLTAGE].target is State.SWITCH_ON_DISABLED
 
 
 def test_each_command_word_is_read_as_its_command():

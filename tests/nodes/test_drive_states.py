@@ -8,10 +8,10 @@ import random
 import pytest
 
 from eds.cia301 import Emcy, NmtCommand
-from eds.cia402 import STEP, TRANSITIONS, Event, State, Status, Stop, command_of, state_of
+from eds.cia402 import STEP, TRANSITIONS, DriveEvent, State, Status, Stop, command_of, state_of
 from tests.nodes.drive_rig import KNEE, SERVO, DriveRig
 
-AUTOMATIC = (Event.QUICK_STOP_DONE, Event.FAULT_REACTION_DONE)
+AUTOMATIC = (DriveEvent.QUICK_STOP_DONE, DriveEvent.FAULT_REACTION_DONE)
 """Events that a drive may have ready at once after a command, where its option code is "disable"."""
 
 SWITCHED_ON, ENABLED, QUICK_STOP, FAULT = (
@@ -126,7 +126,7 @@ def test_rows_13_and_14_from_each_state(source: State) -> None:
     rig = knee_in(source)
     before = rig.state()
     if source is State.SWITCH_ON_DISABLED:
-        assert STEP[source, Event.FAULT_DETECTED].target is State.FAULT_REACTION_ACTIVE
+        assert STEP[source, DriveEvent.FAULT_DETECTED].target is State.FAULT_REACTION_ACTIVE
         rig.application.fault(Emcy.OVERTEMPERATURE, rig.now_ns)
         rig.settle()
     else:
@@ -144,7 +144,7 @@ def reachable(state: State, word: int, previous: int) -> set[State]:
     while queue:
         here = queue.pop()
         events = [e for e in (event, *AUTOMATIC) if e is not None]
-        if here is not state and event is not Event.ENABLE_OPERATION:
+        if here is not state and event is not DriveEvent.ENABLE_OPERATION:
             events = list(AUTOMATIC)
         for e in events:
             row = STEP.get((here, e))
@@ -180,7 +180,7 @@ def test_any_sequence_of_words_stays_in_the_table() -> None:
         seen.add((before, after))
         rig.run(0.25)
         later = rig.state()
-        assert later is after or any((after, e) in STEP and STEP[after, e].target is later for e in Event)
+        assert later is after or any((after, e) in STEP and STEP[after, e].target is later for e in DriveEvent)
     assert len(seen) > 15
 
 

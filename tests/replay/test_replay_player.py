@@ -16,7 +16,7 @@ from bowden.replay.schedule import Schedule, Selection, plan
 from eds.frame import Frame
 from parameters import InputError
 from trial.convert.frames import rows_of
-from trial.playback import TRANSITIONS, Control, Status
+from trial.playback import TRANSITIONS, PlayerControl, PlayerStatus
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
@@ -65,8 +65,8 @@ def wire() -> Iterator[tuple[BowdenBus, list[tuple[int, Frame]]]]:
 
 
 def test_the_table_has_every_status_and_control() -> None:
-    assert {status for status, _ in TRANSITIONS} == set(Status)
-    assert {control for _, control in TRANSITIONS} == set(Control)
+    assert {status for status, _ in TRANSITIONS} == set(PlayerStatus)
+    assert {control for _, control in TRANSITIONS} == set(PlayerControl)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [
@@ -75,7 +75,7 @@ def test_frames_keep_their_times_at_any_speed(speed: float, expected: list[tuple
     watch = Watch([0, 1, 3], speed=speed)
     watch.player.play(watch.now_ns)
     assert watch.run() == expected
-    assert watch.player.status is Status.ENDED
+    assert watch.player.status is PlayerStatus.ENDED
 
 
 @given(st.lists(st.integers(0, 10**9), min_size=1, max_size=20), st.integers(1, 7))
@@ -96,7 +96,7 @@ def test_pause_holds_the_position_and_play_goes_on_from_it() -> None:
     player.play(watch.now_ns)
     watch.run(2)
     player.pause(watch.now_ns)
-    assert player.status is Status.PAUSED
+    assert player.status is PlayerStatus.PAUSED
     assert player.next_ns() is None
     assert player.position_ns(watch.now_ns + 99 * MS) == 2 * MS
     assert watch.run(50) == []
@@ -116,7 +116,7 @@ def test_steps_send_one_frame_each_and_end() -> None:
     watch = Watch([0, 1, 3], loops=2)
     frames = [watch.player.step() for _ in range(7)]
     assert [frame.can_id - 0x180 if frame else None for frame in frames] == [0, 1, 2, 0, 1, 2, None]
-    assert watch.player.status is Status.ENDED
+    assert watch.player.status is PlayerStatus.ENDED
     assert watch.player.step() is None
     assert watch.player.lateness().frames == 0
 
@@ -126,7 +126,7 @@ def test_a_step_interrupts_playing() -> None:
     watch.player.play(watch.now_ns)
     watch.run(0.5)
     assert watch.player.step() == Frame(0x181, b"\x01")
-    assert watch.player.status is Status.PAUSED
+    assert watch.player.status is PlayerStatus.PAUSED
     watch.player.play(watch.now_ns)
     assert watch.run() == [(2.5, 2)]
 
@@ -137,10 +137,10 @@ def test_seek_sends_the_last_pdos_and_goes_on_there() -> None:
     watch.run(0.5)
     restored = watch.player.seek(2 * MS, watch.now_ns)
     assert [frame.can_id for frame in restored] == [0x181]  # 180h is no PDO
-    assert watch.player.status is Status.PLAYING
+    assert watch.player.status is PlayerStatus.PLAYING
     assert watch.run() == [(1.5, 2), (4.5, 3)]
     watch.player.seek(3 * MS, watch.now_ns)
-    assert watch.player.status is Status.PAUSED
+    assert watch.player.status is PlayerStatus.PAUSED
     watch.player.play(watch.now_ns)
     assert [frame for _, frame in watch.run()] == [2, 3]
 
@@ -149,7 +149,7 @@ def test_a_player_that_has_ended_sends_nothing_and_plays_again_from_the_start() 
     watch = Watch([0, 1], loops=2)
     watch.player.play(watch.now_ns)
     assert [frame for _, frame in watch.run()] == [0, 1, 0, 1]
-    assert watch.player.status is Status.ENDED
+    assert watch.player.status is PlayerStatus.ENDED
     assert watch.player.next_ns() is None
     watch.player.play(watch.now_ns)
     assert [frame for _, frame in watch.run()] == [0, 1, 0, 1]
@@ -164,7 +164,7 @@ def test_lateness_is_reported_as_median_p99_and_max() -> None:
         player.poll(1_000 * MS + i * MS + late)
     assert player.lateness() == (200, 5 * US, 5 * US, 900 * US)
     player.poll(2_000 * MS)
-    assert player.status is Status.ENDED
+    assert player.status is PlayerStatus.ENDED
 
 
 @pytest.mark.parametrize("options", [{"speed": 0.0}, {"speed": -1.0}, {"speed": float("nan")}, {"loops": 0}])

@@ -17,59 +17,59 @@ from trial import decode
 from trial.convert.frames import rows_of
 from trial.follow import Follower
 from trial.mcap_file import cdr
-from trial.playback import LONGEST_NS, SPEEDS, TRANSITIONS, Control, Playback, Status, ready
+from trial.playback import LONGEST_NS, SPEEDS, TRANSITIONS, Playback, PlayerControl, PlayerStatus, ready
 from trial.tape import Message, Tape
 
 FIRST, LAST = 1_000_000_000, 3_000_000_000
 MS = 1_000_000
-VIEWERS = Control.PLAY, Control.PAUSE, Control.WATCH
+VIEWERS = PlayerControl.PLAY, PlayerControl.PAUSE, PlayerControl.WATCH
 ALL = frozenset((cdr.CYCLE, cdr.FRAMES, cdr.EVENTS))
 
 
 def playing(speed: float = 1.0) -> Playback:
-    return ready(FIRST, LAST, 0, speed).told(0, Control.WATCH)
+    return ready(FIRST, LAST, 0, speed).told(0, PlayerControl.WATCH)
 
 
 def test_it_waits_at_the_start_until_somebody_watches() -> None:
     waiting = ready(FIRST, LAST, 0)
-    assert (waiting.status, waiting.advanced(50 * MS).at_ns) == (Status.READY, FIRST)
-    begun = waiting.advanced(50 * MS).told(50 * MS, Control.WATCH)
-    assert begun.status is Status.PLAYING
+    assert (waiting.status, waiting.advanced(50 * MS).at_ns) == (PlayerStatus.READY, FIRST)
+    begun = waiting.advanced(50 * MS).told(50 * MS, PlayerControl.WATCH)
+    assert begun.status is PlayerStatus.PLAYING
     assert begun.advanced(60 * MS).at_ns == FIRST + 10 * MS
 
 
 def test_every_pair_of_status_and_control_does_what_the_table_says() -> None:
-    for status in Status:
-        for control in Control:
+    for status in PlayerStatus:
+        for control in PlayerControl:
             one = Playback(FIRST, LAST, FIRST, 0, FIRST, 0, status)
             assert one.told(0, control).status is TRANSITIONS.get((status, control), status)
 
 
 def test_pause_holds_and_play_goes_on_where_it_stood() -> None:
-    paused = playing().advanced(100 * MS).told(100 * MS, Control.PAUSE)
+    paused = playing().advanced(100 * MS).told(100 * MS, PlayerControl.PAUSE)
     later = paused.advanced(150 * MS)
     assert later.at_ns == FIRST + 100 * MS
-    assert later.told(150 * MS, Control.PLAY).advanced(160 * MS).at_ns == FIRST + 110 * MS
+    assert later.told(150 * MS, PlayerControl.PLAY).advanced(160 * MS).at_ns == FIRST + 110 * MS
 
 
 @pytest.mark.parametrize(("asked", "stands"), [(2_000_000_000, 2_000_000_000), (0, FIRST), (9_000_000_000, LAST)])
 def test_a_seek_stays_inside_the_trial(asked: int, stands: int) -> None:
-    assert playing().told(0, Control.PAUSE, seek_ns=asked).at_ns == stands
+    assert playing().told(0, PlayerControl.PAUSE, seek_ns=asked).at_ns == stands
 
 
 @pytest.mark.parametrize(("asked", "speed"), [(4.0, 4.0), (0.0, 1.0), (-2.0, 1.0), (math.nan, 1.0), (math.inf, 1.0),
                                               (1e9, SPEEDS[1]), (1e-9, SPEEDS[0])])
 def test_a_speed_is_taken_held_or_left(asked: float, speed: float) -> None:
-    assert playing().told(0, Control.PLAY, speed=asked).speed == speed
+    assert playing().told(0, PlayerControl.PLAY, speed=asked).speed == speed
 
 
 def test_at_the_end_it_stops_and_begins_again() -> None:
     ended = playing(100.0).advanced(30 * MS)
-    assert (ended.status, ended.at_ns) == (Status.ENDED, LAST + 1)
-    again = ended.told(30 * MS, Control.PLAY)
-    assert (again.status, again.at_ns) == (Status.PLAYING, FIRST)
-    back = ended.told(30 * MS, Control.PAUSE, seek_ns=FIRST + 5)
-    assert (back.status, back.at_ns) == (Status.PAUSED, FIRST + 5)
+    assert (ended.status, ended.at_ns) == (PlayerStatus.ENDED, LAST + 1)
+    again = ended.told(30 * MS, PlayerControl.PLAY)
+    assert (again.status, again.at_ns) == (PlayerStatus.PLAYING, FIRST)
+    back = ended.told(30 * MS, PlayerControl.PAUSE, seek_ns=FIRST + 5)
+    assert (back.status, back.at_ns) == (PlayerStatus.PAUSED, FIRST + 5)
 
 
 def test_who_looks_too_seldom_plays_slower() -> None:
@@ -77,14 +77,14 @@ def test_who_looks_too_seldom_plays_slower() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 300 * MS), st.sampled_from(VIEWERS), st.floats(0.1, 20)), max_size=60))
-def test_whatever_is_pressed_every_moment_is_played_once(steps: list[tuple[int, Control, float]]) -> None:
+def test_whatever_is_pressed_every_moment_is_played_once(steps: list[tuple[int, PlayerControl, float]]) -> None:
     now, clock, reached = playing(), 0, FIRST
     for wait, control, speed in steps:
         clock += wait
         later = now.advanced(clock)
         assert now.at_ns == reached
         assert later.at_ns >= now.at_ns
-        if later.status is Status.ENDED:
+        if later.status is PlayerStatus.ENDED:
             assert later.at_ns == LAST + 1
             return
         reached = later.at_ns
