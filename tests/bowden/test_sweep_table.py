@@ -75,7 +75,7 @@ def test_parquet_holds_the_same_in_types_and_is_continued(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("name", "said"), [
-    ("t.txt", "a table is .csv or .parquet"), ("absent/t.csv", "is no directory"),
+    ("t.txt", "a table is written as .csv or .parquet"), ("absent/t.csv", "is no directory"),
 ])
 def test_a_table_that_cannot_be_written_is_refused(tmp_path: Path, name: str, said: str) -> None:
     with pytest.raises(InputError, match=said):

@@ -11,6 +11,8 @@ QUICK = {"maxwell": ((), ("load_dependent_friction",)), "lugre": (("friction_dri
          "dahl": (("friction_drift",),), "fronts": (("end_gain",),)}
 """What is asked of each implementation, on the first serial that its run takes and that is not set aside."""
 
+pytestmark = pytest.mark.hidden
+
 
 def asked(kind: str) -> list[Job]:
     every = {job.hidden: job for job in jobs(kind, aside=False)}

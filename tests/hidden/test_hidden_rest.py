@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.hidden import quick
+
+pytestmark = pytest.mark.hidden
 
 
 def test_nothing_is_found_on_healthy_benches() -> None:

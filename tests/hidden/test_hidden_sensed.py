@@ -7,6 +7,8 @@ import pytest
 from tests.hidden import quick
 from tests.hidden.answers import Answer
 
+pytestmark = pytest.mark.hidden
+
 
 @pytest.fixture(scope="module")
 def told() -> list[Answer]:
