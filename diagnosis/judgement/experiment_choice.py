@@ -86,7 +86,7 @@ def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) 
     """Return the experiment that splits the class `rivals`, the chosen effects first; None where there is no class.
 
     Of those that the class's effects name, else of all: what splits every pair best and the bench runs by itself,
-    then what splits every pair by hand.  Where none does, the one that is best at the worst pair;
+    then what splits every pair by hand.  Where none does, the one that is best at the worst pair, by itself first;
     without a calculation (a rig of which nothing is known) the first that is named.  Either model of a pair may be
     the true one: what counts is the mean of both ways.
     """
@@ -106,8 +106,8 @@ def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) 
         splits = [name for name in offered if gained.get(name, 0.0) >= SPLITS]
         if splits:
             return min(splits, key=lambda name: (bool(EXPERIMENTS[name].by_hand), -gained[name]))
-    if max(gained.values(), default=0.0) > 0.0:
-        return max(gained, key=lambda name: gained[name])
+    if helps := [name for name, gain in gained.items() if gain > 0.0]:
+        return min(helps, key=lambda name: (bool(EXPERIMENTS[name].by_hand), -gained[name]))
     return next((name for name in named if not EXPERIMENTS[name].by_hand), named[0])
 
 
