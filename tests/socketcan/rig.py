@@ -72,11 +72,11 @@ class Process:
             os._exit(status)
 
     def wait(self) -> Told:
-        """How it ended, and its JSON object."""
+        """How it ended, and its JSON object; a killed one said nothing."""
         _, code = os.waitpid(self.pid, 0)
         self.pid = 0
-        text = self._out.read_text()
-        return Told(os.waitstatus_to_exitcode(code), json.loads(text) if text.strip() else {}, self._err.read_text())
+        out, err = (path.read_text() if path.exists() else "" for path in (self._out, self._err))
+        return Told(os.waitstatus_to_exitcode(code), json.loads(out) if out.strip() else {}, err)
 
     def end(self) -> Told:
         """Ask it to end, as a terminal or a service manager would."""
