@@ -1,4 +1,4 @@
-"""A tension sensor (CiA 404, one analogue input): counts in, newtons out, and what is wrong said aloud.
+"""A tension sensor (CiA 404, one analogue input): counts in, newtons out; a fault is sent as an EMCY.
 
 The rule of this file: a value that cannot be trusted never looks like one that can; it is the least integer (NaN for
 REAL32), with its status bit and an EMCY.

@@ -35,7 +35,7 @@ class Kernel:
         self._heap: list[tuple[int, int, int, Callable[[], None]]] = []
 
     def at(self, time_ns: int, priority: int, callback: Callable[[], None]) -> None:
-        """Have `callback` run at `time_ns`; there is no cancelling, who outlives his reason returns at once.
+        """Have `callback` run at `time_ns`; it cannot be cancelled: one that is no longer needed returns at once.
 
         Raises `ValueError` for a time in the past.
         """

@@ -197,7 +197,7 @@ def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> f
 
 def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: Array, damping: float,
              cost: float) -> tuple[dict[str, float], float]:
-    """Return the next values and the gain that the slopes promise; parameters that would leave stop on their bound."""
+    """Return the next values and the gain that the slopes predict; parameters that would leave stop on their bound."""
     at = np.array([values[f.name] for f in free])
     down, up = np.array([f.low for f in free]) - at, np.array([f.high for f in free]) - at
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))

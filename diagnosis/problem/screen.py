@@ -1,4 +1,4 @@
-"""Cycles that a fit has not seen, from one linearisation: the score of a fit, and every candidate's promise.
+"""Cycles that a fit has not seen, from one linearisation: the score of a fit, and what every candidate may gain.
 
 The rule of this file: it ranks, and nothing is reported from it; what is reported is fitted in full, fold by fold.
 """

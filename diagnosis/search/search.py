@@ -43,7 +43,7 @@ class FittedEffects:
 
     @cached_property
     def unseen(self) -> CycleSquares:
-        """Squares on cycles that a fit has not seen: dear, so taken only of models that may be chosen."""
+        """Squares on cycles that a fit has not seen: expensive, so computed only for models that may be chosen."""
         return unseen(self.problem, self.folds, self.fit)
 
     @cached_property
@@ -254,5 +254,5 @@ def _released(f: Free) -> Free:
 
 
 def _foremost(models: Iterable[FittedEffects]) -> list[FittedEffects]:
-    """Return the few that promise most, best first."""
+    """Return the few of the best fit score, best first."""
     return sorted(models, key=lambda m: m.fit_score)[:BEAM]

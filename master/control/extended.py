@@ -33,7 +33,7 @@ NAN = math.nan
 DEPARTURES = 9
 """Control cycles over which the knee's departure from its reference is differentiated, and one."""
 SETTLED = 0.9
-"""Pre-sliding states beyond which START tells of END again; while they turn over, the feedback holds still."""
+"""Pre-sliding states beyond which START determines END again; the feedback is frozen while they change sign."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
 TURNED, TURNING_FAST = 0.3, 0.002

@@ -54,7 +54,7 @@ def smoothed(column: Array, points: int = SMOOTHED) -> Array:
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 
-def led(column: Array, period_s: float, lag_s: float) -> Array:
+def lag_compensated(column: Array, period_s: float, lag_s: float) -> Array:
     """A column as it would read without its lag, to the first order."""
     return np.asarray(column + lag_s * np.gradient(column, period_s))
 
@@ -78,7 +78,8 @@ def adapt(
     A generator, so that a control cycle can go on between its steps; it returns the day.
     """
     step_s = SMOOTHED * period_s
-    tension = led(smoothed((start - slack_reading_n) / calibration.start_gain), step_s, calibration.start_lag + lag_s)
+    pull = smoothed((start - slack_reading_n) / calibration.start_gain)
+    tension = lag_compensated(pull, step_s, calibration.start_lag + lag_s)
     loop = _Loop(smoothed(position), tension, smoothed(knee), tension > TAUT_N)
     prior, found = np.diag(1.0 / _PRIOR), _NEUTRAL.copy()
     for _ in range(STEPS):

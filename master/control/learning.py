@@ -48,8 +48,8 @@ def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
 
 def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) -> tuple[float, ...]:
     """The next gait cycle's correction by sample, m; `added` is what was missing, by the sample at which it was."""
-    led = filter_.gain * np.roll(added, -filter_.lead)
-    total = led if not correction else np.array(correction) + led
+    ahead = filter_.gain * np.roll(added, -filter_.lead)
+    total = ahead if not correction else np.array(correction) + ahead
     smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, added.size)
     return tuple(smooth.tolist())
 

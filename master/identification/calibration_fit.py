@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import adapt, led, smoothed
+from master.control.homing_fit import adapt, lag_compensated, smoothed
 from master.identification.jackknife import LineFit, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
@@ -243,14 +243,14 @@ def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_
     """
     period_s = segment.period_s
     law = inverse.law(calibration, period_s)
-    start = led(segment.start, period_s, calibration.start_lag) / calibration.start_gain
+    start = lag_compensated(segment.start, period_s, calibration.start_lag) / calibration.start_gain
     end, position = inverse.end_from_start(law, segment.position, start, segment.knee)
     taut = (segment.start > TAUT_N) & _slid(segment)
     weight = WEIGHT / math.sqrt(max(1, int(np.count_nonzero(taut))))
     moved = stiff_n_m * (position - segment.position)[taut]
     if segment.kind == "swing":
         return np.asarray(weight * moved)
-    return weight * np.concatenate([(end - led(segment.end, period_s, end_lag_s))[taut], moved])
+    return weight * np.concatenate([(end - lag_compensated(segment.end, period_s, end_lag_s))[taut], moved])
 
 
 def _slid(segment: Segment) -> Any:

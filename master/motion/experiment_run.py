@@ -209,12 +209,12 @@ class Planned:
 
     def _walked(
         self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
-        led: Callable[[int], float] | None = None,
+        knee_at: Callable[[int], float] | None = None,
     ) -> None:
         name = self.experiment.gait.controller
         with gait.naming(name):
             control = self.control(table)
-        gait.run(exchange, control, table, first, last, number, led, name=name, own=len(self.kind.columns))
+        gait.run(exchange, control, table, first, last, number, knee_at, name=name, own=len(self.kind.columns))
 
     def _led(self) -> Callable[[int], float] | None:
         """The knee's target by sample where its motion departs from the reference, eased in over the run-in."""
@@ -223,9 +223,9 @@ class Planned:
             return None
         per_sample = table.period_s / motion.period_s
 
-        def led(sample: int) -> float:
+        def knee_at(sample: int) -> float:
             share = moves.smooth(min(1.0, max(0.0, 1.0 + sample / (0.1 * table.samples))))
             own = table.knee[sample % table.samples]
             return own + share * (motion.knee_angle(sample * per_sample) - own)
 
-        return led
+        return knee_at

@@ -82,12 +82,12 @@ def naming(name: str) -> Iterator[None]:
 
 def run(
     exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
-    number: Callable[[int], float], led: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
+    number: Callable[[int], float], knee_at: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
 ) -> None:
     """Run samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
-    `led` gives the knee's target by sample where it does not follow the reference that the controller expects.  `own`
-    is how many columns the controller `name` has of its own.  A controller that raises, or whose targets are not
+    `knee_at` gives the knee's target by sample where it does not follow the reference that the controller expects.
+    `own` is how many columns the controller `name` has of its own.  A controller that raises, or whose targets are not
     finite, raises `StopError`.
     """
     samples, advance, desired = table.samples, exchange.advance, table.desired
@@ -113,7 +113,7 @@ def run(
         if not whole:
             raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
                                                   f"{_place(i, samples, number(sample))}")
-        inputs = advance(servo, knee if led is None else led(sample), CycleAnnotations(
+        inputs = advance(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
             100.0 * i / samples, trace[0], trace[1], number(sample), 0.0, told))
 
 

@@ -1,6 +1,6 @@
 """Slow motions: smooth in position and speed, each cycle checked like any other.
 
-The rule of this file: a move ends where it was told or raises; it never hurries.
+The rule of this file: a move ends at its target or raises, and never exceeds the speed that it is given.
 """
 
 from __future__ import annotations

@@ -88,8 +88,8 @@ SCRIPTS: Final[Mapping[str, Sequence[ScriptPart | ScriptedWalk]]] = {
         *(ScriptPart((Knee(angle),), (Pull(20.0), Release(5.0)), 3) for angle in (LOW, MIDDLE, HIGH)),
     ],
     "slack_swing": [
-        ScriptPart((Knee(math.radians(-37.5)), Release(beyond_m=SLACK_M)), (Swing(math.radians(32.5), 3.0, led=True),),
-                   5)],
+        ScriptPart((Knee(math.radians(-37.5)), Release(beyond_m=SLACK_M)),
+                   (Swing(math.radians(32.5), 3.0, rope_follows=True),), 5)],
     "step": [ScriptPart((Knee(KNEE), Pull(30.0), Hold(SETTLE_S)),
                         (Wind(-1.0 * MM, 1.0), Hold(0.4), Wind(1.0 * MM, 1.0), Hold(0.4)), 8)],
     "bus_log": [ScriptedWalk()],

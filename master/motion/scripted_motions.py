@@ -117,16 +117,16 @@ class Knee:
 
 @dataclass(frozen=True)
 class Swing:
-    """Swing the knee once about where it is; with `led` the rope follows, else it is held."""
+    """Swing the knee once about where it is; the rope follows, or is held."""
 
     amplitude_rad: float
     seconds: float
-    led: bool = False
+    rope_follows: bool = False
 
     def run(self, exchange: Exchange, bench: MotionContext) -> None:
         """Do it, a sine from its middle to its middle."""
         servo, knee = exchange.targets
-        ratio = bench.calibration.swing_k if self.led else 0.0
+        ratio = bench.calibration.swing_k if self.rope_follows else 0.0
         steps = round(self.seconds / _period_s(exchange))
         for step in range(1, steps + 1):
             angle = self.amplitude_rad * math.sin(2.0 * math.pi * step / steps)
