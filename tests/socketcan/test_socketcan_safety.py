@@ -1,4 +1,4 @@
-"""A master that is killed, stopped or cut off, on the kernel's bus: the drives let go by themselves.
+"""A master that is killed, stopped or cut off, and a second one, on the kernel's bus: the drives let go by themselves.
 
 The rule of this file: drives are enabled, and what they did is read from them by SDO afterwards; nothing here is timed
 but the hold of the knee, by the frames that the drives send.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,7 +28,7 @@ pytestmark = pytest.mark.guest("native", "icount", "uml")
 RATE = 100
 ENDLESS = ("--rate", RATE, "--cycles", 60, "--settle", 0, "--period", 1, "--peak", 20)
 """A minute of gait: such a trial ends by what is done to it, or completes and so fails its test."""
-SERVO_PDO, KNEE_PDO = 0x181, 0x182
+SERVO_PDO, KNEE_PDO, TARGETS = 0x181, 0x182, 0x201
 LOOKS = 400
 """Looks at a drive, 50 ms of the bus apart: twice the knee's hold time (0x2018)."""
 
@@ -95,4 +97,28 @@ def test_nodes_that_are_cut_off_stop_the_trial(tmp_path: Path, bench: rig.Proces
     os.kill(bench.pid, signal.SIGCONT)
     assert (told.status, told.result["outcome"]) == (1, "stopped"), told
     assert re.match(r"(inputs too old|heartbeat lost|SYNC missing): ", told.result["stop_reason"]), told
+    assert reaches(SERVO, State.SWITCH_ON_DISABLED)
+
+
+def test_a_second_master_is_refused_and_the_first_goes_on(tmp_path: Path, bench: rig.Process) -> None:
+    process = pulling(tmp_path)
+    (tmp_path / "second").mkdir()
+    second = rig.trial(tmp_path / "second", "vcan0", *ENDLESS).wait()
+    assert second.status == 1
+    assert re.match(r"refused: (another master \(node 127\) is on the bus|somebody sends SYNC already)",
+                    second.result["stop_reason"]), second
+    with KernelBus("vcan0") as watching:
+        rig.heard(watching, TARGETS, 5)
+    assert process.end().result["outcome"] == "stopped"
+
+
+def test_targets_of_another_program_stop_the_trial(tmp_path: Path, bench: rig.Process) -> None:
+    process = pulling(tmp_path)
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sender:
+        sender.bind(("vcan0",))
+        sender.send(struct.pack("=IB3x8s", TARGETS, 8, struct.pack("<ii", 1_000, 0)))
+    told = process.wait()
+    assert told.status == 1
+    assert re.match(r"foreign command on the bus: targets \(201h\) from another master",
+                    told.result["stop_reason"]), told
     assert reaches(SERVO, State.SWITCH_ON_DISABLED)
