@@ -13,7 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, Protocol, cast
 
 import can
 import numpy as np
@@ -21,9 +21,7 @@ import numpy as np
 from eds.cia301 import SYNC_COB_ID
 from master.network import kernel_frames as frames
 
-if TYPE_CHECKING:
-    from master.network.socketcan import KernelBus
-
+Socket = socket.socket
 NS: Final = 1_000_000_000
 _HEAD = struct.Struct("=IB3x")
 FRAME_BYTES: Final = 16
@@ -37,6 +35,27 @@ identifier, time and state of heartbeats; the frames that the tap heard up to th
 their number.  Bytes hold until the next call."""
 
 
+class ReadSocket(Protocol):
+    """What a cycle uses of a `master.network.socketcan.KernelBus`: its socket, and the memory that it reads into."""
+
+    channel: str
+    socket: Socket
+    waiting: Any
+    lost: int
+    slots: Any
+    headers: Any
+    told: Any
+    numbers: Any
+    row_bytes: Any
+    block_rows: Any
+
+    def trigger(self, can_ids: list[int]) -> Socket: ...
+
+    def keep(self, count: int) -> None: ...
+
+    def fetch(self) -> int: ...
+
+
 class KernelCycles:
     """Cycles of one master: its `bus`, the recorder's `tap`, the frame that it sends, the inputs that it waits for.
 
@@ -45,7 +64,7 @@ class KernelCycles:
     """
 
     def __init__(
-        self, bus: KernelBus, tap: KernelBus | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]],
+        self, bus: ReadSocket, tap: ReadSocket | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]],
         period_ns: int, budget_ns: int,
     ) -> None:
         frames.prepare()
