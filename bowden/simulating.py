@@ -47,7 +47,7 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
     from bowden.replay import onto_plant
 
     known = model_files.given(model)
-    if not isinstance(trial, Trial) and not str(trial).endswith(".mcap"):
+    if not isinstance(trial, Trial) and Path(trial).suffix.lower() != ".mcap":
         return _under_motion(known, Path(trial))
     recorded = (trial if isinstance(trial, Trial) else Trial(trial)).recorded
     if not len(recorded.frames):

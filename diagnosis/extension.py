@@ -59,7 +59,7 @@ def _bench(found: Findings) -> list[str]:
     """Return what is known of the bench as the rows of a bench model; none where it is nobody's or another rig's."""
     if found.bench is None or not found.bench.values:
         return []
-    return [f"version = {VERSION}", f'bench = "{found.bench.bench}"',
+    return [f"version = {VERSION}", f"bench = {_cell(found.bench.bench)}",
             *rows(found.bench.values, found.bench.evidence), ""]
 
 

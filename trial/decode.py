@@ -188,8 +188,9 @@ def _event(row: tuple[Any, ...], names: Mapping[int, str]) -> tuple[int, str, st
     return time_ns, "emcy", source, f"error code 0x{data[1] << 8 | data[0]:04X}, error register 0x{data[2]:02X}"
 
 
-def decoded_events_and_cycles(rows: NDArray[np.void], wire: WireLayout) -> tuple[list[tuple[int, str, str, str]],
-                                                                                 DecodedCycles]:
+def decoded_events_and_cycles(
+    rows: NDArray[np.void], wire: WireLayout
+) -> tuple[list[tuple[int, str, str, str]], DecodedCycles]:
     """Return events and cycles of the bench's channel."""
     ours = rows[rows["channel"] == bench_channel(rows, wire)]
     return events(ours), cycles(ours, wire)

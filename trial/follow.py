@@ -63,8 +63,9 @@ class Follower:
         self._before = (seconds, position)
 
 
-def _sources(wire: WireLayout, columns: Mapping[str, int]) -> dict[int,
-                                                                   tuple[PdoSource, tuple[Place, ...], int | None]]:
+def _sources(
+    wire: WireLayout, columns: Mapping[str, int]
+) -> dict[int, tuple[PdoSource, tuple[Place, ...], int | None]]:
     found = {}
     for source in layout(wire):
         order = {bit: at for at, (_, bit) in enumerate(offsets(source.plan))}

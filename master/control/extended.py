@@ -134,8 +134,9 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
     )
 
 
-def step(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig) -> tuple[ControllerOutput, ExtendedState,
-                                                                                       Trace]:
+def step(
+    seen: ControllerInput, state: ExtendedState, config: ExtendedConfig
+) -> tuple[ControllerOutput, ExtendedState, Trace]:
     """One control cycle: the model's rope position for when the target acts, plus feedback, plus what was learnt."""
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples
@@ -175,8 +176,7 @@ def step(seen: ControllerInput, state: ExtendedState, config: ExtendedConfig) ->
     then = seen.servo_position_m + TARGET_CYCLES * moved
     target = min(max(target, then - REACH_M), then + REACH_M)
     after = ExtendedState(state.law, state.followed, deviation, leg, seen.servo_position_m, slip, departures, paths,
-                          wanted,
-                          resting, state.learnt, state.tracked, history)
+                          wanted, resting, state.learnt, state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
     return ControllerOutput(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace

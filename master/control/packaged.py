@@ -74,7 +74,8 @@ class ExtendedController(Controller[extended.ExtendedState]):
         """Return the memory before the first gait cycle."""
         return extended.ExtendedState(self._config.law)
 
-    def step(self, seen: ControllerInput, state: extended.ExtendedState) -> tuple[ControllerOutput,
-                                                                                  extended.ExtendedState, Trace]:
+    def step(
+        self, seen: ControllerInput, state: extended.ExtendedState
+    ) -> tuple[ControllerOutput, extended.ExtendedState, Trace]:
         """Return one control cycle (`extended.step`)."""
         return extended.step(seen, state, self._config)

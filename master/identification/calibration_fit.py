@@ -163,8 +163,9 @@ def _lag_error(segment: Segment, lag_s: float) -> float:
     return float(np.sum((followed - segment.position[DRIVE_TICKS:]) ** 2))
 
 
-def loops(segments: Sequence[Segment], guess: Calibration, offsets: Rest) -> tuple[Calibration,
-                                                                                   Mapping[str, ScalarEvidence]]:
+def loops(
+    segments: Sequence[Segment], guess: Calibration, offsets: Rest
+) -> tuple[Calibration, Mapping[str, ScalarEvidence]]:
     """The joint fit of the transfer model to every loop and swing; returns scalars and their intervals.
 
     Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An

@@ -228,9 +228,13 @@ class Link:
         """Every data frame for a while, without a word sent, not even a heartbeat."""
         deadline = self.clock() + duration_ns
         if self._heartbeat_ns is not None:
-            self._beat_due_ns = self._due_ns = deadline
-        while (message := self.receive(deadline)) is not None:
-            yield message
+            self._beat_due_ns = self._due_ns = NEVER  # on a busy bus the last look is after the deadline
+        try:
+            while (message := self.receive(deadline)) is not None:
+                yield message
+        finally:
+            if self._heartbeat_ns is not None:
+                self._beat_due_ns = self._due_ns = deadline
 
     def forget_response(self, can_id: int) -> None:
         """Drop an SDO response that came before it was asked for."""

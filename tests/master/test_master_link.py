@@ -48,6 +48,21 @@ def test_who_only_asks_sends_no_heartbeat(composer: Composer) -> None:
     assert 0x77F not in heard
 
 
+def test_who_listens_is_silent_however_late_the_frames_are_looked_at(composer: Composer) -> None:
+    """On a busy bus the last look is after the deadline: a heartbeat then would stop the master that was found."""
+    link, tap = composer.link()
+    late_ns, heard = link.clock() + 400 * MS, list[int]()
+    for _ in link.listen(300 * MS):
+        while link.clock() < late_ns:
+            message = tap.recv(0.01)
+            heard += [] if message is None else [message.arbitration_id]
+    heard += [message.arbitration_id for message in iter(lambda: tap.recv(0.002), None)]
+    assert heard
+    assert 0x77F not in heard
+    link.wait(MS)
+    assert 0x77F in [message.arbitration_id for message in iter(lambda: tap.recv(0), None)]
+
+
 def test_waiting_takes_exactly_its_time(composer: Composer) -> None:
     link, _ = composer.link()
     before = link.clock()

@@ -86,7 +86,6 @@ def test_a_master_that_is_stopped_finds_its_drives_gone_and_ends(tmp_path: Path,
     os.kill(process.pid, signal.SIGCONT)
     told = process.wait()
     assert (told.status, told.result["outcome"]) == (1, "stopped"), told
-    assert told.result["stop_reason"], told  # whatever it finds first of drives that let go while it did not look
     assert (rig.recorded(tmp_path).result or {})["outcome"] == "stopped"
 
 
