@@ -99,6 +99,17 @@ def test_nodes_that_are_cut_off_stop_the_trial(tmp_path: Path, bench: rig.Proces
     assert reaches(SERVO, State.SWITCH_ON_DISABLED)
 
 
+def test_a_second_master_is_refused_and_does_not_stop_the_first(tmp_path: Path, bench: rig.Process) -> None:
+    process = pulling(tmp_path)
+    (tmp_path / "second").mkdir()
+    second = rig.trial(tmp_path / "second", "vcan0", *ENDLESS).wait()
+    assert second.status == 1
+    assert re.match(r"refused: (another master \(node 127\) is on the bus|somebody sends SYNC already)",
+                    second.result["stop_reason"]), second
+    reason = process.end().result["stop_reason"]  # one processor: starting the second may have stalled the bench
+    assert "another master" not in reason, reason
+
+
 def test_targets_of_another_program_stop_the_trial(tmp_path: Path, bench: rig.Process) -> None:
     process = pulling(tmp_path)
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as sender:
