@@ -36,10 +36,11 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
  OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
- SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED) = range(32)
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW) = range(33)
 """Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
-since the window began anew, repeated values, the window's place and sums, and what homing has told so far."""
-RATIOS = 32
+since the window began anew, repeated values, the window's place and sums, and what homing has told so far; `MOST_FLOW`:
+the greatest speed of its windows, m/s."""
+RATIOS = 33
 """The normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 SEEN = COUNTS + RELATIONS
@@ -51,12 +52,16 @@ NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 (PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
- OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, SETTINGS) = range(20)
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, SETTINGS) = range(21)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
 KNEE_RAD, KNEE_S = 0.010, 2.5e-3
 RATIO_N, RATIO_N_S_M, FORCE_N, FORCE_SHARE = 5.0, 15.0, 10.0, 0.7
+FORCE_S, FLOW_N_S_M = 1.5e-3, 30.0
+"""By how much the current loop and the sensor's filter part force, START and position in time, s, beside half a period
+(a difference of positions lies half a period back); what drive friction may differ from a straight line beyond the
+speed that homing reached, N·s/m."""
 STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.8e-3, 5.0, 0.06, 0.25
 AGREES, ALONE = 0.6, 2.5
 WIDE: Final = 0.95
@@ -157,7 +162,8 @@ def _force(s: Any, g: Any, position: float, force: float, start: float) -> None:
     difference = force - start
     n = cycles + 2
     old = (i - cycles) % n
-    s[SUM] += difference - s[RING + old]
+    oldest = s[RING + old]
+    s[SUM] += difference - oldest
     s[SUM_SIGN] += sign - s[RING + 2 * WINDOW + old]
     s[SUM_V] += speed - s[RING + 3 * WINDOW + old]
     s[RING + i], s[RING + WINDOW + i], s[RING + 2 * WINDOW + i], s[RING + 3 * WINDOW + i] = (
@@ -170,12 +176,15 @@ def _force(s: Any, g: Any, position: float, force: float, start: float) -> None:
     rate = gained / (cycles * g[PERIOD_S])
     mean, turned, flow = s[SUM] / cycles, s[SUM_SIGN] / cycles, s[SUM_V] / cycles
     expected = g[INERTIA] * rate + g[COULOMB] * turned + g[VISCOUS] * flow + g[OFFSET]
-    room = FORCE_N + FORCE_SHARE * abs(g[INERTIA] * rate)
+    apart = FORCE_S / g[PERIOD_S] + 0.5
+    room = (FORCE_N + FORCE_SHARE * abs(g[INERTIA] * rate) + abs(difference - oldest) * apart / cycles
+            + FLOW_N_S_M * max(0.0, abs(flow) - g[KNOWN_FLOW]))
     if g[LEARNED] == LEARNING:
         room *= 2.5
         _add(s, NORMAL_FORCE, FORCE_TERMS, (rate, turned, flow, 1.0), mean)
         s[FORCE_ROWS] += 1.0
         s[FORCE_SQUARES] += mean * mean
+        s[MOST_FLOW] = max(s[MOST_FLOW], abs(flow))
     _compare(s, FORCE, mean, expected, room)
 
 
@@ -204,7 +213,7 @@ def _curve(g: Any, force: float) -> float:
 def _one_stretch(
     s: Any, g: Any, relation: int, stretch: float, force: float, most: float, spread: float, knee: float
 ) -> None:
-    """The path's stretch against one tension; a slack path may be as long as it likes.
+    """The path's stretch against one tension; a slack path, which shows its drag alone, may be as long as it likes.
 
     `most`: the greatest mean tension that either sensor speaks of; beyond homing's, less is known of the stretch.
     """
@@ -213,7 +222,7 @@ def _one_stretch(
     room_n = STRETCH_N + RATIO_N_S_M * s[SPEED] + spread * max(force, 0.0)
     room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond
             + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
-    if force < TAUT_N and stretch < expected:
+    if force < TAUT_N + RATIO_N_S_M * s[SPEED] and stretch < expected:
         stretch = expected
     _compare(s, relation, stretch, expected, room)
 
@@ -391,7 +400,7 @@ class Plausibility:
         right = s[NORMAL_FORCE + FORCE_TERMS:NORMAL_STRETCH:FORCE_TERMS + 1]
         squares = max(0.0, (s[FORCE_SQUARES] - float(force @ right)) / rows)
         curve = _solved(s, NORMAL_STRETCH, STRETCH_TERMS)
-        g[[INERTIA, COULOMB, VISCOUS, OFFSET]] = force
+        g[[INERTIA, COULOMB, VISCOUS, OFFSET]], g[KNOWN_FLOW] = force, s[MOST_FLOW]
         g[[C0, C1, C2]] = curve
         low, high = s[RISE_LOW], s[RISE_HIGH]
         bound = max(abs(low), abs(high), LEAST_FRICTION) if low and high else WIDE / 1.3
@@ -407,7 +416,7 @@ class Plausibility:
         g, s = self.g, self.s
         g[SWING_K], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = swing_k, knee_home, compliance, LEARNING
         s[NORMAL_FORCE:STATES] = 0.0
-        s[[FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES, TRUSTED, RISE_LOW, RISE_HIGH]] = 0.0
+        s[[FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES, TRUSTED, RISE_LOW, RISE_HIGH, MOST_FLOW]] = 0.0
 
     def shift(self, by_m: float) -> None:
         """The drive reads `by_m` more from now on: homing has set its zero."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 import re
 import signal
 from collections.abc import Callable, Sequence
@@ -98,6 +100,47 @@ def test_a_calibration_of_another_bench_is_refused_before_motion_with_both_numbe
     assert not np.any(ran.trial.columns["desired_force_n"] > 0.0)  # no gait was begun
     # homing pulls until START reads 45 N, here and in every healthy trial; nothing pulled beyond
     assert ran.truth.columns["true_start_n"].max() < 50.0
+
+
+def slid(force_n: Callable[[float], float], seconds: float, viscous: float = 10.0) -> list[tuple[float, float]]:
+    """Force, N, and position, m, of a sled of 2.4 kg each millisecond; the force acts a millisecond after it is told."""
+    step, speed, place, rows = 1e-4, 0.0, -1.0, []
+    for i in range(round(seconds / step)):
+        if i % 10 == 0:
+            rows.append((force_n(i * step), place))
+        speed += step * (force_n(i * step - 1e-3) - viscous * speed) / 2.4
+        place += step * speed
+    return rows
+
+
+def watched(rows: list[tuple[float, float]], unfelt_n: float = 0.0) -> Implausibility | None:
+    """What is found of a sled with a slack rope, after a homing at 0.05 m/s; `unfelt_n`: tension that START misses."""
+    watch, found = Plausibility(1e-3), None
+    watch.begin_learning(swing_k=0.0, knee_home=0.0, compliance=0.0)
+    slow = slid(lambda t: 0.6 * math.cos(4.0 * t), 4.0)
+    for force, place in slow:
+        assert watch.check(1.0, (place, 0.0), place, force, 0.0, 0.0, 0.0) is None
+    watch.learn(0.0, 1e-3)
+    watch.restart()
+    for force, place in rows:
+        found = found or watch.check(1.0, (place, 0.0), place, force + unfelt_n, 0.0, 0.0, 0.0)
+    return found
+
+
+def test_a_leap_of_torque_on_a_fast_sled_is_no_finding_and_a_tension_that_start_misses_is() -> None:
+    def leap(t: float) -> float:
+        return 0.0 if t < 0.02 else 190.0 if t < 0.025 else -190.0 if t < 0.03 else 0.0
+
+    assert watched(slid(leap, 0.1)) is None
+    still = watched(slid(lambda t: 0.0, 0.1), unfelt_n=15.0)
+    assert still is not None
+    assert still.relation == plausibility.FORCE
+
+
+def test_drive_friction_that_bends_beyond_homings_speed_is_no_finding() -> None:
+    fast = slid(lambda t: 12.0 * math.sin(10.0 * t) if t < 0.32 else 0.0, 0.5, viscous=-20.0)
+    assert max(abs(after - before) for (_, before), (_, after) in itertools.pairwise(fast)) > 0.5e-3
+    assert watched(fast) is None
 
 
 def test_a_gap_is_no_finding() -> None:
