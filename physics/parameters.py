@@ -175,7 +175,7 @@ _FRICTION: Final = (
        "assumed: noise of a sensor", ideal=-INFINITE, any_rig=(-INFINITE, 10.0)),
     _P("stribeck_memory", "s", "time by which the Stribeck curve lags the sliding speed", 20e-3, 10e-3, 0.1,
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
-       assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom); no motion here tells it",
+       assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom)",
                        "time by which friction lags the sliding speed")),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: as the rope's", plant="plant.fabric_presliding_m", calibration="fabric_presliding",

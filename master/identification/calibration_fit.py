@@ -90,7 +90,7 @@ _UNKNOWNS = (
     _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
     _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
     _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("breakaway_speed", 5e-3, 2e-3, 0.05, 0.01),
-    _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
+    _Unknown("breakaway_memory", 5e-3, 1e-3, 0.15, 0.03), _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
     _Unknown("start_gain", 5e-3, 0.98, 1.02, 0.004),
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
@@ -102,6 +102,12 @@ SLID_M = 2e-3
 BELIEVED_N = 0.3
 """Error, N, of the model over a segment, against which a doubt about an unknown counts."""
 NORMAL_95 = 1.96
+MEMORY_S, SEEN_BREAKAWAY = 0.05, 0.02
+"""Second start of the search, in the memory of breakaway, s, and the breakaway from which on there is one.
+
+A long memory makes a hump of friction after each reversal, which a short one puts into the fabric's breakaway: two
+minima, and no step leads from one to the other.
+"""
 NONE = 1e-9
 """Bound of an unknown that is left out: the search wants some width."""
 
@@ -171,6 +177,7 @@ def loops(
     Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An
     unknown that ends at a limit of the search, which is no zero, is known no better than before: its doubt stays.
     Breakaway whose speed ends there is no breakaway, but what the model lacks about a reversal: it is left out.
+    Where there is some, the search starts once more from a long memory of it, and the better fit is kept.
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
@@ -190,11 +197,16 @@ def loops(
             loss="soft_l1", f_scale=ROBUST_N, ftol=1e-5, xtol=1e-6)
 
     found = solved(start, high)
+    if max(found.x[_place("breakaway")], found.x[_place("fabric_breakaway")]) > SEEN_BREAKAWAY:
+        longer = start.copy()
+        longer[_place("breakaway_memory")] = MEMORY_S
+        found = min(found, solved(longer, high), key=lambda each: float(each.cost))
     if _ended(found.x, low, high)[_place("breakaway_speed")]:
         none = high.copy()
         none[[_place("breakaway"), _place("fabric_breakaway")]] = NONE
         moved = found.x.copy()
         moved[_place("breakaway_speed")] = start[_place("breakaway_speed")]
+        moved[_place("breakaway_memory")] = start[_place("breakaway_memory")]
         found = solved(moved, none)
     sizes = [len(_residual(guess, segment, stiff, 0.0)) for segment in data]
     rows = sum(sizes)
