@@ -25,8 +25,8 @@ READ = (1, VERSION)
 NOMINAL = "nominal"
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
-LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous", "start_gain",
-         "homed_friction")
+LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
+         "viscous_tension", "start_gain", "homed_friction")
 """Scalars that a file of version 1 may lack; what a file lacks is taken as assumed, and that is said."""
 
 
@@ -77,6 +77,7 @@ class Calibration:
     breakaway_memory: float = assumed("stribeck_memory")
     load_slope: float = assumed("load_slope")
     viscous: float = assumed("viscous")
+    viscous_tension: float = assumed("viscous_tension")
     fabric_share: float = assumed("fabric_share")
     drive_bandwidth: float = assumed("servo_bandwidth")
     loop_delay: float = assumed("servo_delay")

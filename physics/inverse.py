@@ -5,7 +5,8 @@ knee, each turning over with its own travel.  START → rope (κ) → sheath (c1
 (c2·s2) → fabric (1 − w) → END.  The whole stretch without friction is `physics.stretch`'s, less its constant.
 
 Both exponents depend on the tension behind them, 1 + λ·(T/40 N − 1), and on the recent sliding speed,
-1 + β·e^(−(v/vs)²), v lagging the speed (Stribeck; Hess and Soom); the rope in its sheath drags besides, c·v.
+1 + β·e^(−(v/vs)²), v lagging the speed (Stribeck; Hess and Soom); the rope in its sheath drags besides, c·v, below
+a tension T0 in proportion to it: a slack rope does not press on its sheath.
 """
 
 from __future__ import annotations
@@ -22,8 +23,6 @@ from physics.laws import Array
 from physics.path_laws import capstan, load_dependence, presliding, slowness
 from physics.stretch import SHORT_N, WIDE_N, coefficients
 
-TAUT_N = 1.0
-"""Tension below which the drag of a slack rope fades."""
 CLOSE_N, CLOSE = 1e-9, 1e-9
 """Where a search for a tension, N, and for a slip state ends."""
 
@@ -31,8 +30,8 @@ CLOSE_N, CLOSE = 1e-9, 1e-9
 class Law(NamedTuple):
     """Scalars of the model: the stretch split into rope and fabric, (11), and the friction's; SI.
 
-    `breakaway_travel` is vs, `drag` the viscous friction and `fade` the share of the speed's lag, per sample of the
-    period that the law was made for.  Beyond `reach`, N, the stretch goes on along its tangent.
+    `breakaway_travel` is vs, `drag` the viscous friction, in full from `taut`, N, and `fade` the share of the speed's
+    lag, per sample of the period that the law was made for.  Beyond `reach`, N, the stretch goes on along its tangent.
     """
 
     constant: float
@@ -56,6 +55,7 @@ class Law(NamedTuple):
     fade: float
     load_slope: float
     drag: float
+    taut: float
 
 
 class Slip(NamedTuple):
@@ -103,6 +103,7 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
         fade=-math.expm1(-period_s / calibration.breakaway_memory),
         load_slope=calibration.load_slope,
         drag=calibration.viscous / period_s,
+        taut=calibration.viscous_tension,
     )
 
 
@@ -149,7 +150,7 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
     """
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
      fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
-     fade, load_slope, drag) = law
+     fade, load_slope, drag, taut) = law
     rope, fabric, rope_x, knee_x, rope_speed, fabric_speed = slip
     on_knee = (1.0 - share) * elongation(law, force)[0]
     if not math.isnan(knee_x):
@@ -167,7 +168,7 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
         rope_speed += fade * (moved - rope_speed)
     sheath_slow = slowness(rope_speed, breakaway_travel)
     by_sheath = cable_exponent * rope * (1.0 + breakaway * sheath_slow) * load_dependence(load_slope, tension)
-    start = capstan(tension, by_sheath) + drag * moved * min(1.0, tension / TAUT_N)
+    start = capstan(tension, by_sheath) + drag * moved * min(1.0, tension / taut)
     position = constant + in_sheath + rope_compliance * start
     return position, start, by_sheath, by_knee, sheath_slow, knee_slow, (
         rope, fabric, in_sheath, on_knee, rope_speed, fabric_speed)
@@ -204,7 +205,7 @@ def _end_from_start(
 ) -> None:
     (constant, _quadratic, _linear, _short, _wide, _reach, rope_compliance, share, cable_exponent, rope_travel,
      fabric_travel, fabric_offset, fabric_slope, swing_k, knee_home, breakaway, fabric_breakaway, breakaway_travel,
-     fade, load_slope, drag) = law
+     fade, load_slope, drag, taut) = law
     rope, fabric, knee_x, rope_speed, fabric_speed, force = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     before = position[0] - rope_compliance * start[0]
     for i in range(start.size):
@@ -214,7 +215,7 @@ def _end_from_start(
         rope = presliding(rope, moved, rope_travel)
         rope_speed += fade * (moved - rope_speed)
         grip = cable_exponent * rope * (1.0 + breakaway * slowness(rope_speed, breakaway_travel))
-        pulled = max(start[i] - drag * moved * min(1.0, max(start[i], 0.0) / TAUT_N), 0.0)
+        pulled = max(start[i] - drag * moved * min(1.0, max(start[i], 0.0) / taut), 0.0)
         tension = capstan(pulled, -grip)
         for _ in range(2):
             tension = capstan(pulled, -grip * load_dependence(load_slope, tension))

@@ -88,9 +88,10 @@ _UNKNOWNS = (
     _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
     _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
-    _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
+    _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("viscous_tension", 5.0, 0.5, 60.0, 15.0),
+    _Unknown("breakaway", 0.1, 0.0, 3.0, 0.5),
     _Unknown("fabric_breakaway", 0.1, 0.0, 3.0, 0.5), _Unknown("breakaway_speed", 5e-3, 2e-3, 0.05, 0.01),
-    _Unknown("breakaway_memory", 5e-3, 1e-3, 0.15, 0.03), _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
+    _Unknown("breakaway_memory", 5e-3, 0.01, 0.1, 0.03), _Unknown("start_lag", 5e-4, 0.0, 0.02, 1e-3),
     _Unknown("start_gain", 5e-3, 0.98, 1.02, 0.004),
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )

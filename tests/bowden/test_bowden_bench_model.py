@@ -92,7 +92,7 @@ def test_a_model_comes_back_from_its_file(measured: Path, tmp_path: Path) -> Non
     assert calibration.read(path).cable_exponent == model.calibration.cable_exponent
     assert set(model.unsimulated()) == {
         "stretch_short", "stretch_wide", "identified_to", "swing_p", "home_preload", "fabric_breakaway", "servo_delay",
-        "start_lag", "homed_friction"}
+        "start_lag", "viscous_tension", "homed_friction"}
 
 
 @pytest.mark.parametrize(("text", "said"), [

@@ -23,18 +23,18 @@ BENCH = dataclasses.replace(
 NOISE_N = 0.05
 
 
-def made(kind: str, force: np.ndarray, knee: np.ndarray, seed: int) -> Segment:
+def made(kind: str, force: np.ndarray, knee: np.ndarray, seed: int, bench: Calibration = BENCH) -> Segment:
     """What a bench that is exactly the model would record."""
     rng = np.random.default_rng(seed)
-    path = inverse.path(inverse.law(BENCH, 1e-3), force, knee, laps=1)
+    path = inverse.path(inverse.law(bench, 1e-3), force, knee, laps=1)
     start, end = (values + rng.normal(0.0, NOISE_N, force.size) for values in (path.start, force))
     return Segment(kind, 1e-3, path.position, path.position, knee, start, end)
 
 
-def ramps(knee: float, seed: int) -> Segment:
-    one = np.concatenate([np.linspace(1.0, 50.0, 250), np.linspace(50.0, 2.0, 250)])
+def ramps(knee: float, seed: int, bench: Calibration = BENCH, half: int = 250) -> Segment:
+    one = np.concatenate([np.linspace(1.0, 50.0, half), np.linspace(50.0, 2.0, half)])
     force = np.concatenate([one, one, 0.6 * one])
-    return made("ramp", force, np.full(force.size, knee), seed)
+    return made("ramp", force, np.full(force.size, knee), seed, bench)
 
 
 def test_the_joint_fit_recovers_the_bench() -> None:
@@ -53,6 +53,24 @@ def test_the_joint_fit_recovers_the_bench() -> None:
     assert found == pytest.approx(true, rel=0.01)
     assert fitted.swing_k == pytest.approx(BENCH.swing_k, rel=0.005)
     assert all(proof.low <= getattr(fitted, name) <= proof.high for name, proof in evidence.items())
+
+
+@pytest.mark.parametrize("memory_s", [0.01, 0.05])
+def test_what_breakaway_remembers_and_where_grease_drags_is_found(memory_s: float) -> None:
+    """Two minima in the memory, a short and a long one: the fit has to end in the bench's own.
+
+    Within 10 ms: its points are 0.4 mm of rope each, 3 to 25 ms of these ramps, and a shorter memory is none.
+    """
+    bench = dataclasses.replace(
+        BENCH, breakaway=0.3, fabric_breakaway=0.05, breakaway_speed=5e-3, breakaway_memory=memory_s, viscous=12.0,
+        viscous_tension=20.0, start_lag=0.0)
+    segments = [ramps(knee, 10 * half + i, bench, half) for half in (1000, 250, 125)
+                for i, knee in enumerate((-0.1, -0.5, -1.0))]
+    fitted, evidence = calibration_fit.loops(segments, nominal(), Rest(0.0, 0.0, NOISE_N))
+    assert fitted.breakaway_memory == pytest.approx(memory_s, abs=0.01)
+    assert evidence["breakaway"].low <= 0.3 <= evidence["breakaway"].high < 0.9
+    assert fitted.viscous == pytest.approx(12.0, rel=0.2)
+    assert fitted.viscous_tension == pytest.approx(20.0, rel=0.33)
 
 
 def test_the_papers_fits_give_their_coefficients_and_r_squared() -> None:
