@@ -60,15 +60,16 @@ def test_what_breakaway_remembers_and_where_grease_drags_is_found(memory_s: floa
     """Two minima in the memory, a short and a long one: the fit has to end in the bench's own.
 
     Within 10 ms: its points are 0.4 mm of rope each, 3 to 25 ms of these ramps, and a shorter memory is none.
+    Height and width of the hump trade against each other: 0.1 of breakaway, at these speeds.
     """
     bench = dataclasses.replace(
         BENCH, breakaway=0.3, fabric_breakaway=0.05, breakaway_speed=5e-3, breakaway_memory=memory_s, viscous=12.0,
         viscous_tension=20.0, start_lag=0.0)
     segments = [ramps(knee, 10 * half + i, bench, half) for half in (1000, 250, 125)
                 for i, knee in enumerate((-0.1, -0.5, -1.0))]
-    fitted, evidence = calibration_fit.loops(segments, nominal(), Rest(0.0, 0.0, NOISE_N))
+    fitted, _evidence = calibration_fit.loops(segments, nominal(), Rest(0.0, 0.0, NOISE_N))
     assert fitted.breakaway_memory == pytest.approx(memory_s, abs=0.01)
-    assert evidence["breakaway"].low <= 0.3 <= evidence["breakaway"].high < 0.9
+    assert fitted.breakaway == pytest.approx(0.3, abs=0.12)
     assert fitted.viscous == pytest.approx(12.0, rel=0.2)
     assert fitted.viscous_tension == pytest.approx(20.0, rel=0.33)
 
