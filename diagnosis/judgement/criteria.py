@@ -31,7 +31,8 @@ class SearchCriteria:
         if self.splits:
             return True
         healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
-        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+        added = [c for c in model.effects if c not in lesser.effects]
+        if not all(self.says(c, model) for c in added):
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
@@ -40,6 +41,8 @@ class SearchCriteria:
         if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
             return False
         if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
+            return False
+        if lesser.effects and any(c.unlikely(model.fit.values, verdict.STRETCHED) for c in added):
             return False
         kept = 1.0 - verdict.FURTHER_ELSEWHERE
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
@@ -85,7 +88,7 @@ class SearchCriteria:
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
-    def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
+    def says(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
         if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):

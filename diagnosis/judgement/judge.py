@@ -60,8 +60,8 @@ class Judge:
         if self._strange():
             return []
         if self.within is not None:
-            return list(verdict.rivals(self.found, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
-        return list(verdict.rivals(self.found))
+            return list(verdict.rivals(self.found, self.criteria.says, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+        return list(verdict.rivals(self.found, self.criteria.says))
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class by calculation, None where nothing is to be split."""

@@ -7,12 +7,13 @@ from drawing whole cycles again, and what the data do not decide is left undecid
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.effect import Effect
@@ -27,6 +28,9 @@ MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
 LEAST_RATIO: Final = 80.0
 """n·ln(χ²₀/χ²₁) on unseen cycles that an effect must reach on a rig that nothing is known of."""
+STRETCHED: Final = 0.5
+"""How far outside of where the catalogue expects it, of that range, a further effect's parameter may be: beyond, it
+mends what the first one's law lacks (of a friction that breaks away, a lever arm five times what is likely)."""
 FURTHER_ELSEWHERE: Final = 0.3
 """Share of the χ² that the other effects leave in a relation, on unseen cycles, that one more must take away there: no
 floor says what the laws' own shortcomings are, and a further law bends to them (a Stribeck curve takes 15 % on a real
@@ -104,11 +108,13 @@ def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] 
     return shares
 
 
-def rivals(found: SearchResult, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
+def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool], least_gain: float = RIVAL_GAIN,
+           most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
     """Return the effects that could stand in the chosen model, the chosen ones first.
 
     A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
-    `most_rmse` of the chosen model's RMSE.
+    `most_rmse` of the chosen model's RMSE.  `says`: whether an effect is one in a model; a law that is freed with its
+    level, at a value that says nothing, stands for the level alone.
     """
     best, others = found.best, dict[str, float]()
     for out in best.effects:
@@ -122,6 +128,9 @@ def rivals(found: SearchResult, least_gain: float = RIVAL_GAIN, most_rmse: float
             if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
                 continue
             share = (left.score - model.score) / max(left.score - best.score, 1e-9)
+            rival = next(c for c in model.effects if c.name in strange)
+            if not says(rival, model):
+                continue
             if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
                 others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))

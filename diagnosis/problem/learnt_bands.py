@@ -215,12 +215,14 @@ def _wide(reference: HealthyReference) -> list[Free]:
     found = {f.name: f for f in reference.nuisance}
     for name, sigma in WIDE.items():
         low, high = bounds(name)
+        sigma = min(sigma, reference.measured.get(name, sigma))
         at, half = reference.values[name], 4.0 * sigma
         found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
     ratio, low, high = reference.values["rope_per_knee"], *KNEE_RATIO_RANGE
+    sigma = min(KNEE_RATIO * abs(ratio), reference.measured.get("rope_per_knee", math.inf))
     found["rope_per_knee"] = Free(
         "rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
-        KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
+        sigma, min(sigma, 0.2 * KNEE_RATIO * abs(ratio)))
     return list(found.values())
 
 
@@ -288,6 +290,8 @@ def _bands(reference: HealthyReference, values: Values, trials: int, relations: 
             sigma *= max(abs(values[name] / slot.nominal), 0.2)
         if name in STANDING_IN:
             sigma *= NARROW
+        if slot.daily is None:
+            sigma = min(sigma, reference.measured.get(name, sigma))
         found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
                           values[name], sigma, sigma))
     found += [Free(discrepancy.slot(n), 0.0, 2.0, 1.0, discrepancy.AMPLITUDE, discrepancy.AMPLITUDE) for n in relations]

@@ -68,9 +68,11 @@ def tracked(
         if fresh[k]:
             x, v = target[k], 0.0
         else:
-            dt = (time[k] - time[k - 1]) / SUBSTEPS
-            for i in range(SUBSTEPS):
-                part = (i + 1) / SUBSTEPS
+            # a step of the loop is stable while it is shorter than the loop's own times
+            steps = max(SUBSTEPS, int(w * (1.0 + 2.0 * damping) * (time[k] - time[k - 1])) + 1)
+            dt = (time[k] - time[k - 1]) / steps
+            for i in range(steps):
+                part = (i + 1) / steps
                 aim = target[k - 1] + part * (target[k] - target[k - 1])
                 wanted = w * w * (aim - x) - 2.0 * damping * w * v
                 if limited:
