@@ -50,7 +50,8 @@ class SearchCriteria:
             return False
         noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
         cuts, base = verdict.cut(lesser, model, noise), search.baseline
-        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
+        least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
+        return any(share >= least and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _likelier(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
@@ -94,11 +95,16 @@ class SearchCriteria:
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
             return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
-        banded = [bands[f.name] for f in effect.frees if f.name in bands]
-        if banded:
-            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
-        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
-                                           for f in effect.frees)
+        outside = [f.name for f in effect.frees if f.name not in bands
+                   or not bands[f.name].low < model.fit.values[f.name] < bands[f.name].high]
+        if self.setting.any_rig:
+            return bool(outside)
+        absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
+        changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside}
+        # what has no absence (friction, stiffness) is judged by its band, or by the scale on which the catalogue has it
+        return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
+                   n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
+                   for scale in (next(f.scale for f in effect.frees if f.name == n),))
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
@@ -125,6 +131,13 @@ class SearchCriteria:
             return False
         return self.has_unexplained_residual(model, baseline) or (
             not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+
+    def needs_pairs(self, baseline: FittedEffects) -> bool:
+        """Whether two effects may be at work that only pay together: more is left than on healthy trials.
+
+        On a rig that nothing is known of, everything that a real one has is an effect, and any two may hide each other.
+        """
+        return not self.splits and (self.setting.any_rig or self.has_unexplained_residual(baseline, baseline))
 
     def _rise(self, model: FittedEffects) -> float:
         """Return by how many healthy floors the RMSE of some relation exceeds one."""

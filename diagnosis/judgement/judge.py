@@ -99,7 +99,7 @@ class Judge:
         ahead = blocks.blocks_of(
             self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut,
             self.setting.rate_hz) if lacking else []
-        ahead = self.setting.learnt.corrected(ahead) if self.setting.learnt is not None else ahead
+        ahead = self.setting.learnt.weighed(ahead).blocks if self.setting.learnt is not None else ahead
         return {name: self._figures(name, ahead) for name in RELATIONS}
 
     def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:

@@ -20,6 +20,9 @@ from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
+LEAST_FURTHER: Final = 1.0 - math.sqrt(0.7)
+"""The same of what the first effect left: three tenths of its χ² beyond noise.  A law that is not quite the bench's own
+leaves some of what it explains, and a second one bends to that."""
 LEAST_FALL: Final = 30.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
 STRUCTURE: Final = 0.04
@@ -136,14 +139,17 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 
 
-def material(effect: Effect, name: str, value: float) -> bool:
-    """Whether a value departs from absence by a share of where the catalogue expects it."""
+def material(effect: Effect, name: str, change: float) -> bool:
+    """Whether a change from the healthy value is a share of what the catalogue expects of the effect.
+
+    A shape without absence says nothing alone.
+    """
     parameter = next((p for p in effect.parameters if p.name == name), None)
     if parameter is None or parameter.neutral is None:
         return False
     low, high = (end - parameter.neutral for end in parameter.likely)
     nearest = min(abs(low), abs(high)) if low * high > 0.0 else 0.1 * max(abs(low), abs(high))
-    return abs(value - parameter.neutral) >= MATERIAL * nearest
+    return abs(change) >= MATERIAL * nearest
 
 
 def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, likeness: float, change: float) -> float:

@@ -119,13 +119,12 @@ def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blo
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
             folds: list[frozenset[int]], learnt: Learnt, rate: float) -> ProblemSetting:
     values, nuisance = learnt.reference.values, learnt.reference.nuisance
-    corrected = learnt.corrected(blocks)
-    noise = {n: _chance(corrected, n, values) for n in checked}
-    seen = [n for n in checked if n in learnt.floors]
-    floors = {n: max(learnt.floor(n, noise[n]) if n in seen else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
-    weights = {n: max(learnt.weight(n, noise[n]) if n in seen else FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n]),
+    weighed = learnt.weighed(blocks)
+    noise = {n: weighed.noise.get(n) or _chance(weighed.blocks, n, values) for n in checked}
+    floors = {n: max(weighed.floors.get(n, FLOORS[n]), LEAST_FLOOR[n]) for n in checked}
+    weights = {n: max(weighed.weights.get(n, FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n])),
                       LEAST_FLOOR[n] * math.sqrt(LEAST_CORRELATION_LENGTH)) for n in checked}
-    return ProblemSetting(False, missing, checked, corrected, folds, learnt.reference, values, weights, floors,
+    return ProblemSetting(False, missing, checked, weighed.blocks, folds, learnt.reference, values, weights, floors,
                           candidates(checked, values, nuisance), learnt, rate, noise)
 
 

@@ -92,6 +92,9 @@ class Criteria(Protocol):
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects left so much that all have to be fitted."""
 
+    def needs_pairs(self, baseline: FittedEffects) -> bool:
+        """Whether, where no effect pays by itself, two may that only pay together."""
+
 
 @dataclass(frozen=True)
 class SearchResult:
@@ -233,6 +236,8 @@ class Search:
     def run(self, most: int) -> SearchResult:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
 
+        Where no effect pays by itself, pairs are tried: each must pay beside the other, and both together.
+
         Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
 
         At the end each chosen effect's place is offered to all others, so that its rivals are known.
@@ -246,7 +251,12 @@ class Search:
             if depth == 0 and self.criteria.needs_full_search(ahead, self.baseline):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
             level = grown
+            if depth == 0 and not ahead.effects and self.criteria.needs_pairs(self.baseline):
+                # two effects that hide each other (inertia and drag of a run-up) show nothing one by one
+                continue
             if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):
+                break
+            if not best.effects and not self.criteria.pays(best, ahead, self):
                 break
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
