@@ -25,7 +25,7 @@ from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
 """Effects in one verdict; what needs a third is not explained."""
-MOST_ELSEWHERE: Final = 4
+MOST_ELSEWHERE: Final = 6
 """On a rig compared with an ideal transmission, everything that a real one has is an effect."""
 
 

@@ -25,6 +25,7 @@ from diagnosis.problem.healthy_reference import HealthyReference, like_this_benc
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learnt_bands import Learnt
 from physics.parameters import RELATION_PARAMETERS
+from physics.relations import relation
 from physics.relations.relation import RELATIONS
 
 CORRELATED_S = 0.09
@@ -140,8 +141,10 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
     per_sample = math.sqrt(max(1.0, CORRELATED_S / step))
     weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
-    return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                          candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
+    offered = [c for c in candidates(checked, reference.values, reference.nuisance, True)
+               if any(c.parameters & relation.read_on(b.relation, b.signals) for b in blocks)]
+    return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None, offered,
+                          rate_hz=rate)
 
 
 def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:

@@ -236,13 +236,13 @@ class Search:
     def run(self, most: int) -> SearchResult:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
 
-        Where no effect pays by itself, pairs are tried: each must pay beside the other, and both together.
+        Where no effect pays by itself, pairs are tried, once: each must pay beside the other, and both together.
 
         Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
 
         At the end each chosen effect's place is offered to all others, so that its rivals are known.
         """
-        level, best = [self.baseline], self.baseline
+        level, best, paired = [self.baseline], self.baseline, False
         for depth in range(most):
             if not self.criteria.can_improve(best):
                 break
@@ -250,11 +250,12 @@ class Search:
                 model, LATER_REFITS if depth else FIRST_REFITS)), best)
             if depth == 0 and self.criteria.needs_full_search(ahead, self.baseline):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
-            level = grown
-            if depth == 0 and not ahead.effects and self.criteria.needs_pairs(self.baseline):
+            level, more = grown, len(ahead.effects) > len(best.effects) and ahead.rank < best.rank
+            if not more and depth + 1 < most and not paired and self.criteria.needs_pairs(best):
                 # two effects that hide each other (inertia and drag of a run-up) show nothing one by one
+                paired = True
                 continue
-            if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):
+            if not more:
                 break
             if not best.effects and not self.criteria.pays(best, ahead, self):
                 break

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, decimate, lfilter
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
@@ -69,13 +69,13 @@ def _driven(target: Array, mass: float, f: Array, offset: float, spring: float, 
 
 
 @njit(cache=True)
-def _pushed(drive: Array, mass: float, f: Array, ratio: float) -> Array:
+def _pushed(drive: Array, mass: float, f: Array) -> Array:
     """Return the position of an axis under a given force; it stays where friction holds it."""
     position = np.empty(drive.size)
     x, v, z = 0.0, 0.0, 0.0
     for k in range(drive.size):
         z, rub = _rubbed(z, v, f)
-        v += STEP_S / mass * (ratio * drive[k] - rub)
+        v += STEP_S / mass * (drive[k] - rub)
         x += STEP_S * v
         position[k] = x
     return position
@@ -126,7 +126,7 @@ def drive_axis(seed: int, load_kg: float = 0.0, rate_hz: float = 1000.0) -> Colu
 
 def seal(seed: int, coulomb: float = 12.0, viscous: float = 150.0, rest: float = 0.8, rate_hz: float = 200.0
          ) -> Columns:
-    """A rod dragged through a seal at 1 … 60 mm/s: force by a load cell (0.08 N, 50 Hz), position by a laser (2 µm).
+    """A rod dragged through a seal at 1 … 60 mm/s: force by a load cell (0.08 N, 50 Hz), position by a scale of 0.5 µm.
 
     Each day the stage's zero and the cell's are others, and the friction by two per cent.
     """
@@ -138,7 +138,7 @@ def seal(seed: int, coulomb: float = 12.0, viscous: float = 150.0, rest: float =
     speed = np.gradient(target, STEP_S)
     force = _dragged(target, speed, rub.row()) + 0.1 * rng.standard_normal()
     return _timed({
-        "servo_position_m": sensed(target + 0.02 + 2e-3 * rng.random(), rate_hz, rng, 2e-6, 1e-6),
+        "servo_position_m": sensed(target + 0.02 + 2e-3 * rng.random(), rate_hz, rng, 3e-7, 5e-7),
         "servo_force_n": sensed(force, rate_hz, rng, 0.08, 0.005, 50.0)}, rate_hz)
 
 
@@ -158,17 +158,12 @@ def run_up(seed: int, inertia: float = 3.2e-4, rate_hz: float = 100.0) -> Column
     """
     rng = np.random.default_rng(seed)
     rub = Friction(0.02, 4e-4, bristle=0.02).row()
-    angle, torque, at = [], [], 0.0
-    for level in 0.10 + 0.02 * rng.random(12):
-        pushed = np.concatenate([np.zeros(round(0.3 / STEP_S)), np.full(round(2.5 / STEP_S), level),
-                                 np.full(round(0.45 / STEP_S), 0.0)])
-        turned = _pushed(pushed, inertia, rub, 1.0)
-        angle.append(at + turned)
-        torque.append(pushed)
-        at += turned[-1]
+    on, off = round(2.5 / STEP_S), round(2.5 / STEP_S)
+    torque = np.concatenate([np.repeat([level, 0.0], [on, off]) for level in 0.10 + 0.02 * rng.random(12)])
+    angle = _pushed(torque, inertia, rub)
     return _timed({
-        "servo_position_rad": sensed(np.concatenate(angle), rate_hz, rng, grid=2.0 * math.pi / 4096),
-        "servo_torque_nm": sensed(np.concatenate(torque), rate_hz, rng, 4e-3, 1e-4, 40.0)}, rate_hz)
+        "servo_position_rad": sensed(angle, rate_hz, rng, grid=2.0 * math.pi / 4096),
+        "servo_torque_nm": sensed(torque, rate_hz, rng, 4e-3, 1e-4, 40.0)}, rate_hz)
 
 
 @njit(cache=True)
@@ -215,6 +210,12 @@ def series_elastic(seed: int, stiffness: float = 9e3, locked: bool = False, leve
         "servo_force_n": sensed(told[1], rate_hz, rng, 0.5, 0.02, 100.0),
         "tension_start_n": sensed(told[2], rate_hz, rng, 0.3, 0.01, 100.0),
         "knee_angle_rad": sensed(told[3], rate_hz, rng, grid=1e-4)}, rate_hz)
+
+
+def decimated(columns: Columns, factor: int) -> Columns:
+    """Return a trial at a lower rate, every signal behind the same low-pass without phase."""
+    return {n: v[::factor] if n == "time_s" else decimate(v, factor, zero_phase=True)[: len(v[::factor])]
+            for n, v in columns.items()}
 
 
 def write(path: Path, columns: Columns, names: tuple[str, ...] = ()) -> Path:
