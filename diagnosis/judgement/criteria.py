@@ -31,7 +31,7 @@ class SearchCriteria:
         if self.splits:
             return True
         healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
-        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+        if not all(self._unlike(c, model) and self._leads(c, model) for c in model.effects if c not in lesser.effects):
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
@@ -102,6 +102,17 @@ class SearchCriteria:
         return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
                    for scale in (next(f.scale for f in effect.frees if f.name == n),))
+
+    def _leads(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether a law moves its level by no more than it changes itself: more is a change of the level, by its name.
+
+        A level is said at one load, bend or time; at another one within its range it is off by the law's own share.
+        """
+        values, healthy = model.fit.values, self.setting.reference.values
+        change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
+        named = {f.name for c in model.effects for f in c.frees}
+        bands = {f.name: f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named}
+        return all(max(values[n] - f.high, f.low - values[n]) <= change * abs(healthy[n]) for n, f in bands.items())
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""

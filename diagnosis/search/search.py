@@ -209,7 +209,11 @@ class Search:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
         foremost = sorted((self.polished(m) for m in _foremost({m.names: m for m in grown}.values())),
                           key=lambda m: m.rank)
-        return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
+        ahead = [self.prune(m) for m in foremost[:2]]
+        if ahead and not any(m.effects for m in ahead):
+            # those that are no causes by themselves do not stand before one that is
+            ahead += [self.prune(m) for m in foremost[2:]]
+        return min(ahead, key=lambda m: m.rank, default=best), foremost
 
     def _ordered(self, model: FittedEffects) -> FittedEffects:
         """Return `model` with the effect first whose absence would leave most."""
@@ -250,7 +254,9 @@ class Search:
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        best = self._ordered(self.prune(self.polished(self._first(len(best.effects))))) if best.effects else best
+        if best.effects:
+            first = self.prune(self.polished(self._first(len(best.effects))))
+            best = self._ordered(min(best, first, key=lambda m: m.rank))
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
                      and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)
