@@ -90,6 +90,10 @@ class SearchCriteria:
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
     def says(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
+        return self._unlike(effect, model) and self._leads(effect, model)
+
+    def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
         if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
@@ -105,6 +109,17 @@ class SearchCriteria:
         return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
                    for scale in (next(f.scale for f in effect.frees if f.name == n),))
+
+    def _leads(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether a law moves its level by no more than it changes itself: more is a change of the level, by its name.
+
+        A level is said at one load, bend or time; at another one within its range it is off by the law's own share.
+        """
+        values, healthy = model.fit.values, self.setting.reference.values
+        change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
+        named = {f.name for c in model.effects for f in c.frees}
+        bands = {f.name: f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named}
+        return all(max(values[n] - f.high, f.low - values[n]) <= change * abs(healthy[n]) for n, f in bands.items())
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -69,6 +70,25 @@ def test_what_was_named_is_not_smaller_than_what_could_have_been(judge: Judge) -
     limits = judge.limits()
     assert limits is not None
     assert limits["end_offset"]["value"] <= judge.causes()[0]["parameters"]["end_offset"]["value"]
+
+
+def test_a_value_on_its_bound_is_said_not_to_be_measured(judge: Judge) -> None:
+    high = judge.found.best.effects[0].frees[0].high
+    bound = copy.copy(judge)
+    bound.found = dataclasses.replace(judge.found, best=moved(judge.found.best, values={"end_offset": high}))
+    assert judge.on_bounds() == []
+    assert bound.on_bounds() == [f"end_offset: end_offset stands on its bound, {high:.4g}; it is not measured."]
+
+
+def test_a_second_effect_must_take_three_tenths_of_what_the_first_left(judge: Judge) -> None:
+    best, noise = judge.found.best, judge.setting.noise_squares("friction")
+    left = 100.0 * best.by_relation["friction"]
+    first = moved(best, {"friction": left})
+    seconds = [moved(best, {"friction": left - share * (left - noise)}) for share in (0.25, 0.35)]
+    assert [judge.criteria.pays(first, second, judge.search) for second in seconds] == [False, True]
+    # where nothing is named yet, 8 % of the RMSE do
+    bare = moved(judge.found.baseline, {"friction": left})
+    assert judge.criteria.pays(bare, seconds[0], judge.search)
 
 
 def test_a_value_near_absence_is_no_find() -> None:

@@ -1,7 +1,7 @@
 """The finder on the family, by structure: each effect once on each implementation, healthy benches, pairs, no END.
 
-    python -m tests.hidden.family_run [--aside] [--kinds maxwell,lugre] [--every N] [--workers N] [--no-oracle]
-                                      [--answers FILE] [--hash | --page]
+    python -m tests.hidden.family_run [--aside] [--kinds maxwell,lugre] [--every N] [--most N] [--workers N]
+                                      [--no-oracle] [--answers FILE] [--hash | --page]
 
 The rule of this file: `--aside` are the serials that nothing was tuned on; run them once, at the end.  What is asked is
 known beforehand by its hash (`--hash`), which is committed before the run.  A run that was broken off goes on from
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
 import sys
 from pathlib import Path
 
@@ -41,6 +42,7 @@ def options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--aside", action="store_true")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--every", type=int, default=1, metavar="N")
+    parser.add_argument("--most", type=int, help="only so many, from the first on, the structures in turns")
     parser.add_argument("--workers", type=int, help="processes (default: one a processor)")
     parser.add_argument("--no-oracle", action="store_true")
     parser.add_argument("--answers", type=Path, help="where answers are kept (default: out/family-COMMIT.jsonl)")
@@ -49,13 +51,16 @@ def options(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def page(options: str, commits: list[str], key: str, kinds: list[str], by_kind: list[list[Answer]]) -> str:
-    """Return what a run says: the command that prints it, the hash, the table, and what tells against it."""
+def page(options: str, commits: list[str], key: str, whole: int, kinds: list[str], by_kind: list[list[Answer]]) -> str:
+    """Return what a run says: the command that prints it, the hash, the table, and what tells against it.
+
+    `whole`: of how many cases the hash is; `by_kind`: those that were asked.
+    """
     told = [a for part in by_kind for a in part]
     missed = [f"- {said(a)}" for a in told if family_bars.against(a)] or ["nothing."]
     return "\n".join((
-        f"Printed by `python -m tests.hidden.family_run {options}` at commit {', '.join(commits)}: {len(told)} cases;",
-        f"SHA-256 of what is asked: {key}.", "", family_bars.table(kinds, by_kind), "", "Not right:", "", *missed))
+        f"Printed by `python -m tests.hidden.family_run {options}` at commit {', '.join(commits)}:",
+        f"{len(told)} of {whole} cases; SHA-256 of all: {key}.", "", family_bars.table(kinds, by_kind), "", "Not right:", "", *missed))
 
 
 def main(arguments: list[str]) -> None:
@@ -63,20 +68,22 @@ def main(arguments: list[str]) -> None:
     given = options(arguments)
     kinds = given.kinds.split(",")
     asked = {kind: list(jobs(kind, given.aside, given.every)) for kind in kinds}
-    every = [job for kind in kinds for job in asked[kind]]
-    key = digest(every)
+    key = digest([job for kind in kinds for job in asked[kind]])
+    # the structures in turns, so that a run that is broken off has asked of each
+    every = [job for turn in itertools.zip_longest(*asked.values()) for job in turn if job is not None]
     print(f"{len(every)} cases, SHA-256 {key}", flush=True)
     if given.hash:
         return
     name = f"family-{provenance.commit()}{'-no-oracle' if given.no_oracle else ''}.jsonl"
     kept = run.Kept(given.answers or OUT / name, from_json)
+    whole, every = len(every), every[:given.most]
     run.answered(every, kept, lambda: sweep.local(given.workers), functools.partial(
         answer, judged=not given.no_oracle))
-    by_kind = [[kept.answers[job] for job in asked[kind]] for kind in kinds]
+    by_kind = [[kept.answers[job] for job in asked[kind] if job in every] for kind in kinds]
     for told in by_kind:
         print("\n".join(said(a) for a in told))
     shown = " ".join(argument for argument in arguments if argument != "--page")
-    text = page(shown, sorted({kept.commits[job] for job in every}), key, kinds, by_kind)
+    text = page(shown, sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
     print(text)
     if given.page:
         marked.put(DOCS, "family", text)

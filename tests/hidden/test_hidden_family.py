@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.hidden import family_bars
 from tests.hidden.family import Answer, Job, answer, from_json
 from tests.hidden.family_jobs import KINDS, digest, jobs
-from tests.hidden.family_run import said
+from tests.hidden.family_run import DOCS, said
 from tests.hidden.run import Kept
 from tests.plants.draws import set_aside, structure
 
@@ -46,6 +48,12 @@ def test_what_is_asked_falls_on_many_benches_and_its_hash_hangs_on_each_case() -
         assert {len(job.hidden) for job in aside} == {0, 1, 2}
         assert any(job.left_out for job in aside)
         assert len({digest(aside), digest(own), digest(aside[1:]), digest(aside[::-1])}) == 4
+
+
+def test_the_hash_on_the_page_is_of_what_is_asked() -> None:
+    said_there = re.findall(r"committed before it ran:\n`([0-9a-f]{64})`", DOCS.read_text(encoding="utf-8"))
+    every = [job for kind in KINDS for job in jobs(kind, aside=True, every=8)]
+    assert said_there == [digest(every)]
 
 
 def of(hidden: str, rivals: str, separation: float | None = 100.0, verdict: str = "found",
