@@ -177,7 +177,7 @@ _FRICTION: Final = (
        "assumed: frictional memory (Hess and Soom)", plant="plant.stribeck_memory_s", calibration="breakaway_memory",
        assumed=Assumed(0.01, 1e-3, 0.5, "assumed: frictional memory (Hess and Soom); no motion here tells it",
                        "time by which friction lags the sliding speed"),
-       ideal=0.0, any_rig=(0.0, 0.1), likely=(2e-3, 50e-3)),
+       ideal=0.0, any_rig=(0.0, 0.1), likely=(2e-3, 38e-3)),
     _P("fabric_presliding", "m", "travel on the knee over which friction turns over", 0.1e-3, 0.02e-3, 3e-3,
        "assumed: as the rope's", plant="plant.fabric_presliding_m", calibration="fabric_presliding",
        assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: as presliding",
