@@ -167,11 +167,24 @@ class Finder:
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
         judge = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
-        return Findings(judge.word(), judge.causes(), judge.rivals(), judge.experiment(), figures,
+        causes = judge.causes()
+        if all(t.turning for t in trials):
+            figures, causes = _turned(figures, causes)
+        return Findings(judge.word(), causes, judge.rivals(), judge.experiment(), figures,
                         warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
                         bench=_bench(settled, known))
+
+
+def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]]
+            ) -> tuple[dict[str, Figures], list[dict[str, Any]]]:
+    """Return figures and causes of a turning axis in its units."""
+    units = table.TURNED_UNITS
+    return ({n: replace(f, unit=units.get(f.unit, f.unit)) if n in ("drive_force", "servo") else f
+             for n, f in figures.items()},
+            [{**c, "parameters": {n: {**p, "unit": units.get(p["unit"], p["unit"])}
+                                  for n, p in c["parameters"].items()}} for c in causes])
 
 
 def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> BenchModel | None:
@@ -240,18 +253,34 @@ def _said(settled: problem.ProblemSetting, healthy: bool) -> list[str]:
     """Return what the reader must know of the reference and of what was not checked."""
     said = []
     if settled.any_rig:
-        said.append("no calibration fits this rig: offsets, ratios and load-free friction are taken as found, "
-                    "and effects that need the bench's geometry are not offered.")
+        said.append("no calibration fits this rig: it is compared with an ideal transmission, rigid and without "
+                    "friction; offsets, ratios and load-free friction are taken as found, and effects that need the "
+                    "bench's geometry are not offered.")
+    elif settled.elsewhere:
+        said.append("no calibration fits this rig: it is compared with what its healthy trials are.")
     elif settled.reference.kind == "nominal":
         said.append("no calibration of this bench: compared with the nominal bench and the tolerances of like "
                     "benches; run bowden identify first, which measures what is this bench's own.")
     if settled.floors is None:
         said.append("no healthy trial of this bench: the answer `unexplained` is not available.")
-    untold = [] if settled.any_rig else candidates.untold(settled.checked)
+    if settled.any_rig or settled.elsewhere:
+        return said + _lacking(settled)
+    untold = candidates.untold(settled.checked)
     if untold:
         lacking = sorted({c for lacks in settled.missing.values() for c in lacks})
         said.append(f"with {', '.join(lacking)} recorded these could be told, too: {', '.join(untold)}.")
     return said + [f"{n} not checked: no {', '.join(c)}." for n, c in settled.missing.items() if c]
+
+
+def _lacking(settled: problem.ProblemSetting) -> list[str]:
+    """Return, as sentences, what a rig of another kind would have to record for more to be said."""
+    lacks = "; ".join(f"{n} ({', '.join(c)})" for n, c in settled.missing.items() if c)
+    said = [f"not checked, for want of columns: {lacks}."] if lacks else []
+    force = [b for b in settled.blocks if b.relation.name == "drive_force"]
+    if force and not any(b.signals.has("tension_start_n") for b in force) and any(
+            b.signals.has("knee_angle_rad") for b in force):
+        said.append("servo_force_n carries the load, too, which no column says: record tension_start_n beside it.")
+    return said
 
 
 def _read(given: str | Path | Table) -> Table:

@@ -45,6 +45,11 @@ class ScalarEvidence:
     trial: str = ""
     repeatability: float = math.nan
 
+    def interval(self, value: float) -> tuple[float, float]:
+        """Where the true value lies; `value` itself says nothing of it."""
+        del value
+        return self.low, self.high
+
     def again(self, value: float) -> tuple[float, float]:
         """Where `value` comes out again, by its repeatability; by its interval where that is not known."""
         by = self.repeatability

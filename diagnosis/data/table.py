@@ -31,11 +31,21 @@ AGE_SUFFIX: Final = "_age_ns"
 NOMINAL: Final = "nominal"
 """What a trial's metadata call the packaged calibration, which was measured on no bench."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
+TURNING: Final[Mapping[str, tuple[str, str]]] = {
+    "servo_position_rad": ("servo_position_m", "rad"), "servo_target_rad": ("servo_target_m", "rad"),
+    "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m")}
+"""Columns of a turning axis, the signal that each one is on a lever of 1 m, and its unit."""
+TURNED_UNITS: Final[Mapping[str, str]] = {
+    "N": "N·m", "m": "rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad", "m/s": "rad/s"}
+"""What a unit of a straight axis reads about a turning one."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """One trial: float64 columns of equal length; `digest` tells equal files, `calibration` is what it carries."""
+    """One trial: float64 columns of equal length; `digest` tells equal files, `calibration` is what it carries.
+
+    `turning`: an axis in rad and N·m, looked at on a lever of 1 m.
+    """
 
     source: str
     columns: Mapping[str, Array]
@@ -43,6 +53,7 @@ class Table:
     calibration: Mapping[str, Any] | None = None
     lowpass_hz: float | None = None
     notes: tuple[str, ...] = field(default=())
+    turning: bool = False
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
@@ -71,18 +82,25 @@ def read(path: str | Path) -> Table:
 
 def _read_sheet(path: Path) -> Table:
     sheet = sheet_of(path)
-    known = [name for name in sheet.names if name in UNITS or name.endswith(AGE_SUFFIX) or name == DEGREE_ALIAS]
+    known = [name for name in sheet.names
+             if name in UNITS or name in TURNING or name.endswith(AGE_SUFFIX) or name == DEGREE_ALIAS]
     if "time_s" not in known or not _signals(known):
         lacks = "no column time_s" if "time_s" not in known else "no signal among its columns"
         raise InputError(f"{path}: {lacks}; {offer(path)}.")
     for name in known:
-        stated, unit = sheet.unit(name), "deg" if name == DEGREE_ALIAS else UNITS.get(name, "ns")
+        stated, unit = sheet.unit(name), _unit(name)
         if stated and stated.replace("°", "deg") != unit:
             raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
     made = table(str(path), {name: sheet.column(name) for name in known})
     ignored = sorted(set(sheet.names) - set(known))
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
     return replace(made, notes=(*made.notes, *notes, *((f"read with {', '.join(sheet.said)}",) if sheet.said else ())))
+
+
+def _unit(name: str) -> str:
+    if name in TURNING:
+        return TURNING[name][1]
+    return "deg" if name == DEGREE_ALIAS else UNITS.get(name, "ns")
 
 
 def _signals(names: Iterable[str]) -> list[str]:
@@ -97,16 +115,30 @@ def table(
     for name, values in columns.items():
         if name == DEGREE_ALIAS:
             known["knee_angle_rad"] = np.deg2rad(np.asarray(values, dtype=np.float64))
+        elif name in TURNING:
+            known[TURNING[name][0]] = np.ascontiguousarray(values, dtype=np.float64)
         elif name in UNITS or name.endswith(AGE_SUFFIX):
             known[name] = np.ascontiguousarray(values, dtype=np.float64)
     if "time_s" not in known:
         raise InputError(f"{source}: no column time_s; name the time column time_s, in seconds.")
     if not _signals(known):
         raise InputError(f"{source}: no signal among its columns; expected some of {', '.join(UNITS)}.")
-    ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS})
+    turning = [name for name in columns if name in TURNING]
+    if turning:
+        _refuse_mixed(source, columns, turning)
+    ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
     known = _numbered(known)
-    return Table(source, known, _digest(known), calibration, notes=notes)
+    return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning))
+
+
+def _refuse_mixed(source: str, columns: Iterable[str], turning: Sequence[str]) -> None:
+    """Raise `InputError` where an axis turns by one column and pulls straight by another."""
+    straight = [n for n in columns if n in {m for m, _ in TURNING.values()} or n.startswith("tension_")]
+    if straight:
+        raise InputError(f"{source}: {turning[0]} is of a turning axis, {straight[0]} of a straight pull; multiply "
+                         "angles by the drum's radius and divide torques by it, and name the columns servo_position_m "
+                         "and servo_force_n.")
 
 
 def _numbered(columns: dict[str, Array]) -> dict[str, Array]:

@@ -31,7 +31,8 @@ class SearchCriteria:
         if self.splits:
             return True
         healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
-        if not all(self._unlike(c, model) for c in model.effects if c not in lesser.effects):
+        added = [c for c in model.effects if c not in lesser.effects]
+        if not all(self.says(c, model) for c in added):
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
@@ -41,13 +42,16 @@ class SearchCriteria:
             return False
         if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
             return False
+        if lesser.effects and any(c.unlikely(model.fit.values, verdict.STRETCHED) for c in added):
+            return False
         kept = 1.0 - verdict.FURTHER_ELSEWHERE
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
                                           for n in self.setting.checked):
             return False
         noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
         cuts, base = verdict.cut(lesser, model, noise), search.baseline
-        return any(share >= verdict.LEAST_GAIN and lesser.by_relation[n] - model.by_relation[n]
+        least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
+        return any(share >= least and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _likelier(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
@@ -85,17 +89,37 @@ class SearchCriteria:
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
+    def says(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
+        return self._unlike(effect, model) and self._leads(effect, model)
+
     def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
         if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
             return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
-        banded = [bands[f.name] for f in effect.frees if f.name in bands]
-        if banded:
-            return any(not f.low < model.fit.values[f.name] < f.high for f in banded)
-        return self.setting.any_rig or any(verdict.material(CATALOGUE[effect.name], f.name, model.fit.values[f.name])
-                                           for f in effect.frees)
+        outside = [f.name for f in effect.frees if f.name not in bands
+                   or not bands[f.name].low < model.fit.values[f.name] < bands[f.name].high]
+        if self.setting.any_rig:
+            return bool(outside)
+        absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
+        changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside}
+        # what has no absence (friction, stiffness) is judged by its band, or by the scale on which the catalogue has it
+        return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
+                   n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
+                   for scale in (next(f.scale for f in effect.frees if f.name == n),))
+
+    def _leads(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether a law moves its level by no more than it changes itself: more is a change of the level, by its name.
+
+        A level is said at one load, bend or time; at another one within its range it is off by the law's own share.
+        """
+        values, healthy = model.fit.values, self.setting.reference.values
+        change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
+        named = {f.name for c in model.effects for f in c.frees}
+        bands = {f.name: f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named}
+        return all(max(values[n] - f.high, f.low - values[n]) <= change * abs(healthy[n]) for n, f in bands.items())
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
@@ -122,6 +146,13 @@ class SearchCriteria:
             return False
         return self.has_unexplained_residual(model, baseline) or (
             not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+
+    def needs_pairs(self, baseline: FittedEffects) -> bool:
+        """Whether two effects may be at work that only pay together: more is left than on healthy trials.
+
+        On a rig that nothing is known of, everything that a real one has is an effect, and any two may hide each other.
+        """
+        return not self.splits and (self.setting.any_rig or self.has_unexplained_residual(baseline, baseline))
 
     def _rise(self, model: FittedEffects) -> float:
         """Return by how many healthy floors the RMSE of some relation exceeds one."""

@@ -25,7 +25,7 @@ from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
 """Effects in one verdict; what needs a third is not explained."""
-MOST_ELSEWHERE: Final = 4
+MOST_ELSEWHERE: Final = 6
 """On a rig compared with an ideal transmission, everything that a real one has is an effect."""
 
 
@@ -60,8 +60,8 @@ class Judge:
         if self._strange():
             return []
         if self.within is not None:
-            return list(verdict.rivals(self.found, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
-        return list(verdict.rivals(self.found))
+            return list(verdict.rivals(self.found, self.criteria.says, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+        return list(verdict.rivals(self.found, self.criteria.says))
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class by calculation, None where nothing is to be split."""
@@ -99,7 +99,7 @@ class Judge:
         ahead = blocks.blocks_of(
             self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut,
             self.setting.rate_hz) if lacking else []
-        ahead = self.setting.learnt.corrected(ahead) if self.setting.learnt is not None else ahead
+        ahead = self.setting.learnt.weighed(ahead).blocks if self.setting.learnt is not None else ahead
         return {name: self._figures(name, ahead) for name in RELATIONS}
 
     def _figures(self, name: str, ahead: Sequence[Block]) -> verdict.Figures:

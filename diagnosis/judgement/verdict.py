@@ -7,18 +7,22 @@ from drawing whole cycles again, and what the data do not decide is left undecid
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
 """Share of a relation's RMSE on unseen cycles that an effect must take away."""
+LEAST_FURTHER: Final = 1.0 - math.sqrt(0.7)
+"""The same of what the first effect left: three tenths of its χ² beyond noise.  A law that is not quite the bench's own
+leaves some of what it explains, and a second one bends to that."""
 LEAST_FALL: Final = 30.0
 """χ² on unseen cycles that an effect must take away: the largest of some thirty candidates by chance."""
 STRUCTURE: Final = 0.04
@@ -27,12 +31,15 @@ MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
 LEAST_RATIO: Final = 80.0
 """n·ln(χ²₀/χ²₁) on unseen cycles that an effect must reach on a rig that nothing is known of."""
+STRETCHED: Final = 0.5
+"""How far outside of where the catalogue expects it, of that range, a further effect's parameter may be: beyond, it
+mends what the first one's law lacks (of a friction that breaks away, a lever arm five times what is likely)."""
 FURTHER_ELSEWHERE: Final = 0.3
 """Share of the χ² that the other effects leave in a relation, on unseen cycles, that one more must take away there: no
 floor says what the laws' own shortcomings are, and a further law bends to them (a Stribeck curve takes 15 % on a real
 cable drive, a tribometer 27 %, after its true causes)."""
 LEAST_GAIN_ELSEWHERE: Final = 0.03
-MISMATCH_ELSEWHERE: Final = 0.004
+MISMATCH_ELSEWHERE: Final = 0.0
 """Shares of RMSE, and of the baseline's whole χ², that it must take away there."""
 LAW: Final = 0.06
 """1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
@@ -104,11 +111,13 @@ def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] 
     return shares
 
 
-def rivals(found: SearchResult, least_gain: float = RIVAL_GAIN, most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
+def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool], least_gain: float = RIVAL_GAIN,
+           most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
     """Return the effects that could stand in the chosen model, the chosen ones first.
 
     A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
-    `most_rmse` of the chosen model's RMSE.
+    `most_rmse` of the chosen model's RMSE.  `says`: whether an effect is one in a model; a law that is freed with its
+    level, at a value that says nothing, stands for the level alone.
     """
     best, others = found.best, dict[str, float]()
     for out in best.effects:
@@ -122,19 +131,25 @@ def rivals(found: SearchResult, least_gain: float = RIVAL_GAIN, most_rmse: float
             if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
                 continue
             share = (left.score - model.score) / max(left.score - best.score, 1e-9)
+            rival = next(c for c in model.effects if c.name in strange)
+            if not says(rival, model):
+                continue
             if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
                 others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 
 
-def material(effect: Effect, name: str, value: float) -> bool:
-    """Whether a value departs from absence by a share of where the catalogue expects it."""
+def material(effect: Effect, name: str, change: float) -> bool:
+    """Whether a change from the healthy value is a share of what the catalogue expects of the effect.
+
+    A shape without absence says nothing alone.
+    """
     parameter = next((p for p in effect.parameters if p.name == name), None)
     if parameter is None or parameter.neutral is None:
         return False
     low, high = (end - parameter.neutral for end in parameter.likely)
     nearest = min(abs(low), abs(high)) if low * high > 0.0 else 0.1 * max(abs(low), abs(high))
-    return abs(value - parameter.neutral) >= MATERIAL * nearest
+    return abs(change) >= MATERIAL * nearest
 
 
 def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, likeness: float, change: float) -> float:
@@ -145,7 +160,8 @@ def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, liken
     values = np.array([f[name] for f in fitted])
     k = len(values)
     jackknife = math.sqrt((k - 1) / k * float(((values - values.mean()) ** 2).sum())) if k > 1 else 0.0
-    return 1.96 * math.hypot(max(jackknife, sigma), likeness, LAW * change)
+    # a rig's stiffness is not known to a share of an ideal one's
+    return 1.96 * math.hypot(max(jackknife, sigma), likeness, LAW * min(abs(change), abs(float(values.mean()))))
 
 
 def curvature_sigma(model: FittedEffects, name: str) -> float:

@@ -37,6 +37,8 @@ FINE_HZ: Final = 100.0
 """Cut-off of the rope's motion that the drive's friction sees."""
 RATE_HZ: Final = 25.0
 """Cut-off of END's rate of change: a bench's drives move no quicker, and a sensor's noise grows with its rate."""
+FEWEST_TURNS: Final = 2
+"""Turns of a signal below which another one counts the cycles."""
 SETTLE_S: Final = 0.1
 """What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
 of one side only."""
@@ -139,15 +141,25 @@ def cycles_of(given: Signals) -> NDArray[np.intp]:
 
 
 def _turns(given: Signals) -> NDArray[np.intp]:
+    """Return the turns of the first signal there is; of the speed where that one goes one way only (a run-up)."""
+    count = np.zeros(given["time_s"].size, dtype=np.intp)
     for name in ("knee_angle_rad", "rope_m", "tension_start_n", "servo_force_n"):
         if given.has(name):
-            values = given[name] - np.median(given[name])
-            band = 0.3 * np.std(values)
-            side = np.where(values > band, 1, np.where(values < -band, -1, 0))
-            held = side[np.maximum.accumulate(np.where(side != 0, np.arange(side.size), 0))]
-            up = np.concatenate(([False], (held[1:] > 0) & (held[:-1] <= 0)))
-            return np.cumsum(up).astype(np.intp)
-    return np.zeros(given["time_s"].size, dtype=np.intp)
+            count = _rises(given[name])
+            break
+    if count[-1] < FEWEST_TURNS and given.has("rope_m_s"):
+        count = max(count, _rises(given["rope_m_s"]), key=lambda c: int(c[-1]))
+    return count
+
+
+def _rises(signal: Array) -> NDArray[np.intp]:
+    """Count the passages of a signal from below its median to above it, by sample."""
+    values = signal - np.median(signal)
+    band = 0.3 * np.std(values)
+    side = np.where(values > band, 1, np.where(values < -band, -1, 0))
+    held = side[np.maximum.accumulate(np.where(side != 0, np.arange(side.size), 0))]
+    up = np.concatenate(([False], (held[1:] > 0) & (held[:-1] <= 0)))
+    return np.cumsum(up).astype(np.intp)
 
 
 def allowed(tables: Iterable[Table]) -> dict[str, tuple[str, ...]]:

@@ -34,10 +34,10 @@ class Candidate:
     likely: Mapping[str, tuple[float, float]]
     level: tuple[str, ...] = ()
 
-    def unlikely(self, values: Mapping[str, float]) -> int:
-        """Return how many of its parameters are outside of where they are expected."""
-        return sum(not low <= values[f.name] <= high for f in self.frees if f.name in self.likely
-                   for low, high in (self.likely[f.name],))
+    def unlikely(self, values: Mapping[str, float], margin: float = 0.0) -> int:
+        """Return how many of its parameters are outside of where they are expected, by a `margin` of that range."""
+        return sum(not low - margin * (high - low) <= values[f.name] <= high + margin * (high - low)
+                   for f in self.frees if f.name in self.likely for low, high in (self.likely[f.name],))
 
     @property
     def parameters(self) -> frozenset[str]:

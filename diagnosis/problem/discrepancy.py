@@ -8,6 +8,7 @@ trial, on cycles) that it has not seen.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,6 +36,10 @@ WORTH: Final = 0.97
 """RMSE on the unseen, of that without it, from which it is used."""
 SMOOTH_S: Final = 0.03
 MEMORIES_S: Final = (0.15, 0.8)
+LOCAL: Final = 0.5
+"""Length over which scatter is taken to be even, as `LENGTHS`."""
+FEW: Final = 0.1
+"""Samples about a place, of what there are about one in the mean, that say as much of it as all samples together."""
 AMPLITUDE: Final = 0.3
 """1σ of the amplitude with which it returns on another trial."""
 
@@ -68,20 +73,21 @@ class Discrepancy:
 
     left: float
     plain: float
-    _scale: Array = field(default_factory=lambda: np.zeros((2, 0)), repr=False)
-    _centres: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
-    _weights: Array = field(default_factory=lambda: np.zeros(0), repr=False)
-    _length: float = 1.0
+    scale: Array = field(default_factory=lambda: np.zeros((2, 0)), repr=False)
+    centres: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    weights: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    length: float = 1.0
+    noise: float = 1.0
 
     @property
     def used(self) -> bool:
-        return self._weights.size > 0
+        return self.weights.size > 0
 
     def of(self, at: Array) -> Array:
         """Return the discrepancy, in the relation's unit, at `at` (samples, features)."""
         if not self.used:
             return np.zeros(len(at))
-        return np.asarray(_kernel((at - self._scale[0]) / self._scale[1], self._centres, self._length) @ self._weights)
+        return np.asarray(_kernel((at - self.scale[0]) / self.scale[1], self.centres, self.length) @ self.weights)
 
 
 def _kernel(at: Array, centres: Array, length: float) -> Array:
@@ -104,12 +110,8 @@ def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[
     labels = np.unique(group)
     if not x.shape[1] or len(labels) < 2 or y.size < 4 * CENTRES:
         return Discrepancy(plain, plain)
-    scale = np.stack([x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)])
-    rng = np.random.default_rng(0)
-    x = (x - scale[0]) / scale[1]
-    chosen = np.sort(rng.permutation(y.size)[:SAMPLES])
-    centres = x[np.sort(rng.permutation(y.size)[:CENTRES])]
-    x, y, group = x[chosen], y[chosen], group[chosen]
+    scale, chosen, centres = _sampled(x)
+    x, y, group = (x[chosen] - scale[0]) / scale[1], y[chosen], group[chosen]
     whole = float(np.mean(y**2))
     folds = [group % 5 == k for k in range(5)] if len(labels) > 5 else [group == c for c in labels]
     best: tuple[float, float, float] = (math.inf, 0.0, 0.0)
@@ -122,26 +124,90 @@ def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[
     if left >= WORTH**2 * whole:
         return Discrepancy(plain, plain)
     basis, prior = _kernel(x, centres, length), _kernel(centres, centres, length)
-    return Discrepancy(plain * math.sqrt(left / whole), plain, scale, centres, _weights(basis, y, prior, noise), length)
+    return Discrepancy(plain * math.sqrt(left / whole), plain, scale, centres, _weights(basis, y, prior, noise), length,
+                       noise)
+
+
+def again(known: Discrepancy, at: Sequence[Array], rests: Sequence[Array]) -> Discrepancy:
+    """Learn it from other trials, of as many as are given, with the smoothness of `known`."""
+    if not known.used:
+        return known
+    x, y = np.concatenate(list(at)), np.concatenate(list(rests))
+    scale, chosen, centres = _sampled(x)
+    x, y = (x[chosen] - scale[0]) / scale[1], y[chosen]
+    basis, prior = _kernel(x, centres, known.length), _kernel(centres, centres, known.length)
+    return dataclasses.replace(known, scale=scale, centres=centres, weights=_weights(basis, y, prior, known.noise))
+
+
+def _sampled(x: Array) -> tuple[Array, NDArray[np.intp], Array]:
+    """Return mean and deviation of the features, the samples that are learnt on, and the centres, scaled."""
+    scale = np.stack([x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)])
+    rng = np.random.default_rng(0)
+    chosen = np.sort(rng.permutation(len(x))[:SAMPLES])
+    centres = x[np.sort(rng.permutation(len(x))[:CENTRES])]
+    return scale, chosen, (centres - scale[0]) / scale[1]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """A mean square by where in motion and load: a kernel's local mean; where no sample has been, what it is on the
+    whole."""
+
+    scale: Array = field(repr=False)
+    centres: Array = field(repr=False)
+    squares: Array = field(repr=False)
+    counts: Array = field(repr=False)
+    whole: float
+
+    def of(self, at: Array) -> Array:
+        """Return the mean square at `at` (samples, features), in the relation's unit squared."""
+        near = _kernel((at - self.scale[0]) / self.scale[1], self.centres, LOCAL)
+        few = FEW * float(self.counts.mean())
+        return np.asarray((near @ self.squares + few * self.whole) / (near @ self.counts + few))
+
+
+def scatter(at: Array, squares: Array, least: float = 0.0) -> Scatter:
+    """Return where `squares` (samples) are how large, from features `at`; nowhere below `least`."""
+    scale, chosen, centres = _sampled(at)
+    near = _kernel((at[chosen] - scale[0]) / scale[1], centres, LOCAL)
+    counts = near.sum(axis=0)
+    return Scatter(scale, centres, np.maximum(near.T @ squares[chosen], least * counts), counts,
+                   max(float(np.mean(squares)), least))
+
+
+def certainty(structure: Array, noise: Array) -> Array:
+    """Return how much each sample counts, 1 in the mean square, from its mean squares of structure and of noise."""
+    cost = structure + noise
+    return np.asarray(1.0 / np.sqrt(cost * np.mean(1.0 / cost)))
 
 
 @dataclass(frozen=True)
 class Corrected(Block):
-    """A block less what its relation is known to leave, by an amplitude that the fit may move."""
+    """A block less what its relation is known to leave, by an amplitude that the fit may move.
+
+    `certainty`: by sample, how much more (or less) it counts than the relation's samples do in the mean.
+    """
 
     plain: Block
     known: Array
-    amplitude: str
+    amplitude: str | None
+    certainty: Array | None = None
 
     def residual(self, values: Values) -> Array:
-        return self.plain.residual(values) - values[self.amplitude] * self.known
+        rest = self.plain.residual(values)
+        if self.amplitude is not None:
+            rest = rest - values[self.amplitude] * self.known
+        return rest if self.certainty is None else self.certainty * rest
 
 
-def corrected(block: Block, learnt: Mapping[str, Discrepancy], values: Values) -> Block:
+def corrected(block: Block, learnt: Mapping[str, Discrepancy], values: Values,
+              certainty: Array | None = None) -> Block:
     """Return `block` with what `learnt` knows of its relation taken off; itself where nothing is known."""
     name = block.relation.name
-    if name not in learnt or not learnt[name].used:
+    known = name in learnt and learnt[name].used
+    if not known and certainty is None:
         return block
-    known = learnt[name].of(features(block.signals, values)[block.keep])
-    return Corrected(block.relation, block.signals, block.keep, block.cycle, block.uses | {slot(name)}, plain=block,
-                     known=known, amplitude=slot(name))
+    off = learnt[name].of(features(block.signals, values)[block.keep]) if known else np.zeros(block.keep.size)
+    return Corrected(block.relation, block.signals, block.keep, block.cycle,
+                     block.uses | ({slot(name)} if known else set()), plain=block, known=off,
+                     amplitude=slot(name) if known else None, certainty=certainty)

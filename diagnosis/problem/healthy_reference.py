@@ -7,8 +7,8 @@ or, on a rig that nothing is known of, there is none: then what an ideal transmi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from diagnosis.problem.blocks import Block
 from diagnosis.problem.fit import Free
 from physics import bench_model
 from physics.bench_model import BenchModel
+from physics.calibration import ScalarEvidence
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy, ideal
 from physics.plant.leg import KNEE_AT_FIT
@@ -30,11 +31,15 @@ LIKE_THIS_BENCH: Final = (0.7, 1.4)
 
 @dataclass(frozen=True)
 class HealthyReference:
-    """Healthy values, and what a baseline may move; `kind`: calibration, nominal or none."""
+    """Healthy values, and what a baseline may move; `kind`: calibration, nominal or none.
+
+    `measured`: 1σ of the values that a calibration measured on this bench, by its intervals.
+    """
 
     kind: str
     values: Mapping[str, float]
     nuisance: tuple[Free, ...]
+    measured: Mapping[str, float] = field(default_factory=dict)
 
 
 IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presliding", "rope_per_knee", "rope_zero",
@@ -57,7 +62,9 @@ def of_bench(calibration: Mapping[str, Any] | None) -> HealthyReference:
         if sigma > 0.0:
             at, (low, high) = values[name], p.rig_bounds
             nuisance.append(Free(name, max(low, at - BAND * sigma), min(high, at + BAND * sigma), at, sigma, sigma))
-    return HealthyReference("nominal" if calibration is None else "calibration", values, tuple(nuisance))
+    return HealthyReference("nominal" if calibration is None else "calibration", values, tuple(nuisance),
+                            {n: math.hypot(sigma, _daily(n, values[n])) for n, sigma in _spreads(
+                                model, ScalarEvidence.interval).items()})
 
 
 def _measured(model: BenchModel) -> tuple[str, ...]:
@@ -65,14 +72,26 @@ def _measured(model: BenchModel) -> tuple[str, ...]:
     return tuple(model.related()) if model.fitted else IDENTIFIED
 
 
-def _spreads(model: BenchModel) -> dict[str, float]:
-    """Return the 1σ of what a bench model tells, from the repeatability of its values: like is compared with like."""
+def _daily(name: str, value: float) -> float:
+    """Return 1σ of a value of one bench from day to day: a tolerance is the half width of an even distribution."""
+    tolerance = RELATION_PARAMETERS[name].daily
+    if tolerance is None:
+        return 0.0
+    return tolerance.size * (abs(value) if tolerance.law == "factor" else 1.0) / math.sqrt(3.0)
+
+
+def _spreads(model: BenchModel, ends: Callable[[ScalarEvidence, float], tuple[float, float]] = ScalarEvidence.again
+             ) -> dict[str, float]:
+    """Return the 1σ of what a bench model tells.
+
+    `ends`: by default the repeatability of its values, where like is compared with like.
+    """
     total: dict[str, float] = {}
     for measured, evidence in model.evidence.items():
         if not math.isfinite(evidence.low + evidence.high):
             continue
         low, high = (replace(model, values={**model.values, measured: end}).related()
-                     for end in evidence.again(model.values[measured]))
+                     for end in ends(evidence, model.values[measured]))
         for name in _measured(model):
             if name in low and low[name] != high[name]:
                 total[name] = math.hypot(total.get(name, 0.0), (high[name] - low[name]) / (2.0 * 1.96))

@@ -7,6 +7,7 @@ alone, so that it serves every trial in question that has the same columns.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 from diagnosis.data.table import Table
@@ -62,12 +63,15 @@ class HealthyTrials:
 
     def _learn(self, checked: tuple[str, ...], known: HealthyReference, rate: float) -> Learnt:
         own = of_bench(None)
+        if known.measured:
+            own = replace(own, values=known.values, measured=known.measured)
         taught = [blocks.blocks_of([t], [n for n in checked if not blocks.allowed([t])[n]], blocks.TAUT_N, rate)
                   for t in self.tables]
         columns = [t.columns for t in self.tables]
         near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
-        start = own.values if near is None else of_geometry(own.values, near)
-        others = [known.values] if known.kind == "calibration" else []
+        # what a calibration measured is known better than what the closed form says
+        start = own.values if near is None or known.measured else of_geometry(own.values, near)
+        others = [known.values] if known.kind == "calibration" and not known.measured else []
         others += [of_geometry(own.values, closed)] if closed is not None else []
-        return learn(taught, HealthyReference("healthy", start, own.nuisance), {n: FLOORS[n] for n in checked},
+        return learn(taught, replace(own, kind="healthy", values=start), {n: FLOORS[n] for n in checked},
                      {n: CORRELATION_LENGTH[n] for n in checked}, others)

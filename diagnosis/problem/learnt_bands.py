@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
-from diagnosis.problem.deviations import chance, correlated, deviating
-from diagnosis.problem.discrepancy import Discrepancy
+from diagnosis.problem.deviations import chances, deviating
+from diagnosis.problem.discrepancy import Discrepancy, Scatter
 from diagnosis.problem.fit import Fit, Free, Problem, solve
-from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, MOST_CORRELATION_LENGTH
+from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
+from diagnosis.problem.healthy_residuals import another, certainties, examine, noise_at
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
@@ -41,7 +42,7 @@ WIDE: Final[Mapping[str, float]] = {
     "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
     "drive_presliding": 0.3e-3, "servo_bandwidth": 15.0, "servo_damping": 0.4, "knee_bandwidth": 15.0,
-    "knee_damping": 0.4}
+    "knee_damping": 0.4, "knee_backlash": 3.5e-3, "creep_compliance": 5e-6}
 """1σ of what is known beforehand of a bench of this kind."""
 KNEE_RATIO: Final = 0.05
 """1σ of the rope per knee angle about what the closed form says, of it."""
@@ -52,8 +53,13 @@ STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadrati
                       "stiffness_shape")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
 """Slots whose tolerance among like benches is a share of their value."""
-STRUCTURE: Final = 0.5
-"""Share of what the laws leave that another trial may leave in another way."""
+KEPT: Final = ("knee_backlash", "creep_compliance")
+KEPT_SHARE: Final = 0.1
+"""Slots that are nothing on a nominal bench and stay what they are on a bench that has them: 1σ of their value, beside
+how well they were learnt."""
+DRAG: Final = ("viscous",)
+DRAG_SHARE: Final = 0.05
+"""Slots that a nominal bench has not, and 1σ among like benches, of the value that a bench has."""
 NOISE_LENGTH: Final = 1.25
 """Samples of white noise behind the low-pass of the working rate that count as one."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
@@ -143,6 +149,7 @@ class Learnt:
     spread: Mapping[str, float]
     correlation_length: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
+    scatters: Mapping[str, Scatter]
     trials: int
     noise: Mapping[str, float]
 
@@ -152,11 +159,7 @@ class Learnt:
         Like benches differ in structure, too.
         """
         left, plain = (_less(v[relation], self.noise[relation]) for v in (self.floors, self.plain))
-        return min(math.hypot(left, STRUCTURE * plain), plain)
-
-    def floor(self, relation: str, noise: float | None = None) -> float:
-        """Return the same of a trial with `noise` in the relation (none: as the healthy trials have)."""
-        return math.hypot(self.structure(relation), self.noise[relation] if noise is None else noise)
+        return min(math.hypot(left, another(self.trials) * plain), max(left, plain))
 
     def structure_length(self, relation: str) -> float:
         """Return how many samples of the structure count as one: what the correlation of all has beyond the noise's."""
@@ -164,14 +167,48 @@ class Learnt:
         beyond = left**2 * self.correlation_length[relation] - NOISE_LENGTH * noise**2
         return min(max(beyond / _less(left, noise) ** 2, LEAST_CORRELATION_LENGTH), MOST_CORRELATION_LENGTH)
 
-    def weight(self, relation: str, noise: float) -> float:
-        """Return the residual of a sample that costs one, of a trial with `noise`: both parts with their lengths."""
-        structure = self.structure(relation) ** 2 * self.structure_length(relation)
-        return math.sqrt(structure + NOISE_LENGTH * noise**2)
-
     def corrected(self, blocks: Sequence[Block]) -> list[Block]:
         """Return blocks of another trial with the discrepancies taken off."""
         return [discrepancy.corrected(b, self.discrepancies, self.reference.values) for b in blocks]
+
+    def weighed(self, blocks: Sequence[Block]) -> Weighed:
+        """Return blocks of another trial with the discrepancies taken off, each sample with what it counts.
+
+        A sample counts by how well the laws hold about there, and by the noise that the trial itself has there.
+        """
+        values, found = self.reference.values, self.corrected(blocks)
+        floors, weights, noises = dict[str, float](), dict[str, float](), dict[str, float]()
+        for name in self.floors:
+            mine = [i for i, b in enumerate(found) if b.relation.name == name and b.keep.size]
+            if not mine:
+                continue
+            at = [discrepancy.features(blocks[i].signals, values)[blocks[i].keep] for i in mine]
+            rests = [found[i].residual(values) for i in mine]
+            noise = np.concatenate(noise_at(at, rests))
+            known = self.scatters.get(name)
+            structure = np.concatenate([np.full(len(x), self.structure(name) ** 2) if known is None else known.of(x)
+                                        for x in at])
+            cost = structure * self.structure_length(name) + NOISE_LENGTH * noise
+            weights[name] = 1.0 / math.sqrt(float(np.mean(1.0 / cost)))
+            certain = weights[name] / np.sqrt(cost)
+            noises[name] = math.sqrt(float(np.mean(np.concatenate([chances(r) for r in rests]) * certain**2)))
+            floors[name] = math.hypot(noises[name], math.sqrt(float(np.mean(structure * certain**2))))
+            for i, part in zip(mine, np.split(certain, np.cumsum([len(x) for x in at])[:-1]), strict=True):
+                found[i] = discrepancy.corrected(blocks[i], self.discrepancies, values, part)
+        return Weighed(found, floors, weights, noises)
+
+
+class Weighed(NamedTuple):
+    """Blocks of which each sample counts by how well its law holds about there; what a healthy trial leaves of them.
+
+    By relation, in its unit: the RMSE `floors`, the residual that costs one, and what of the RMSE is noise.  The mean
+    square of what the samples of a relation count is 1.
+    """
+
+    blocks: list[Block]
+    floors: Mapping[str, float]
+    weights: Mapping[str, float]
+    noise: Mapping[str, float]
 
 
 def _less(whole: float, noise: float) -> float:
@@ -197,12 +234,32 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
                      for shape in (reference.values, *others) for start in _starts(shape, trials)),
                     key=lambda f: f.cost)
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
-    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, (*wide, *deviations), thorough=True)
+    free = (*wide, *deviations)
+    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free, thorough=True)
                     for fit in carried), key=lambda f: f.cost)
+    for last in (False, True):
+        # few samples that no law meets (a loose rope that snaps tight) would lead the constants: each counts as its
+        # place; and how much data count beside what is known beforehand, what the laws do leave says, not what they may
+        certain = certainties(blocks, [b.residual(together.values) for b in blocks], reference.values)
+        counted = [discrepancy.corrected(b, {}, {}, c) for b, c in zip(blocks, certain, strict=True)]
+        weights = _costing_one(counted, together.values, weights)
+        together = solve(Problem(counted, weights), together.values, free, thorough=last)
     values = {n: together.values[n] for n in reference.values}
     moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
-                             _bands(reference, values, len(trials), floors))
-    return _judged(trials, moved, together, weights, rest)
+                             _bands(reference, values, len(trials), floors, sigmas(together)))
+    near = [{f.name: values[f.name] + (together.values[f"{f.name}@{i}"] if rest and len(trials) > 1 else 0.0)
+             for f in _own(reference)} for i in range(len(trials))]
+    parts = iter(certain)
+    left = examine(trials, moved, near, weights, [[next(parts) for _ in trial] for trial in trials])
+    return Learnt(moved, sigmas(together), left.floors, left.plain, left.spread, left.correlation_length,
+                  left.discrepancies, left.scatters, len(trials), left.noise)
+
+
+def _costing_one(blocks: Sequence[Block], values: Values, before: Mapping[str, float]) -> dict[str, float]:
+    """Return by relation the residual that costs one, from what is left at `values`; never more than `before`."""
+    left = {n: rmse(b.residual(values) for b in blocks if b.relation.name == n and b.keep.size) for n in before}
+    return {n: min(before[n], max(left[n], LEAST_FLOOR[n]) * math.sqrt(LEAST_CORRELATION_LENGTH))
+            if math.isfinite(left[n]) else before[n] for n in before}
 
 
 def _own(reference: HealthyReference) -> tuple[Free, ...]:
@@ -215,12 +272,14 @@ def _wide(reference: HealthyReference) -> list[Free]:
     found = {f.name: f for f in reference.nuisance}
     for name, sigma in WIDE.items():
         low, high = bounds(name)
+        sigma = min(sigma, reference.measured.get(name, sigma))
         at, half = reference.values[name], 4.0 * sigma
         found[name] = Free(name, max(low, at - half), min(high, at + half), at, sigma, min(sigma, _step(name)))
     ratio, low, high = reference.values["rope_per_knee"], *KNEE_RATIO_RANGE
+    sigma = min(KNEE_RATIO * abs(ratio), reference.measured.get("rope_per_knee", math.inf))
     found["rope_per_knee"] = Free(
         "rope_per_knee", min(low * ratio, high * ratio), max(low * ratio, high * ratio), ratio,
-        KNEE_RATIO * abs(ratio), 0.2 * KNEE_RATIO * abs(ratio))
+        sigma, min(sigma, 0.2 * KNEE_RATIO * abs(ratio)))
     return list(found.values())
 
 
@@ -234,7 +293,7 @@ def _step(name: str) -> float:
     """Return the scale on which a slot's slopes are taken."""
     return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0,
             "servo_bandwidth": 5.0,
-            "knee_bandwidth": 5.0}.get(name, math.inf)
+            "knee_bandwidth": 5.0, "knee_backlash": 1e-3, "creep_compliance": 5e-6}.get(name, math.inf)
 
 
 def _short(trials: Sequence[Sequence[Block]], cycles: int = 3) -> list[Block]:
@@ -277,9 +336,12 @@ def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
             "stiffness_shape": shape if found.linear > 0.0 else 0.0, "home_preload": 0.0}
 
 
-def _bands(reference: HealthyReference, values: Values, trials: int, relations: Mapping[str, float]) -> tuple[Free,
-                                                                                                              ...]:
-    """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them."""
+def _bands(reference: HealthyReference, values: Values, trials: int, relations: Mapping[str, float],
+           learnt: Values) -> tuple[Free, ...]:
+    """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them.
+
+    `learnt`: 1σ by slot of what was learnt.
+    """
     known = {f.name: f for f in reference.nuisance}
     found = []
     for name, f in known.items():
@@ -288,56 +350,29 @@ def _bands(reference: HealthyReference, values: Values, trials: int, relations: 
             sigma *= max(abs(values[name] / slot.nominal), 0.2)
         if name in STANDING_IN:
             sigma *= NARROW
+        if slot.daily is None:
+            sigma = min(sigma, reference.measured.get(name, sigma))
+        if name in DRAG:
+            sigma = max(sigma, DRAG_SHARE * abs(values[name]))
+        if name == "home_preload":
+            sigma = min(sigma, known["rope_zero"].sigma / max(_homed(values), 1e-12))
+        found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
+                          values[name], sigma, sigma))
+    for name in KEPT:
+        sigma, (low, high) = math.hypot(learnt[name], KEPT_SHARE * values[name]), bounds(name)
         found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
                           values[name], sigma, sigma))
     found += [Free(discrepancy.slot(n), 0.0, 2.0, 1.0, discrepancy.AMPLITUDE, discrepancy.AMPLITUDE) for n in relations]
     return tuple(found)
 
 
-def _judged(trials: Sequence[Sequence[Block]], moved: HealthyReference, together: Fit, weights: Mapping[str, float],
-            rest: Mapping[str, float]) -> Learnt:
-    """Fit each trial alone inside the bands, learn what the laws leave, and say how much of it is seen again."""
-    names = list(weights)
-    rests: dict[str, list[Array]] = {n: [] for n in names}
-    at: dict[str, list[Array]] = {n: [] for n in names}
-    groups: dict[str, list[NDArray[np.intp]]] = {n: [] for n in names}
-    spread: dict[str, list[Array]] = {n: [] for n in names}
-    mine = tuple(f for f in moved.nuisance if f.name in RELATION_PARAMETERS)
-    for i, trial in enumerate(trials):
-        near = dict(moved.values)
-        for f in mine:
-            near[f.name] += together.values.get(f"{f.name}@{i}", 0.0) if rest else 0.0
-        alone = solve(Problem(trial, weights), near, mine).values
-        for block in trial:
-            name = block.relation.name
-            if not block.keep.size:
-                continue
-            rests[name].append(block.residual(alone))
-            spread[name].append(_known(block.signals[block.relation.output]))
-            at[name].append(discrepancy.features(block.signals, moved.values)[block.keep])
-            groups[name].append(np.full(block.keep.size, i, dtype=np.intp) if len(trials) > 1 else block.cycle)
-    plain = {n: rmse(r) for n, r in rests.items() if r}
-    learnt = {n: discrepancy.learn(at[n], rests[n], groups[n]) for n in plain if _motion(n)}
-    floors = {n: learnt[n].left if n in learnt else plain[n] for n in plain}
-    lengths, noise = {}, {}
-    for n in plain:
-        noise[n] = math.sqrt(float(np.mean([chance(r) ** 2 for r in rests[n]])))
-        lengths[n] = correlated(rests[n])
-        if n in learnt and learnt[n].used:
-            left = [r - learnt[n].of(x) for r, x in zip(rests[n], at[n], strict=True)]
-            lengths[n] = correlated(left)
-    return Learnt(moved, sigmas(together), floors, plain,
-                  {n: float(np.std(np.concatenate(s))) for n, s in spread.items() if s}, lengths, learnt, len(trials),
-                  noise)
+def _homed(values: Values) -> float:
+    """Return by how much a newton of homing's preload moves the zero, m: by what the bench's stretch is not (10)'s.
 
-
-def _known(values: Array) -> Array:
-    return np.asarray(values[np.isfinite(values)])
-
-
-def _motion(relation: str) -> bool:
-    """Whether a relation's discrepancy may follow motion and load: a drive's own loop is what it is."""
-    return relation not in ("servo", "knee")
+    It stands for a bench homed before its stretch changed; what is learnt has the zero that it was recorded with.
+    """
+    linear = STRETCH_LINEAR * (1.0 / values["stiffness_scale"] - 1.0)
+    return abs(linear)
 
 
 def sigmas(fit: Fit) -> dict[str, float]:

@@ -25,6 +25,7 @@ from diagnosis.problem.healthy_reference import HealthyReference, like_this_benc
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learnt_bands import Learnt
 from physics.parameters import RELATION_PARAMETERS
+from physics.relations import relation
 from physics.relations.relation import RELATIONS
 
 CORRELATED_S = 0.09
@@ -119,13 +120,12 @@ def _bench(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blo
 def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],
             folds: list[frozenset[int]], learnt: Learnt, rate: float) -> ProblemSetting:
     values, nuisance = learnt.reference.values, learnt.reference.nuisance
-    corrected = learnt.corrected(blocks)
-    noise = {n: _chance(corrected, n, values) for n in checked}
-    seen = [n for n in checked if n in learnt.floors]
-    floors = {n: max(learnt.floor(n, noise[n]) if n in seen else FLOORS[n], LEAST_FLOOR[n]) for n in checked}
-    weights = {n: max(learnt.weight(n, noise[n]) if n in seen else FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n]),
+    weighed = learnt.weighed(blocks)
+    noise = {n: weighed.noise.get(n) or _chance(weighed.blocks, n, values) for n in checked}
+    floors = {n: max(weighed.floors.get(n, FLOORS[n]), LEAST_FLOOR[n]) for n in checked}
+    weights = {n: max(weighed.weights.get(n, FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n])),
                       LEAST_FLOOR[n] * math.sqrt(LEAST_CORRELATION_LENGTH)) for n in checked}
-    return ProblemSetting(False, missing, checked, corrected, folds, learnt.reference, values, weights, floors,
+    return ProblemSetting(False, missing, checked, weighed.blocks, folds, learnt.reference, values, weights, floors,
                           candidates(checked, values, nuisance), learnt, rate, noise)
 
 
@@ -141,8 +141,10 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
     per_sample = math.sqrt(max(1.0, CORRELATED_S / step))
     weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
-    return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None,
-                          candidates(checked, reference.values, reference.nuisance, True), rate_hz=rate)
+    offered = [c for c in candidates(checked, reference.values, reference.nuisance, True)
+               if any(c.parameters & relation.read_on(b.relation, b.signals) for b in blocks)]
+    return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None, offered,
+                          rate_hz=rate)
 
 
 def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:

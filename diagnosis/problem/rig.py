@@ -27,8 +27,10 @@ from diagnosis.problem.problem import ProblemSetting, build_problem
 from physics.parameters import RELATION_PARAMETERS
 
 DAILY: Final = 0.2
-"""1σ from one day to another of a rig's friction, compliance or inertia, of its value: the friction of a rubber seal,
-recorded again four times, keeps within two of that."""
+"""1σ from one day to another of a rig's friction, of its value: that of a rubber seal, recorded again four times, keeps
+within two of that."""
+FIRM: Final = {"stiffness_scale": 0.03, "stiffness_shape": 0.03, "drive_inertia": 0.02}
+"""The same of what does not rub: temperature moves a spring by per cents, and a mass is what it was."""
 DAILY_RATIO: Final = 0.005
 """The same of the ratio of two sensors."""
 DAILY_ZERO: Final = 0.002
@@ -51,14 +53,22 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
                      for f in found.free)
     reference = HealthyReference("healthy", dict(found.values), nuisance)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
-    floors = {n: math.hypot(1.0, STRUCTURE) * rmse(r) for n, r in rests.items()}
-    weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
+    # what a law lacks is a share of what it says: of twice the force it is twice as much
+    floors = {n: math.hypot(1.0, STRUCTURE) * rmse(r) * max(1.0, _spread(blocks, n) / _spread(first.blocks, n))
+              for n, r in rests.items()}
+    weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
     offered = candidates(checked, reference.values, nuisance, True)
     return ProblemSetting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values,
                           weights,
                           floors, offered, rate_hz=first.rate_hz)
+
+
+def _spread(blocks: Sequence[Block], name: str) -> float:
+    """Return the standard deviation of what a relation predicts, within each trial."""
+    return rmse(v - v.mean() for b in blocks if b.relation.name == name
+                for v in (b.signals[b.relation.output][b.keep],))
 
 
 def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
@@ -69,7 +79,7 @@ def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
     if p.free and p.neutral is not None:
         peak = max(float(np.nanmax(np.abs(b.signals[b.relation.output]))) for b in setting.blocks if name in b.uses)
         return DAILY_ZERO * peak
-    return DAILY * abs(at)
+    return FIRM.get(name, DAILY) * abs(at)
 
 
 def _band(f: Free, at: float, sigma: float) -> Free:

@@ -92,6 +92,9 @@ class Criteria(Protocol):
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects left so much that all have to be fitted."""
 
+    def needs_pairs(self, baseline: FittedEffects) -> bool:
+        """Whether, where no effect pays by itself, two may that only pay together."""
+
 
 @dataclass(frozen=True)
 class SearchResult:
@@ -123,8 +126,8 @@ class Search:
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
         """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
-        own = {f.name: f for c in effects for f in c.frees}
         level = {name for c in effects for name in c.level}
+        own = {f.name: replace(f, sigma=f.scale) if f.name in c.level else f for c in effects for f in c.frees}
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
             own.values())
 
@@ -206,7 +209,18 @@ class Search:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
         foremost = sorted((self.polished(m) for m in _foremost({m.names: m for m in grown}.values())),
                           key=lambda m: m.rank)
-        return min((self.prune(m) for m in foremost[:2]), key=lambda m: m.rank, default=best), foremost
+        return self._best_pruned(foremost) if foremost else best, foremost
+
+    def _best_pruned(self, models: Iterable[FittedEffects]) -> FittedEffects:
+        """Return the best of `models` with what does not pay taken out: what one of them lacks may hide the others."""
+        best: FittedEffects | None = None
+        for model in sorted(models, key=lambda m: m.rank):
+            if best is not None and best.rank <= model.rank:
+                break
+            pruned = self.prune(self.polished(model))
+            best = pruned if best is None or pruned.rank < best.rank else best
+        assert best is not None
+        return best
 
     def _ordered(self, model: FittedEffects) -> FittedEffects:
         """Return `model` with the effect first whose absence would leave most."""
@@ -214,19 +228,21 @@ class Search:
         return replace(model, effects=tuple(sorted(model.effects, key=lambda c: -left[c.name])))
 
     def _first(self, most: int) -> FittedEffects:
-        """Return the best of all models of at most so many effects that were fitted on the way."""
+        """Return the best, pruned, of all models of at most so many effects that were fitted on the way."""
         lengths = range(most + 1)
-        return min((m for k in lengths for m in _foremost(m for m in self.tried.values() if len(m.effects) == k)),
-                   key=lambda m: m.rank)
+        return self._best_pruned(m for k in lengths for m in _foremost(
+            m for m in self.tried.values() if len(m.effects) == k))
 
     def run(self, most: int) -> SearchResult:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
+
+        Where no effect pays by itself, pairs are tried, once: each must pay beside the other, and both together.
 
         Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
 
         At the end each chosen effect's place is offered to all others, so that its rivals are known.
         """
-        level, best = [self.baseline], self.baseline
+        level, best, paired = [self.baseline], self.baseline, False
         for depth in range(most):
             if not self.criteria.can_improve(best):
                 break
@@ -234,13 +250,19 @@ class Search:
                 model, LATER_REFITS if depth else FIRST_REFITS)), best)
             if depth == 0 and self.criteria.needs_full_search(ahead, self.baseline):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
-            level = grown
-            if ahead.rank >= best.rank or (depth > 0 and len(ahead.effects) <= len(best.effects)):
+            level, more = grown, len(ahead.effects) > len(best.effects) and ahead.rank < best.rank
+            if not more and depth + 1 < most and not paired and self.criteria.needs_pairs(best):
+                # two effects that hide each other (inertia and drag of a run-up) show nothing one by one
+                paired = True
+                continue
+            if not more:
+                break
+            if not best.effects and not self.criteria.pays(best, ahead, self):
                 break
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        best = self._ordered(self.prune(self.polished(self._first(len(best.effects))))) if best.effects else best
+        best = self._ordered(self._first(len(best.effects))) if best.effects else best
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
                      and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)

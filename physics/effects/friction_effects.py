@@ -119,8 +119,10 @@ EFFECTS: Final = (
         parameters=(
             of_table("stribeck_ratio"),
             of_table("stribeck_speed"),
+            of_table("stribeck_memory"),
         ),
-        forward={"plant.stribeck_ratio": takes("stribeck_ratio"), "plant.stribeck_speed_m_s": takes("stribeck_speed")},
+        forward={"plant.stribeck_ratio": takes("stribeck_ratio"), "plant.stribeck_speed_m_s": takes("stribeck_speed"),
+                 "plant.stribeck_memory_s": takes("stribeck_memory")},
         inverse=_stribeck, relations=("friction", "elasticity", "kinematics"),
         signature="a peak of friction after each reversal and at the start of loading",
         words="The rope breaks away: it rubs more at rest and at creep than when it slides.",

@@ -111,7 +111,7 @@ EFFECTS: Final = (
         relations=("elasticity", "kinematics"),
         signature="rope and knee angle part by an even function of the angle",
         words="The leg's lever arm changes with the knee angle.",
-        rivals=("drum_eccentricity", "stiffness"), experiment="locked_angles",
+        rivals=("drum_eccentricity", "stiffness"), level=("rope_per_knee",), experiment="locked_angles",
     ),
     Effect(
         name="drum_eccentricity", site="drum", law="x + A·(sin(x/R + φ) − sin φ)", source="an eccentric circle",

@@ -33,6 +33,8 @@ class ServoParameters:
     servo_offset_n: float = declared("drive_offset")
     servo_asymmetry: float = declared("drive_asymmetry")
     servo_presliding_m: float = declared("drive_presliding")
+    servo_stribeck_ratio: float = declared("drive_stribeck_ratio")
+    servo_stribeck_speed_m_s: float = declared("drive_stribeck_speed")
     eccentricity_m: float = declared("eccentricity")
     eccentricity_rad: float = declared("eccentricity_phase")
 

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from numba import njit
 
-from physics.path_laws import presliding_step
+from physics.path_laws import presliding_step, stribeck
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.leg import GRAVITY, anchor, knee_limit, reducer
 from physics.plant.motor import current_step, supply
@@ -41,6 +41,7 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
     force = m[SLOT.demand_gain] * m[SLOT.current] * constant / radius
     s = m[SLOT.servo_s]
     coulomb = m[SLOT.servo_coulomb_n] * s * (1.0 + m[SLOT.servo_asymmetry] * s)
+    coulomb *= stribeck(m[SLOT.servo_stribeck_ratio], m[SLOT.servo_stribeck_speed_m_s], speed)
     drag = m[SLOT.servo_viscous] * (speed + m[SLOT.servo_viscous_asymmetry] * abs(speed))
     loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
     m[SLOT.servo_v] += STEP_S / m[SLOT.servo_inertia_kg] * (force - loss)

@@ -38,12 +38,24 @@ def drive_force(signals: Signals, p: Values) -> Array:
 
 
 def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
-    """Return the state −1…1 of the drive's friction and its square: it turns over within milliseconds."""
+    """Return the state −1…1 of the drive's friction and its square, each by its Stribeck curve.
+
+    It turns over within milliseconds.
+    """
     if signals.fine is None:
         slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, p)
-        return slip, slip**2
+        curve = _curve(signals["rope_m_s"], p)
+        return curve * slip, curve * slip**2
     slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, p)
-    return signals.fine.thinned(slip), signals.fine.thinned(slip**2)
+    curve = _curve(signals.fine.rope_m_s, p)
+    return signals.fine.thinned(curve * slip), signals.fine.thinned(curve * slip**2)
+
+
+def _curve(speed: Array, p: Values) -> Array | float:
+    """Return the friction over that in quick motion, by speed."""
+    if p["drive_stribeck_ratio"] == 1.0:
+        return 1.0
+    return np.asarray(1.0 + (p["drive_stribeck_ratio"] - 1.0) * np.exp(-((speed / p["drive_stribeck_speed"]) ** 2)))
 
 
 def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
@@ -68,9 +80,11 @@ def tracked(
         if fresh[k]:
             x, v = target[k], 0.0
         else:
-            dt = (time[k] - time[k - 1]) / SUBSTEPS
-            for i in range(SUBSTEPS):
-                part = (i + 1) / SUBSTEPS
+            # a step of the loop is stable while it is shorter than the loop's own times
+            steps = max(SUBSTEPS, int(w * (1.0 + 2.0 * damping) * (time[k] - time[k - 1])) + 1)
+            dt = (time[k] - time[k - 1]) / steps
+            for i in range(steps):
+                part = (i + 1) / steps
                 aim = target[k - 1] + part * (target[k] - target[k - 1])
                 wanted = w * w * (aim - x) - 2.0 * damping * w * v
                 if limited:

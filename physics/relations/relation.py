@@ -66,6 +66,14 @@ def read_by(relation: Relation) -> frozenset[str]:
     return frozenset(read)
 
 
+def read_on(relation: Relation, signals: Signals) -> frozenset[str]:
+    """Return the parameters that `relation` reads on `signals`: fewer, where it can do without a column."""
+    recorded = Recorded(_switched_on())
+    relation.law(signals, recorded)
+    brought = {p.name for effect in CATALOGUE.values() if relation.name in effect.measured for p in effect.parameters}
+    return frozenset(recorded.read) | brought
+
+
 def _switched_on() -> dict[str, float]:
     """Return values of which none is where its part of a law is left out."""
     values = {}

@@ -44,6 +44,15 @@ def grip(force: float, speed: float, load: float, ratio: float, calm: float) -> 
 
 
 @njit(inline="always")
+def recalled(recent: float, speed: float, before: float, seconds: float, memory: float) -> float:
+    """Return the sliding speed that friction remembers, m/s, `seconds` after `recent` (Hess and Soom)."""
+    if memory <= 0.0:
+        return speed
+    fade = math.exp(-seconds / memory)
+    return fade * recent + (1.0 - fade) * 0.5 * (speed + before)
+
+
+@njit(inline="always")
 def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
     """Return the stretch at a tension, m: (10), continued along its tangent from 90 % of the turning point.
 
@@ -57,9 +66,9 @@ def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
 
 @njit(cache=True)
 def over_fabric(
-    end: Array, calmed: Array, exponent: Array, speed: Array, creep: Array, fresh: Mask,
+    end: Array, calmed: Array, exponent: Array, creep: Array, time: Array, fresh: Mask,
     linear: float, bend: float, toe: float, distance: float, shape: float,
-    load: float, ratio: float, calm: float, slack_n: float,
+    load: float, ratio: float, calm: float, memory: float, slack_n: float,
 ) -> Array:
     """Return the tension before the knee, N, from that behind it; `exponent` is μ2·φ at each sample.
 
@@ -67,6 +76,7 @@ def over_fabric(
     """
     out = np.empty(end.size)
     s, q = np.zeros(FABRIC_NODES), np.zeros(FABRIC_NODES)
+    recent, before = np.zeros(FABRIC_NODES), np.zeros(FABRIC_NODES)
     for k in range(end.size):
         force, moved, at = end[k], calmed[k], 0.0
         for i in range(FABRIC_NODES):
@@ -75,8 +85,12 @@ def over_fabric(
                 s[i] = 0.0
             else:
                 s[i] = presliding_shaped(s[i], at - q[i], distance, shape)
+            if ratio != 1.0 and not fresh[k]:
+                speed = (at - q[i]) / (time[k] - time[k - 1])
+                recent[i] = recalled(recent[i], speed, before[i], time[k] - time[k - 1], memory)
+                before[i] = speed
             q[i] = at
-            factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, speed[k], load, ratio, calm))
+            factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, recent[i], load, ratio, calm))
             force *= factor
             moved *= factor
         out[k] = force
@@ -85,9 +99,9 @@ def over_fabric(
 
 @njit(cache=True)
 def along_cable(
-    tension: Array, position: Array, exponent: Array, speed: Array, fresh: Mask,
+    tension: Array, position: Array, exponent: Array, time: Array, fresh: Mask,
     distance: float, shape: float, compliance: float,
-    load: float, ratio: float, calm: float, slack_n: float, gain: float,
+    load: float, ratio: float, calm: float, memory: float, slack_n: float, gain: float,
 ) -> tuple[Array, Array]:
     """Return (START tension, N, mean slip state) from the tension behind the cable and the drum's position.
 
@@ -98,9 +112,15 @@ def along_cable(
     start, mean = np.empty(tension.size), np.empty(tension.size)
     s, u = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
     trial = np.zeros(CABLE_NODES)
+    recent, before, taken = 0.0, 0.0, 0.0
     for k in range(tension.size):
         base = gain * tension[k]
-        whole = exponent[k] * grip(tension[k], speed[k], load, ratio, calm) / CABLE_NODES
+        if ratio != 1.0 and not fresh[k]:
+            # what the rope's stretch takes of the drum's speed is that of the sample before
+            seconds = time[k] - time[k - 1]
+            speed = (position[k] - position[k - 1] - taken) / seconds
+            recent, before = recalled(recent, speed, before, seconds, memory), speed
+        whole = exponent[k] * grip(tension[k], recent, load, ratio, calm) / CABLE_NODES
         if fresh[k] or tension[k] < slack_n:
             force = base
             for i in range(CABLE_NODES):
@@ -130,12 +150,13 @@ def along_cable(
                 s[i], u[i] = trial[i], position[k] - compliance * force
             force = capstan(base, whole * turn)
         start[k], mean[k] = force, (s[0] + s[1] + s[2]) / CABLE_NODES
+        taken = 0.0 if fresh[k] else compliance * (force - start[k - 1])
     return start, mean
 
 
 @njit(inline="always")
 def _reach(
-    end: float, creep: float, fabric: float, cable: float, slide_f: float, slide_c: float, s: Array, u: Array,
+    end: float, creep: float, fabric: float, cable: float, slid: Array, s: Array, u: Array,
     new_s: Array, new_u: Array, anchor: float, own: float, bend: float, toe: float, compliance: float,
     distance_f: float, distance: float, shape: float, load: float, ratio: float, calm: float,
 ) -> tuple[float, float]:
@@ -145,9 +166,9 @@ def _reach(
         at += SHARES[i] * (stretch_of(force, own, bend, toe) + creep)
         new_u[i] = at
         new_s[i] = presliding_shaped(s[i], at - u[i], distance_f, shape)
-        force = capstan(force, new_s[i] * fabric / FABRIC_NODES * grip(force, slide_f, load, ratio, calm))
+        force = capstan(force, new_s[i] * fabric / FABRIC_NODES * grip(force, slid[i], load, ratio, calm))
     at += anchor + SHARES[FABRIC_NODES] * (stretch_of(force, own, bend, toe) + creep)
-    whole = cable * grip(force, slide_c, load, ratio, calm) / CABLE_NODES
+    whole = cable * grip(force, slid[FABRIC_NODES], load, ratio, calm) / CABLE_NODES
     turn = 0.0
     for i in range(CABLE_NODES):
         j = FABRIC_NODES + i
@@ -158,11 +179,22 @@ def _reach(
     return at + compliance * force, force
 
 
+@njit(inline="always")
+def _expected(node: int, drum: Array, anchor: Array, k: int) -> float:
+    """Return how far a node slides from sample k − 1 to k where the path stretches evenly, m: the cable's are last."""
+    moved: float = drum[k] - drum[k - 1]
+    if node == FABRIC_NODES:
+        return moved
+    share: float = SHARE_AFTER + SHARE_OVER * (node + 0.5) / FABRIC_NODES
+    strain: float = moved - anchor[k] + anchor[k - 1]
+    return share * strain
+
+
 @njit(cache=True)
 def from_motion(
-    drum: Array, anchor: Array, time: Array, fresh: Mask, fabric: Array, cable: Array, slide_f: Array, slide_c: Array,
+    drum: Array, anchor: Array, time: Array, fresh: Mask, fabric: Array, cable: Array,
     linear: float, bend: float, toe: float, compliance: float, creep_rate: float, creep_time: float, distance_f: float,
-    distance: float, shape: float, load: float, ratio: float, calm: float,
+    distance: float, shape: float, load: float, ratio: float, calm: float, memory: float,
 ) -> tuple[Array, Array]:
     """Return (END, START) tension, N, that the positions of drum and leg anchor, m, ask for: (10), (11), (3), (7).
 
@@ -173,8 +205,15 @@ def from_motion(
     end_out, start_out = np.zeros(n), np.zeros(n)
     s, u, new_s, new_u = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
     own = max(linear - compliance, 1e-6)
+    slid, speed, lacks = np.zeros(FABRIC_NODES + 1), np.zeros(FABRIC_NODES + 1), np.zeros(FABRIC_NODES + 1)
     gamma, end, slope, before = 0.0, 0.0, linear, 0.0
     for k in range(n):
+        if ratio != 1.0 and not fresh[k]:
+            seconds = time[k] - time[k - 1]
+            for i in range(FABRIC_NODES + 1):
+                moved = _expected(i, drum, anchor, k) / seconds + lacks[i]
+                slid[i] = recalled(slid[i], moved, speed[i], seconds, memory)
+                speed[i] = moved
         if fresh[k]:
             gamma = 0.0
         elif creep_rate > 0.0:
@@ -187,14 +226,15 @@ def from_motion(
                 u[i] = (SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES) * gamma
             u[FABRIC_NODES:] = anchor[k] + gamma
             before = 0.0
+            lacks[:] = 0.0
             continue
         low, high, start = 0.0, 1e6, 0.0
         guess = max(end + (drum[k] - anchor[k] - before) / slope, 1e-3)
         last, f_last = end, -np.inf
         for i in range(ITERATIONS):
             end = guess
-            at, start = _reach(end, gamma, fabric[k], cable[k], slide_f[k], slide_c[k], s, u, new_s, new_u, anchor[k],
-                               own, bend, toe, compliance, distance_f, distance, shape, load, ratio, calm)
+            at, start = _reach(end, gamma, fabric[k], cable[k], slid, s, u, new_s, new_u, anchor[k], own, bend,
+                               toe, compliance, distance_f, distance, shape, load, ratio, calm)
             f = at - drum[k]
             if abs(f) < CLOSE_M or high - low < CLOSE_N:
                 break
@@ -208,6 +248,9 @@ def from_motion(
             if not low < guess < high or (i > 1 and abs(f) > 0.5 * abs(f_last)):
                 guess = 0.5 * (low + min(high, 2.0 * end + 1.0))
             last, f_last = end, f
+        if ratio != 1.0 and before > 0.0:
+            for i in range(FABRIC_NODES + 1):
+                lacks[i] = (new_u[i] - u[i] - _expected(i, drum, anchor, k)) / (time[k] - time[k - 1])
         s[:] = new_s
         u[:] = new_u
         before = drum[k] - anchor[k]

@@ -77,7 +77,7 @@ def _before_knee(signals: Signals, p: Values) -> Array:
     linear, bend = _stretch(p)
     crept = _creep(signals, p, end) if p["creep_compliance"] > 0.0 else np.zeros(end.size)
     return np.asarray(chain.over_fabric(
-        end, _calm(signals, end), fabric_exponent(signals, p), _moved(signals, p, "strain_m_s"), crept, signals.fresh,
+        end, _calm(signals, end), fabric_exponent(signals, p), crept, signals["time_s"], signals.fresh,
         max(linear - cable_compliance(p), 1e-9), bend, _toe(p), p["presliding"] * p["fabric_presliding_ratio"],
         p["presliding_shape"], *_law(p)))
 
@@ -93,15 +93,15 @@ def _moved(signals: Signals, p: Values, name: str) -> Array:
     return signals.later(signals[name], -p["timestamp_skew"])
 
 
-def _law(p: Values) -> tuple[float, float, float, float]:
-    return p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"], p["slack_below"]
+def _law(p: Values) -> tuple[float, float, float, float, float]:
+    return p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"], p["stribeck_memory"], p["slack_below"]
 
 
 def _along(signals: Signals, p: Values) -> tuple[Array, Array]:
     """Return START tension, N, and the rope's mean slip state."""
     start, slip = chain.along_cable(
         before_knee(signals, p), p["pull_sign"] * _moved(signals, p, "rope_m"), cable_exponent(signals, p),
-        _moved(signals, p, "rope_m_s"), signals.fresh, p["presliding"], p["presliding_shape"],
+        signals["time_s"], signals.fresh, p["presliding"], p["presliding_shape"],
         p["cable_share_before"] * cable_compliance(p), *_law(p), p["tension_ratio"])
     return start, slip
 
@@ -183,10 +183,10 @@ def _from_motion(signals: Signals, p: Values) -> Array:
     linear, bend = _stretch(p)
     _end, start = chain.from_motion(
         wound(signals, p, position), anchored(p, angle), signals["time_s"], signals.fresh,
-        fabric_exponent(signals, p), cable_exponent(signals, p), signals["strain_m_s"], signals["rope_m_s"],
-        linear, bend, _toe(p), cable_compliance(p), p["creep_compliance"], p["creep_time"],
+        fabric_exponent(signals, p), cable_exponent(signals, p), linear, bend, _toe(p), cable_compliance(p),
+        p["creep_compliance"], p["creep_time"],
         p["presliding"] * p["fabric_presliding_ratio"], p["presliding"], p["presliding_shape"],
-        p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"])
+        p["load_slope"], p["stribeck_ratio"], p["stribeck_speed"], p["stribeck_memory"])
     return start
 
 

@@ -22,8 +22,8 @@ def pulled(exponent: float, compliance: float = 0.0) -> tuple[np.ndarray, np.nda
     behind = np.full(position.size, 20.0)
     fresh = np.zeros(position.size, dtype=np.bool_)
     fresh[0] = True
-    start, _ = along_cable(behind, position, np.full(position.size, exponent), np.zeros(position.size), fresh,
-                           1e-4, 1.0, compliance, 0.0, 1.0, 0.01, 0.3, 1.0)
+    start, _ = along_cable(behind, position, np.full(position.size, exponent), 1e-3 * np.arange(position.size),
+                           fresh, 1e-4, 1.0, compliance, 0.0, 1.0, 0.01, 0.02, 0.3, 1.0)
     return position, behind, start
 
 

@@ -6,7 +6,10 @@ trial is of a like bench of its own, within the tolerance of like benches; wheth
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,14 +48,17 @@ class Case:
 
 @dataclass(frozen=True)
 class Answer:
-    """What was said, beside what was hidden; `separation`: χ² of the oracle, None where it was not asked."""
+    """What was said, beside what was hidden; `separation`: χ² of the oracle, None where it was not asked.
+
+    `found`: by effect and parameter its `value` and the ends of its interval, `low` and `high`; `values`: the truth.
+    """
 
     job: Job
     structure: str
     verdict: str
     named: tuple[str, ...]
     rivals: tuple[str, ...]
-    found: dict[str, dict[str, float]]
+    found: dict[str, dict[str, dict[str, float]]]
     values: dict[str, float]
     separation: float | None
     warnings: tuple[str, ...] = ()
@@ -73,6 +79,23 @@ class Answer:
     def wrong(self) -> bool:
         """Whether a name was given and none of what was hidden is among them."""
         return bool(self.rivals) and not set(self.job.hidden) & set(self.rivals)
+
+    @property
+    def alarm(self) -> bool:
+        """Whether anything was said of a bench with nothing wrong."""
+        return not self.job.hidden and self.verdict != "none"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return dataclasses.asdict(self)
+
+
+def from_json(given: Mapping[str, Any]) -> Answer:
+    """Return the answer that `as_json` made."""
+    job = given["job"]
+    return Answer(**{
+        **given, "job": Job(**{**job, "hidden": tuple(job["hidden"]), "left_out": tuple(job["left_out"])}),
+        **{name: tuple(given[name]) for name in ("named", "rivals", "warnings")}})
 
 
 def like(bench: Bench, rng: np.random.Generator) -> Bench:
@@ -118,24 +141,23 @@ def answer(job: Job, judged: bool = True) -> Answer:
 
 
 def answered(job: Job, made: Case, told: Findings, judged: bool) -> Answer:
-    """Put what was said beside what was hidden."""
-    found = {c["effect"]: {n: p["value"] for n, p in c["parameters"].items()} for c in told.causes}
+    """Put what was said beside what was hidden; without END no oracle is asked, since only names are judged there."""
+    found = {c["effect"]: {n: {end: float(p[end]) for end in ("value", "low", "high")}
+                           for n, p in c["parameters"].items()} for c in told.causes}
+    apart = separation(made, job) if judged and job.hidden and not job.left_out else None
     return Answer(job, made.bench.structure.implementation, told.verdict, tuple(found), tuple(told.rivals), found,
-                  made.values, separation(made) if judged and job.hidden else None, tuple(told.warnings))
+                  made.values, apart, tuple(told.warnings))
 
 
-def separation(made: Case) -> float:
-    """χ² by which the truth is told from every like bench without what is hidden, of two cycles times their number."""
+def separation(made: Case, job: Job) -> float:
+    """χ² by which the truth is told from every like bench without what is hidden, of two cycles times their number.
+
+    Of two effects the lesser: how far the truth is from the bench that has the other one alone.
+    """
     motion = made.motion
     n = int(np.searchsorted(motion.cycle, 2.0))
     short = imposed.Motion(*(values[:n] for values in motion))
-    return oracle.separation(made.bench, made.changed, short, made.noise_n) * motion.time.size / n
+    rest = [tuple(h for h in job.hidden if h != name) for name in job.hidden]
+    return min(oracle.separation(effects.hide(made.bench, others, job.seed)[0], made.changed, short, made.noise_n)
+               for others in rest) * motion.time.size / n
 
-
-KINDS = ("maxwell", "lugre", "dahl", "fronts")
-
-
-def serials(kind: str, count: int, aside: bool) -> list[int]:
-    """The first serials of an implementation, set aside for the last run or not."""
-    found = [s for s in range(400) if draws.structure(s).implementation == kind and draws.set_aside(s) == aside]
-    return found[:count]

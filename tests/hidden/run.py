@@ -12,17 +12,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 from benchmarks import marked
 from bowden import provenance
 from bowden.cli import terminal
 from bowden.sweep import run
 from tests.hidden import cases, floors, page
-from tests.hidden.answers import Answer, answer, from_json
+from tests.hidden.answers import answer, from_json
 from tests.hidden.cases import Job
 
 FIRST = 200_000
@@ -30,7 +31,7 @@ FIRST = 200_000
 FULL = {"one": 14 * len(cases.EFFECTS), "two": 60, "none": 90, "outside": 45, "wire": 30}
 QUICK = {"one": len(cases.EFFECTS), "two": 8, "none": 14, "outside": 6, "wire": 6}
 OUT = Path("out")
-Question = Callable[[Job], Answer]
+Question = Callable[[Any], Any]
 DOCS = Path("docs/diagnosis.md")
 
 
@@ -52,21 +53,22 @@ def jobs(quick: bool, first: int) -> list[Job]:
 
 
 class Kept:
-    """Answers in a file of JSON lines, one for a job, with the commit that gave it."""
+    """Answers in a file of JSON lines, one for a job, with the commit that gave it; `read`: makes one of plain values.
+    """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, read: Callable[[Mapping[str, Any]], Any] = from_json) -> None:
         self.path = path
-        self.answers: dict[Job, Answer] = {}
-        self.commits: dict[Job, str] = {}
+        self.answers: dict[Any, Any] = {}
+        self.commits: dict[Any, str] = {}
         lines = path.read_text(encoding="utf-8").split("\n") if path.is_file() else []
         for line in lines:
             # a line that was cut off in writing is asked again
             if line.endswith("}}"):
                 held = json.loads(line)
-                told = from_json(held["answer"])
+                told = read(held["answer"])
                 self.answers[told.job], self.commits[told.job] = told, held["commit"]
 
-    def add(self, told: Answer, commit: str) -> None:
+    def add(self, told: Any, commit: str) -> None:
         """Keep an answer; it is in the file at once."""
         self.answers[told.job], self.commits[told.job] = told, commit
         self.path.parent.mkdir(exist_ok=True)
@@ -74,9 +76,9 @@ class Kept:
             stream.write(json.dumps({"commit": commit, "answer": told.as_json()}) + "\n")
 
 
-def ask(todo: Iterable[Job], crew: run.Workers, question: Question) -> Iterator[Answer]:
+def ask(todo: Iterable[Any], crew: run.Workers, question: Question) -> Iterator[Any]:
     """Yield answers as they come, little more than one a worker under way."""
-    left, under_way = iter(todo), set[Future[Answer]]()
+    left, under_way = iter(todo), set[Future[Any]]()
     while True:
         for job in left:
             under_way.add(crew.executor.submit(question, job))
@@ -93,8 +95,8 @@ def crew_of(scheduler: str | None, workers: int | None) -> AbstractContextManage
     return run.local(workers) if scheduler is None else run.cluster(scheduler)
 
 
-def answered(wanted: Sequence[Job], kept: Kept, crew: Callable[[], AbstractContextManager[run.Workers]],
-             question: Question = answer) -> list[Answer]:
+def answered(wanted: Sequence[Any], kept: Kept, crew: Callable[[], AbstractContextManager[run.Workers]],
+             question: Question = answer) -> list[Any]:
     """Return the answers of `wanted`, in their order, those that are not kept yet by a crew."""
     todo = [job for job in wanted if job not in kept.answers]
     commit = provenance.commit()

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from tests.hidden.family import KINDS, Answer, Job, answer
-from tests.hidden.family_run import jobs, said
+from tests.hidden import family_bars
+from tests.hidden.family import Answer, Job, answer, from_json
+from tests.hidden.family_jobs import KINDS, digest, jobs
+from tests.hidden.family_run import DOCS, said
+from tests.hidden.run import Kept
+from tests.plants.draws import set_aside, structure
 
-QUICK = {"maxwell": ((), ("load_dependent_friction",)), "lugre": (("friction_drift",),),
-         "dahl": (("friction_drift",),), "fronts": (("end_gain",),)}
-"""What is asked of each implementation, on the first serial that its run takes and that is not set aside."""
+QUICK = (Job(39, (), 9), Job(241, ("load_dependent_friction",), 14), Job(60, ("friction_drift",), 18),
+         Job(99, ("friction_drift",), 18), Job(27, ("end_gain",), 26))
+"""One of each implementation at least, none set aside."""
 
 pytestmark = pytest.mark.hidden
 
 
-def asked(kind: str) -> list[Job]:
-    every = {job.hidden: job for job in jobs(kind, aside=False)}
-    return [every[hidden] for hidden in QUICK[kind]]
-
-
 @pytest.fixture(scope="module")
 def told() -> list[Answer]:
-    return [answer(job, judged=False) for kind in KINDS for job in asked(kind)]
+    return [answer(job, judged=False) for job in QUICK]
 
 
 def test_no_wrong_name_is_given(told: list[Answer]) -> None:
@@ -33,12 +34,71 @@ def test_what_was_hidden_is_in_the_class(told: list[Answer]) -> None:
     assert len([a for a in told if not a.right]) <= 1, [said(a) for a in told]
 
 
-def test_what_is_asked_is_known_by_its_hash_and_nothing_set_aside_is_in_the_quick_set() -> None:
-    from tests.hidden.family_run import digest
-    from tests.plants.draws import set_aside
+def test_the_quick_set_has_every_implementation_and_nothing_set_aside() -> None:
+    assert {structure(job.serial).implementation for job in QUICK} == set(KINDS)
+    assert not any(set_aside(job.serial) for job in QUICK)
 
-    assert not any(set_aside(job.serial) for kind in KINDS for job in asked(kind))
-    aside = [job for kind in ("dahl", "fronts") for job in jobs(kind, aside=True, every=8)]
-    assert all(set_aside(job.serial) for job in aside)
-    # the hash that docs/diagnosis.md had before the run
-    assert digest(aside) == "b8f633189bf4b7993769f155d29a354f8d90f09ddfb11e3c641fcef0357d093a"
+
+def test_what_is_asked_falls_on_many_benches_and_its_hash_hangs_on_each_case() -> None:
+    for kind in KINDS:
+        aside, own = (list(jobs(kind, at, every=4)) for at in (True, False))
+        assert all(set_aside(job.serial) for job in aside)
+        assert not any(set_aside(job.serial) for job in own)
+        assert len({job.serial for job in aside}) > 0.6 * len(aside)
+        assert {len(job.hidden) for job in aside} == {0, 1, 2}
+        assert any(job.left_out for job in aside)
+        assert len({digest(aside), digest(own), digest(aside[1:]), digest(aside[::-1])}) == 4
+
+
+def test_the_hash_on_the_page_is_of_what_is_asked() -> None:
+    said_there = re.findall(r"committed before it ran:\n`([0-9a-f]{64})`", DOCS.read_text(encoding="utf-8"))
+    every = [job for kind in KINDS for job in jobs(kind, aside=True, every=8)]
+    assert said_there == [digest(every)]
+
+
+def of(hidden: str, rivals: str, separation: float | None = 100.0, verdict: str = "found",
+       left_out: tuple[str, ...] = (), found: float = 1.0, low: float = 0.9, high: float = 1.1) -> Answer:
+    """An answer made up: of a sensor's offset of 1 N it says `found`."""
+    names = tuple(rivals.split())
+    said_of = {names[0]: {"end_offset": {"value": found, "low": low, "high": high}}} if names else {}
+    return Answer(Job(1, tuple(hidden.split()), 0, left_out=left_out), "lugre", verdict, names[:1], names, said_of,
+                  {"end_offset": 1.0}, separation)
+
+
+def cells(told: list[Answer], name: str) -> list[str]:
+    return next(row for row in family_bars.rows([told]) if row[0] == name)[1:]
+
+
+def test_a_bar_counts_what_the_oracle_separates() -> None:
+    told = [of("end_offset", "end_offset"), of("end_offset", "slack end_offset"), of("end_offset", "slack"),
+            of("end_offset", "slack", separation=10.0)]
+    assert cells(told, "right class") == ["2/3", "66.7 %", "≥ 93 % (worst ≥ 85)", "no"]
+    assert cells(told, "first name")[0] == "1/3"
+    assert cells(told, "wrong name")[0] == "1/3"
+    assert cells(told, "not counted by the oracle: wrong name")[0] == "1/1"
+    assert cells(told, "not counted by the oracle")[0] == "1"
+
+
+def test_pairs_healthy_benches_and_trials_without_end_have_rows_of_their_own() -> None:
+    told = [of("end_offset slack", "slack"), of("", "slack", None), of("", "", None, "unexplained"),
+            of("", "slack", None, left_out=("tension_end_n",)),
+            of("end_offset", "slack", None, left_out=("tension_end_n",))]
+    assert cells(told, "pairs: class")[0] == "0/1"
+    assert cells(told, "pairs: one right")[0] == "1/1"
+    assert cells(told, "false alarms")[0] == "1/2"
+    assert cells(told, "… `unexplained` said of a healthy bench")[0] == "1/2"
+    assert cells(told, "no END: wrong name or alarm")[0] == "2/2"
+    assert cells(told, "right class")[0] == "–"
+
+
+def test_a_value_is_off_by_a_share_of_what_was_hidden() -> None:
+    told = [of("end_offset", "end_offset", found=1.05), of("end_offset", "end_offset", found=1.5, low=1.4, high=1.6)]
+    assert cells(told, "parameter error, median")[:2] == ["27.5 %", "27.5 % of 2"]
+    assert cells(told, "interval covers")[0] == "1/2"
+
+
+def test_a_run_goes_on_where_it_was_broken_off(tmp_path) -> None:
+    kept = Kept(tmp_path / "answers.jsonl", from_json)
+    kept.add(of("end_offset", "end_offset"), "abc")
+    kept.add(of("", "", None, left_out=("tension_end_n",)), "abc")
+    assert Kept(tmp_path / "answers.jsonl", from_json).answers == kept.answers

@@ -82,7 +82,7 @@ class Bench:
     rope_kg: float = 0.02
     loose_drag: float = 0.3  # friction of the loose rope against its own weight, as a coefficient
     loose_viscous: float = 0.3  # drag of the whole path without load, N·s/m
-    slack: float = 0.0
+    slack: float = 0.0  # length to be wound up before the rope is taut, m
     # knee
     moment_arm: float = 0.0405  # m/rad
     moment_arm2: float = 0.0  # m/rad²

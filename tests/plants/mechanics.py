@@ -41,7 +41,7 @@ def parameters(bench: b.Bench) -> np.ndarray:
         bench.drive_coulomb, bench.drive_viscous, bench.drive_viscous_asymmetry, bench.drive_offset,
         bench.drive_asymmetry, bench.drive_presliding, bench.drive_kg, bench.drive_lag, bench.structure.drive_order,
         bench.demand_gain, bench.force_limit, bench.drum, bench.eccentricity, bench.eccentricity_phase,
-        bench.zero - bench.slack, bench.moment_arm, bench.moment_arm2, bench.play, bench.play_s, bench.play_nm,
+        bench.zero + bench.slack, bench.moment_arm, bench.moment_arm2, bench.play, bench.play_s, bench.play_nm,
         KNEES.index(bench.structure.knee), bench.leg_inertia, bench.leg_weight, bench.knee_rub, bench.knee_viscous,
         bench.knee_lag, bench.start_lag, bench.end_lag, bench.end_filter, bench.end_mass, bench.end_arm,
         bench.resonance])

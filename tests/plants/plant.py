@@ -39,7 +39,7 @@ class FamilyPlant:
         m[:] = 0.0
         m[[mechanics.Q, mechanics.LEG, mechanics.OLD_LEG]] = UPRIGHT
         anchored = float(mechanics.anchor.py_func(self._k, UPRIGHT))
-        m[mechanics.X] = anchored + b.zero - b.slack - b.start_slack
+        m[mechanics.X] = anchored + b.zero + b.slack - b.start_slack
         self._method.settle(self._z, self._p, float(mechanics.paid.py_func(self._k, m[mechanics.X])), anchored)
         m[[mechanics.FELT_END, mechanics.FELT_LATE]] = b.end_mass * 9.81 * math.cos(UPRIGHT)
         return self._felt()

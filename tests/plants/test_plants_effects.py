@@ -55,6 +55,15 @@ def test_every_effect_shows_where_it_should(walked: tuple[Bench, Motion]) -> Non
             assert moved[signal] == 0.0, (name, signal)
 
 
+def test_slack_is_rope_to_be_wound_up_before_the_tension_rises(walked: tuple[Bench, Motion]) -> None:
+    bench, motion = walked
+    slack = effects.replaced(bench, slack=1e-3)
+    tight, loose = (forced(b, motion.time, motion.rope, motion.knee).end for b in (bench, slack))
+    shifted = forced(slack, motion.time, motion.rope + 1e-3, motion.knee).end
+    assert loose.max() < tight.max() - 1.0
+    assert shifted == pytest.approx(tight, abs=1e-6)
+
+
 def test_truth_is_said_in_the_catalogue_s_names() -> None:
     bench = draws.draw(4)
     for name in effects.EFFECTS:

@@ -1,0 +1,185 @@
+"""Rigs of other kinds through the command line: a drive axis, a series-elastic actuator, a run-up, a seal."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bowden
+from bowden.cli.app import run
+from diagnosis.data.table import table
+from diagnosis.problem.blocks import cycles_of, signals_of
+from parameters import InputError
+from tests.diagnosis import rigs
+
+pytestmark = pytest.mark.slow
+
+FORCE = "drive_force"
+
+
+def diagnosed(*arguments: object) -> dict[str, Any]:
+    """What `bowden diagnose … --json` prints."""
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told):
+        assert run(["diagnose", *map(str, arguments), "--json"]) == 0
+    result: dict[str, Any] = json.loads(told.getvalue())
+    return result
+
+
+def named(result: dict[str, Any]) -> set[str]:
+    return {cause["effect"] for cause in result["causes"]}
+
+
+def value(result: dict[str, Any], parameter: str) -> float:
+    return float(next(c["parameters"][parameter]["value"] for c in result["causes"] if parameter in c["parameters"]))
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two trials of a bare axis, then one of the same and one with 25 kg on it."""
+    folder = tmp_path_factory.mktemp("axis")
+    return [rigs.write(folder / f"axis_{seed}.csv", rigs.drive_axis(seed, load))
+            for seed, load in ((1, 0.0), (2, 0.0), (3, 0.0), (4, 25.0))]
+
+
+@pytest.fixture(scope="module")
+def bare(axis: list[Path]) -> dict[str, Any]:
+    return diagnosed(axis[0], "--holdout", axis[1])
+
+
+def test_all_of_an_axis_is_named_offset_and_asymmetry_only_together(bare: dict[str, Any]) -> None:
+    # a constant force and drag that differs by direction hide each other: one by one neither takes a tenth
+    assert {"drive_inertia", "drive_viscous", "drive_coulomb", "drive_viscous_asymmetry"} <= named(bare)
+    assert {"drive_offset", "drive_asymmetry"} & named(bare)
+    assert value(bare, "drive_inertia") == pytest.approx(60.0, rel=0.03)
+    assert value(bare, "drive_viscous") == pytest.approx(180.0, rel=0.05)
+    assert value(bare, "drive_coulomb") == pytest.approx(18.0, rel=0.05)
+    assert value(bare, "drive_viscous_asymmetry") == pytest.approx(0.15, rel=0.2)
+
+
+def test_an_axis_keeps_its_law_on_a_trial_never_fitted(bare: dict[str, Any]) -> None:
+    # the current's noise is 0.8 N; its filter of 100 Hz is late by 2 ms, at every one of eighty ramps
+    assert bare["relations"][FORCE]["holdout_after"] < 2.5
+
+
+def test_a_load_on_the_axis_is_found_beside_bare_trials(axis: list[Path]) -> None:
+    loaded = diagnosed(axis[3], "--healthy", axis[0], "--healthy", axis[1])
+    assert named(loaded) == {"drive_inertia"}
+    assert value(loaded, "drive_inertia") == pytest.approx(85.0, rel=0.03)
+
+
+def test_the_same_axis_again_is_the_same(axis: list[Path]) -> None:
+    again = diagnosed(axis[2], "--healthy", axis[0], "--healthy", axis[1])
+    assert again["verdict"] == "none"
+    assert any("compared with what its healthy trials are" in text for text in again["warnings"])
+
+
+def test_an_axis_at_100_hz_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
+    given = rigs.write(tmp_path / "axis.csv", rigs.decimated(rigs.drive_axis(1), 10))
+    found = bowden.Diagnosis().diagnose(given).as_json()
+    assert {"drive_inertia", "drive_viscous", "drive_coulomb"} <= named(found)
+    assert named(found) <= {"drive_inertia", "drive_viscous", "drive_coulomb", "drive_viscous_asymmetry",
+                            "drive_offset", "drive_asymmetry"}
+
+
+def test_without_a_healthy_trial_the_ideal_is_said_and_what_is_missing_in_one_sentence(bare: dict[str, Any]) -> None:
+    assert any("compared with an ideal transmission" in text for text in bare["warnings"])
+    lacking = [text for text in bare["warnings"] if "for want of columns" in text]
+    assert len(lacking) == 1
+    assert "servo (servo_target_m)" in lacking[0]
+    assert not any("could be told, too" in text for text in bare["warnings"])
+
+
+@pytest.fixture(scope="module")
+def elastic(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("elastic")
+    return [rigs.write(folder / f"elastic_{seed}.csv", rigs.series_elastic(seed, stiffness))
+            for seed, stiffness in ((1, 9e3), (2, 9e3), (3, 6e3))]
+
+
+def test_motor_and_spring_of_a_series_elastic_actuator_are_named(elastic: list[Path]) -> None:
+    found = diagnosed(elastic[0], "--holdout", elastic[1])
+    assert named(found) == {"stiffness", "drive_coulomb", "drive_inertia", "drive_viscous", "drive_presliding"}
+    # (10) is 0.3 mm/N at scale 1: a spring of 9 kN/m is 2.7 of that, and straight
+    spring = next(c for c in found["causes"] if c["effect"] == "stiffness")["parameters"]["stiffness_scale"]
+    assert spring["value"] == pytest.approx(2.7, rel=0.02)
+    assert 0.5 * spring["value"] < spring["low"] < spring["high"] < 1.5 * spring["value"]
+    assert value(found, "stiffness_shape") == pytest.approx(-1.0, abs=0.05)
+    assert value(found, "drive_inertia") == pytest.approx(4.0, rel=0.1)
+    assert value(found, "drive_viscous") == pytest.approx(40.0, rel=0.1)
+    assert found["relations"][FORCE]["holdout_after"] < 0.6
+    assert found["relations"]["kinematics"]["holdout_after"] < 5e-4
+
+
+def test_a_softer_spring_is_found_beside_the_first_one(elastic: list[Path]) -> None:
+    softer = diagnosed(elastic[2], "--healthy", elastic[0], "--healthy", elastic[1])
+    assert named(softer) == {"stiffness"}
+    assert value(softer, "stiffness_scale") == pytest.approx(1.8, rel=0.03)
+
+
+def test_a_locked_joint_leaves_the_motor(tmp_path: Path) -> None:
+    found = diagnosed(rigs.write(tmp_path / "locked.csv", rigs.series_elastic(1, locked=True)))
+    assert {"drive_coulomb", "drive_inertia"} <= named(found)
+    assert any("knee_angle_rad is constant" in text for text in found["warnings"])
+
+
+def test_a_motors_force_alone_does_not_say_what_the_load_takes(tmp_path: Path) -> None:
+    path = rigs.write(tmp_path / "no_cell.csv", rigs.series_elastic(1), (
+        "servo_position_m", "servo_force_n", "knee_angle_rad"))
+    found = diagnosed(path)
+    assert found["verdict"] == "none"
+    assert any("record tension_start_n beside it" in text for text in found["warnings"])
+
+
+def test_a_run_up_in_rad_and_newton_metres(tmp_path: Path) -> None:
+    paths = [rigs.write(tmp_path / f"run_{seed}.csv", rigs.run_up(seed)) for seed in (1, 2)]
+    found = diagnosed(paths[0], "--holdout", paths[1])
+    assert {"drive_inertia", "drive_viscous"} <= named(found)
+    assert value(found, "drive_inertia") == pytest.approx(3.2e-4, rel=0.05)
+    units = {name: p["unit"] for c in found["causes"] for name, p in c["parameters"].items()}
+    assert (units["drive_inertia"], units["drive_viscous"]) == ("kg·m²", "N·m·s/rad")
+    assert found["relations"][FORCE]["unit"] == "N·m"
+    assert found["relations"][FORCE]["holdout_after"] < 0.25 * found["relations"][FORCE]["holdout_before"]
+
+
+def test_cycles_of_a_motion_that_goes_one_way_are_those_of_its_speed() -> None:
+    given = table("run", rigs.run_up(1))
+    assert cycles_of(signals_of(given, 100.0))[-1] == 12
+
+
+def test_a_turning_axis_beside_a_straight_pull_is_refused_with_what_to_do() -> None:
+    time = np.arange(200) * 0.01
+    with pytest.raises(InputError, match="multiply angles by the drum's radius"):
+        table("mixed", {"time_s": time, "servo_position_rad": time, "tension_start_n": time})
+
+
+@pytest.fixture(scope="module")
+def seals(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A seal on three days, and another that rubs twice as much."""
+    folder = tmp_path_factory.mktemp("seal")
+    return [rigs.write(folder / f"seal_{seed}.csv", rigs.seal(seed, coulomb))
+            for seed, coulomb in ((1, 12.0), (2, 12.0), (3, 12.0), (4, 24.0))]
+
+
+def test_a_seals_friction_over_speed_is_named(seals: list[Path]) -> None:
+    found = diagnosed(seals[0], "--holdout", seals[1])
+    assert named(found) == {"drive_coulomb", "drive_presliding", "drive_stribeck", "drive_viscous"}
+    assert value(found, "drive_stribeck_ratio") == pytest.approx(1.8, rel=0.1)
+    assert value(found, "drive_stribeck_speed") == pytest.approx(6e-3, rel=0.1)
+    assert value(found, "drive_viscous") == pytest.approx(150.0, rel=0.15)
+    # the cell's filter of 50 Hz is late by 5 ms, at thirty reversals of 20 N
+    assert found["relations"][FORCE]["holdout_after"] < 0.6
+
+
+def test_the_same_seal_is_the_same_and_another_is_named(seals: list[Path]) -> None:
+    known = ("--healthy", seals[0], "--healthy", seals[1])
+    assert diagnosed(seals[2], *known)["verdict"] == "none"
+    other = diagnosed(seals[3], *known)
+    assert other["verdict"] in ("found", "ambiguous")
+    assert other["causes"][0]["effect"] == "drive_coulomb"
