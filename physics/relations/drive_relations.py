@@ -27,7 +27,7 @@ SUBSTEPS: Final = 8
 
 def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
-    slip, square = signals.remember(_turned, p)
+    slip, square = signals.remember(_turned, p["drive_presliding"], p["drive_calm"])
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
     speed = signals["rope_m_s"]
     drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
@@ -37,18 +37,18 @@ def drive_force(signals: Signals, p: Values) -> Array:
     return np.asarray(force / p["demand_gain"])
 
 
-def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
+def _turned(signals: Signals, distance: float, calm: float) -> tuple[Array, Array]:
     """Return the state −1…1 of the drive's friction and its square: it turns over within milliseconds."""
     if signals.fine is None:
-        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, p)
+        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, distance, calm)
         return slip, slip**2
-    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, p)
+    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, distance, calm)
     return signals.fine.thinned(slip), signals.fine.thinned(slip**2)
 
 
-def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
-    slip = states.slipped(position, fresh, p["drive_presliding"])
-    return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
+def _slip(position: Array, speed: Array, fresh: Mask, distance: float, calm: float) -> Array:
+    slip = states.slipped(position, fresh, distance)
+    return np.asarray(slip * np.tanh(np.abs(speed) / calm)) if calm > 0.0 else slip
 
 
 @njit(cache=True)
@@ -87,7 +87,7 @@ def tracked(
 
 def servo(signals: Signals, p: Values) -> Array:
     """Predict the rope's position, m, from its target: delay, second-order loop, limits of current and voltage."""
-    aim = signals.later(signals["servo_target_m"], -p["servo_delay"])
+    aim = signals.column_later("servo_target_m", -p["servo_delay"])
     load = signals["tension_start_n"] if signals.has("tension_start_n") else np.zeros(aim.size)
     return np.asarray(tracked(
         aim, load, signals["time_s"], signals.fresh, p["servo_bandwidth"], p["servo_damping"],
@@ -97,7 +97,7 @@ def servo(signals: Signals, p: Values) -> Array:
 
 def knee(signals: Signals, p: Values) -> Array:
     """Predict the knee angle, rad, from its target: delay and second-order loop."""
-    aim = signals.later(signals["knee_target_rad"], -p["knee_delay"])
+    aim = signals.column_later("knee_target_rad", -p["knee_delay"])
     still = np.zeros(aim.size)
     return np.asarray(tracked(
         aim, still, signals["time_s"], signals.fresh, p["knee_bandwidth"], p["knee_damping"], 1.0, 0.0, 0.0,

@@ -32,6 +32,8 @@ SHARES: Final = np.array([SHARE_AFTER + SHARE_OVER * 0.5 / FABRIC_NODES,
 """Shares of the fabric's stretch behind its first node, between them, and before its last."""
 ITERATIONS: Final = 50
 TOE_N: Final = 6.0
+UNSURE_N: Final = 1.0
+"""Tension below which a sensor's word does not decide whether a rope that is dragged is taut."""
 CLOSE_N: Final = 1e-6
 CLOSE_M: Final = 1e-9
 
@@ -213,3 +215,44 @@ def from_motion(
         before = drum[k] - anchor[k]
         end_out[k], start_out[k] = end, start
     return end_out, start_out
+
+
+@njit(cache=True)
+def read_at_start(
+    start: Array, speed: Array, measured: Array, progress: Array, viscous: float, slack_n: float, gain: float,
+    offset: float, drift: float,
+) -> Array:
+    """Return what the START sensor reads, N, of the tension `start` with the rope's viscous drag put on while taut.
+
+    `slack_n` above 0: a rope that can be slack never pushes.  Its drag at the edge of slack is anything from none to
+    all of it, and END cannot say which: below `UNSURE_N` it is what START itself (`measured`, N, empty where there is
+    none) says in between.
+    """
+    out = np.empty(start.size)
+    for k in range(start.size):
+        force = start[k]
+        shift = offset + drift * progress[k]
+        drag = viscous * speed[k]
+        if drag != 0.0 and slack_n <= 0.0:
+            force += drag
+        elif drag != 0.0:
+            least = min(force, 0.0)
+            if force < UNSURE_N and measured.size > 0:
+                taut = max(force + drag, least)
+                said = (measured[k] - shift) / gain
+                force = min(max(said, min(force, taut)), max(force, taut))
+            else:
+                force = max(force + drag * min(max(2.0 * force, 0.0), 1.0), least)
+        out[k] = gain * force + shift
+    return out
+
+
+@njit(cache=True)
+def toed(end: Array, middle: Array, before: Array, shares: Array) -> Array:
+    """Return e^(−T/TOE_N) − 1 of the tensions along the fabric, N, by their shares."""
+    out = np.empty(end.size)
+    for k in range(end.size):
+        out[k] = (shares[0] * math.expm1(-max(end[k], 0.0) / TOE_N)
+                  + shares[1] * math.expm1(-max(middle[k], 0.0) / TOE_N)
+                  + shares[2] * math.expm1(-max(before[k], 0.0) / TOE_N))
+    return out
