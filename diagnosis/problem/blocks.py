@@ -61,6 +61,11 @@ class Block:
             return self._residual(values)
         return self._last.recall(self.relation.name, self._read(values), lambda: self._residual(values))
 
+    def like(self, name: str, values: Values) -> str | None:
+        """Return another parameter that the residual has the same slope by at `values`, if there is one."""
+        del name, values
+        return None
+
     @cached_property
     def _read(self) -> Callable[[Values], tuple[float, ...]] | None:
         """Return what gives the values that move this block; None where an effect brings a law that may read more."""

@@ -36,7 +36,7 @@ class Screen:
         shape = (len(folds), len(self.names))
         self.gram, self.slope, self.cost = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
         for i, block in enumerate(problem.blocks):
-            columns = fit.slopes[i] if extra is None else np.concatenate([fit.slopes[i], extra[i]])
+            columns = fit.every_slope(i) if extra is None else np.concatenate([fit.every_slope(i), extra[i]])
             self._add(self.names.index(block.relation.name), columns, fit.residuals[i], block.cycle, folds)
         self.every_gram, self.every_slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
 
