@@ -16,7 +16,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics.laws import Array
-from physics.path_laws import capstan, load_dependence, presliding_shaped, stretch, stribeck
+from physics.path_laws import (
+    capstan,
+    load_dependence,
+    presliding_from,
+    presliding_left,
+    presliding_shaped,
+    stretch,
+    stribeck,
+)
 
 Mask = NDArray[np.bool_]
 
@@ -98,25 +106,38 @@ def along_cable(
     `gain`: START per tension behind the cable without friction.
     """
     start, mean = np.empty(tension.size), np.empty(tension.size)
-    s, u = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
-    trial = np.zeros(CABLE_NODES)
+    s, u = np.zeros(CABLE_NODES), 0.0
+    trial, left, back = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
     for k in range(tension.size):
         base = gain * tension[k]
         whole = exponent[k] * grip(tension[k], speed[k], load, ratio, calm) / CABLE_NODES
+        force, target = base, base
         if fresh[k] or tension[k] < slack_n:
-            force = base
-            for i in range(CABLE_NODES):
-                s[i], u[i] = 0.0, position[k] - compliance * force
+            s[:] = 0.0
         else:
-            low, high = -abs(base) * math.exp(abs(whole) * CABLE_NODES), abs(base) * math.exp(abs(whole) * CABLE_NODES)
-            force, last = min(max(start[k - 1], low), high), np.inf
+            high = abs(base) * math.exp(abs(whole) * CABLE_NODES)
+            low, known, known_back, last = -high, False, False, np.inf
+            force = start[k - 1] * (tension[k] / tension[k - 1] if tension[k - 1] != 0.0 else 1.0)
+            force = min(max(force, low), high)
             for _ in range(ITERATIONS):
+                step = position[k] - compliance * force - u
+                if step > 0.0 and not known:
+                    known = True
+                    for i in range(CABLE_NODES):
+                        left[i] = presliding_left(s[i], 1.0, shape)
+                elif step <= 0.0 and not known_back:
+                    known_back = True
+                    for i in range(CABLE_NODES):
+                        back[i] = presliding_left(s[i], -1.0, shape)
                 turn, steep = 0.0, 0.0
                 for i in range(CABLE_NODES):
-                    step = position[k] - compliance * force - u[i]
-                    trial[i] = presliding_shaped(s[i], step, distance * SPREAD[i], shape)
+                    travel = abs(step) / (distance * SPREAD[i])
+                    if step > 0.0:
+                        trial[i], rate = presliding_from(left[i], 1.0, travel, shape)
+                    else:
+                        trial[i], rate = presliding_from(back[i], -1.0, travel, shape)
                     turn += trial[i]
-                    steep += abs((1.0 if step > 0.0 else -1.0) - trial[i]) / (distance * SPREAD[i])
+                    steep += rate / (distance * SPREAD[i])
                 target = capstan(base, whole * turn)
                 miss = force - target
                 if abs(miss) < CLOSE_N:
@@ -128,10 +149,9 @@ def along_cable(
                 newton = force - miss / (1.0 + abs(target * whole) * steep * compliance)
                 falls = abs(miss) < 0.5 * last and low < newton < high
                 force, last = newton if falls else 0.5 * (low + high), abs(miss)
-            for i in range(CABLE_NODES):
-                s[i], u[i] = trial[i], position[k] - compliance * force
-            force = capstan(base, whole * turn)
-        start[k], mean[k] = force, (s[0] + s[1] + s[2]) / CABLE_NODES
+            s[:] = trial
+        u = position[k] - compliance * force
+        start[k], mean[k] = target, (s[0] + s[1] + s[2]) / CABLE_NODES
     return start, mean
 
 
