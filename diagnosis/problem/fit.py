@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ DIFFERENCE: Final = 0.02
 """Step of a slope, of a parameter's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
 ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
+ROUGHLY: Final = 5e-3
+"""The same of a fit that only says which others are worth carrying on."""
 IDLE: Final = 1e-5
 """Share of the cost below which a parameter's step is not made: the blocks that read it need no evaluation."""
 SHORT: Final = 1e-3
@@ -109,14 +111,15 @@ class Problem:
 class Fit:
     """Where a fit arrived: all values, the cost, and what the residual does there, by block.
 
-    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.
+    `slopes`: one row for each parameter that the block reads (empty where they were let go of); `reads`: which of
+    `free` those are.
     """
 
     values: dict[str, float]
     cost: float
     free: tuple[Free, ...]
     residuals: list[Array]
-    slopes: list[Array]
+    slopes: list[NDArray[np.floating[Any]]]
     reads: list[NDArray[np.intp]]
     curvature: Array
     steps: int
@@ -137,7 +140,7 @@ class Slopes:
         self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
         self.row = [{int(j): i for i, j in enumerate(reads)} for reads in self.reads]
         self.rows = [np.zeros((reads.size, r.size)) for reads, r in zip(self.reads, residuals, strict=True)]
-        if known is not None:
+        if known is not None and known.slopes:
             self._carry(known)
         self.grams = [rows @ rows.T for rows in self.rows]
 
@@ -218,11 +221,11 @@ class Slopes:
 
 
 def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS, known: Fit | None = None,
-          thorough: bool = False) -> Fit:
+          thorough: bool = False, enough: float = ENOUGH) -> Fit:
     """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected.
 
     `known`: a fit of the same blocks whose slopes are near those at `start`.  `thorough`: it has arrived only where
-    slopes say so that were all taken there.
+    slopes say so that were all taken there.  `enough`: relative fall of the cost below which it has arrived.
     """
     space = Space(free)
     at = np.clip(space.of(start), space.low, space.high)
@@ -234,7 +237,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
     while free and steps < max_steps and damping < 1e6:
         steps += 1
         new, predicted = _stepped(at, space, slopes.gradient(residuals, at), curvature, damping, cost)
-        gain, arrived = 0.0, predicted < ENOUGH * cost
+        gain, arrived = 0.0, predicted < enough * cost
         if not arrived:
             trial = space.put(values, new)
             tried = problem.residuals(trial)
@@ -249,7 +252,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
                 break
             damping *= 1.0 if renewed or gain > 0.0 else 8.0
         curvature = slopes.curvature()
-    return Fit(values, cost, tuple(free), residuals, slopes.rows, slopes.reads, curvature, steps)
+    return Fit(values, cost, tuple(free), residuals, [*slopes.rows], slopes.reads, curvature, steps)
 
 
 def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping: float, cost: float

@@ -63,22 +63,25 @@ def tracked(
     out = np.empty(target.size)
     limited = force < np.inf or sag > 0.0
     w = 2.0 * np.pi * bandwidth
+    spring, damper = w * w, 2.0 * damping * w
+    per_volt, per_mass, per_force = constant / ohm, 1.0 / mass, 1.0 / constant
     x, v, bus = 0.0, 0.0, volts
     for k in range(target.size):
         if fresh[k]:
             x, v = target[k], 0.0
         else:
-            dt = (time[k] - time[k - 1]) / SUBSTEPS
+            dt, onwards = (time[k] - time[k - 1]) / SUBSTEPS, (target[k] - target[k - 1]) / SUBSTEPS
             for i in range(SUBSTEPS):
-                part = (i + 1) / SUBSTEPS
-                aim = target[k - 1] + part * (target[k] - target[k - 1])
-                wanted = w * w * (aim - x) - 2.0 * damping * w * v
+                aim = target[k - 1] + (i + 1) * onwards
+                wanted = spring * (aim - x) - damper * v
                 if limited:
-                    resisting = load[k] + viscous * v + coulomb * min(1.0, max(-1.0, v / 1e-3))
-                    most = min(force, max(0.0, (bus - constant * abs(v)) / ohm * constant))
+                    resisting = load[k] + viscous * v + coulomb * min(1.0, max(-1.0, 1e3 * v))
+                    most = min(force, max(0.0, (bus - constant * abs(v)) * per_volt))
                     given = min(most, max(-most, mass * wanted + resisting))
-                    bus = max(0.2 * volts, volts - sag * max(0.0, given * v + ohm * (given / constant) ** 2) / volts)
-                    wanted = (given - resisting) / mass
+                    if sag > 0.0:
+                        drawn = max(0.0, given * v + ohm * (per_force * given) ** 2)
+                        bus = max(0.2 * volts, volts - sag * drawn / volts)
+                    wanted = (given - resisting) * per_mass
                 v += dt * wanted
                 x += dt * v
         out[k] = x

@@ -50,7 +50,7 @@ class Signals:
     _memory: Memory = field(default_factory=lambda: Memory(REMEMBERED), repr=False)
 
     def has(self, *names: str) -> bool:
-        return all(name in self.columns for name in names)
+        return self.columns.keys() >= set(names)
 
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
