@@ -111,8 +111,7 @@ class Problem:
 class Fit:
     """Where a fit arrived: all values, the cost, and what the residual does there, by block.
 
-    `slopes`: one row for each parameter that the block reads (empty where they were let go of); `reads`: which of
-    `free` those are.
+    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.
     """
 
     values: dict[str, float]
@@ -140,7 +139,7 @@ class Slopes:
         self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
         self.row = [{int(j): i for i, j in enumerate(reads)} for reads in self.reads]
         self.rows = [np.zeros((reads.size, r.size)) for reads, r in zip(self.reads, residuals, strict=True)]
-        if known is not None and known.slopes:
+        if known is not None:
             self._carry(known)
         self.grams = [rows @ rows.T for rows in self.rows]
 

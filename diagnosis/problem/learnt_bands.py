@@ -63,8 +63,6 @@ COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiff
 FULL: Final = 2
 CLOSE: Final = 1.2
 """Coarse fits that are carried on: so many at most, of at most this share of the best one's cost."""
-SAME: Final = 2.0
-"""Distance, in a parameter's scale, below which two coarse fits have arrived at one place."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
 LIKELY_RATIO: Final = (0.01, 0.2)
 STRAIGHT: Final = 0.9
@@ -198,23 +196,13 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
     coarse = sorted((solve(Problem(short, weights), start, [f for f in wide if f.name in COARSE], 20)
                      for shape in (reference.values, *others) for start in _starts(shape, trials)),
                     key=lambda f: f.cost)
-    carried = _unlike([fit for fit in coarse if fit.cost < CLOSE * coarse[0].cost])[:FULL]
+    carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, (*wide, *deviations), thorough=True)
                     for fit in carried), key=lambda f: f.cost)
     values = {n: together.values[n] for n in reference.values}
     moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
                              _bands(reference, values, len(trials), floors))
     return _judged(trials, moved, together, weights, rest)
-
-
-def _unlike(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the first of each of the places where fits have arrived."""
-    found: list[Fit] = []
-    for fit in fits:
-        if all(max(abs(fit.values[f.name] - other.values[f.name]) / f.scale for f in fit.free) > SAME
-               for other in found):
-            found.append(fit)
-    return found
 
 
 def _own(reference: HealthyReference) -> tuple[Free, ...]:

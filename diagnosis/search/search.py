@@ -29,7 +29,7 @@ UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
 LARGE: Final = 6
-"""Models of one number of effects that keep their slopes in full, which are what they are large by: the foremost."""
+"""Models of one number of effects, the foremost, that keep their slopes in full: those are what a model is large by."""
 WORTH_POLISHING: Final = 2.0
 """Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
 LEVEL: Final = 4.0
@@ -123,9 +123,7 @@ class Search:
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.arrived: set[tuple[str, ...]] = set()
         self.lacks: dict[tuple[tuple[str, ...], str], FittedEffects] = {}
-        # slopes where every fit from the healthy values begins: taken once
-        self.begun = FittedEffects((), solve(problem, start, self.nuisance, 0), problem, folds) if near else None
-        self.baseline = self.model((), start, self.begun)
+        self.baseline = self.model((), start)
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
         """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
@@ -150,19 +148,10 @@ class Search:
         return self.tried[names]
 
     def _lighten(self, count: int) -> None:
-        """Of the models of `count` effects, keep the slopes of those behind in half the width, of no rival at all."""
-        order = sorted((m for m in self.tried.values() if len(m.effects) == count), key=lambda m: m.fit_score)
-        for model in order[LARGE:]:
-            if model.fit.cost > WORTH_POLISHING * order[0].fit.cost:
-                model.fit.slopes.clear()
-            model.fit.slopes[:] = [rows.astype(np.float32) for rows in model.fit.slopes]
-
-    def _sloped(self, model: FittedEffects) -> FittedEffects:
-        """Return `model` with its slopes, taken again where they were let go of."""
-        if not model.fit.slopes:
-            fit = solve(self.problem, model.fit.values, model.fit.free, 0)
-            model.fit.slopes.extend(fit.slopes)
-        return model
+        """Keep the slopes of models of `count` effects that are behind in half the width: a step needs no more."""
+        for model in sorted((m for m in self.tried.values() if len(m.effects) == count),
+                            key=lambda m: m.fit_score)[LARGE:]:
+            model.fit.slopes[:] = [rows.astype(np.float32, copy=False) for rows in model.fit.slopes]
 
     def polished(self, model: FittedEffects) -> FittedEffects:
         """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""
@@ -175,7 +164,7 @@ class Search:
         """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
         offered = [c for c in self.offered if c.name not in model.names]
         chosen: dict[int, int] = {}
-        for _, c, s in promises(self.problem, self._sloped(model).fit, self.folds, offered):
+        for _, c, s in promises(self.problem, model.fit, self.folds, offered):
             if len(chosen) == most:
                 break
             chosen.setdefault(c, s)
@@ -195,7 +184,7 @@ class Search:
             self.model(effects, {**model.fit.values, **begun}, model, not self.near)
             # what the nuisance did in the effect's place is a way into another minimum
             kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
-            self.model(effects, {**self.start, **kept, **begun}, self.begun, not self.near)
+            self.model(effects, {**self.start, **kept, **begun}, model, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: FittedEffects) -> FittedEffects:

@@ -66,12 +66,10 @@ def test_the_curvature_is_of_the_slopes_that_a_fit_ends_with() -> None:
     assert fit.values["tension_ratio"] + fit.values["tension_ratio@0"] == pytest.approx(1.2, abs=0.01)
 
 
-def test_slopes_that_were_let_go_of_are_taken_again() -> None:
+def test_slopes_of_half_the_width_lead_to_the_same_place() -> None:
     problem, start = two_rigs(), ideal() | {f.name: 0.0 for f in OWN} | {"mu1@0": 0.0, "mu1@1": 0.0}
-    fit = solve(problem, start, (*FREE, *OWN), thorough=True)
-    again = solve(problem, fit.values, fit.free, 0)
-    assert again.values == fit.values
-    fit.slopes.clear()
-    carried = solve(problem, fit.values, fit.free, known=fit)
-    for one, other in zip(again.slopes, carried.slopes, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(one).max())
+    near = solve(problem, start, (*FREE, *OWN))
+    whole = solve(problem, start, near.free, known=near, thorough=True)
+    near.slopes[:] = [rows.astype(np.float32) for rows in near.slopes]
+    half = solve(problem, start, near.free, known=near, thorough=True)
+    assert half.cost == pytest.approx(whole.cost, rel=1e-6)
