@@ -1,9 +1,9 @@
-"""What a diagnosis costs: by the trial's length, by what is in it, and against the trial it looks at.
+"""What a diagnosis costs: by the trial's length, by what is in it, in CPU and memory, and where the CPU goes.
 
     python -m benchmarks.diagnosis_cost [--page]
 
-The rule of this file: processor time of one thread, each case once unmeasured before it is measured; ratios are what
-holds on other machines.
+The rule of this file: processor time of one thread, each length once unmeasured before it is measured; memory is traced
+and the profile taken in runs of their own, since both cost time.  Ratios are what holds on other machines.
 """
 
 from __future__ import annotations
@@ -12,13 +12,19 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import cProfile
+import pstats
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from statistics import median
+from typing import Final, NamedTuple
 
 from benchmarks import marked
 from bowden import provenance
+from diagnosis.data import table
+from diagnosis.finder import Finder
 from tests.hidden import cases
 from tests.hidden.cases import Job
 
@@ -27,28 +33,76 @@ LENGTHS = (5, 10, 20, 40)
 SINGLE = ("cable_friction", "presliding", "end_gain", "drive_viscous", "moment_arm", "end_delay")
 PAIRS = (("end_gain", "presliding"), ("cable_friction", "knee_backlash"))
 SEED = 60_000
+SINGLE_S: Final = 3.0
+PAIR_S: Final = 15.0
+MEMORY: Final = 5.0
+"""Bars: CPU of ten gait cycles, s, and the peak of memory in sizes of the columns."""
+PARTS: Final = (
+    ("healthy trials learnt", "learnt_bands.py", "learn"),
+    ("simulation fitted to them", "simulated_blocks.py", "fitted"),
+    ("candidates screened", "screen.py", "promises"),
+    ("candidates fitted", "search.py", "_grown"),
+    ("models carried on", "search.py", "polished"),
+    ("models less one effect", "search.py", "without"),
+    ("refits on the other cycles", "cross_validation.py", "unseen"),
+    ("experiment chosen", "experiment_choice.py", "choose"),
+)
+COMPILED: Final = ("tension_chain.py", "drive_relations.py", "memory_laws.py", "zero_phase.py", "imposed.py")
+
+
+class Asked(NamedTuple):
+    """One trial and its healthy ones, ready to be asked about."""
+
+    trial: table.Table
+    healthy: list[table.Table]
+
+    @property
+    def gait_s(self) -> float:
+        return float(self.trial["time_s"][-1])
+
+    @property
+    def column_bytes(self) -> int:
+        return sum(column.nbytes for given in (self.trial, *self.healthy) for column in given.columns.values())
+
+    def diagnosed(self) -> float:
+        """Diagnose; return the processor time, s."""
+        began = time.process_time()
+        Finder().examine(self.healthy).diagnose([self.trial])
+        return time.process_time() - began
+
+    def peak(self) -> float:
+        """Diagnose; return the peak of what was allocated on the way, in sizes of the columns."""
+        tracemalloc.start()
+        self.diagnosed()
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most / self.column_bytes
+
+
+def asked(job: Job, cycles: int) -> Asked:
+    """Record a trial of a case and two healthy ones."""
+    case = cases.case(job, cycles=cycles)
+    return Asked(table.table("trial", case.trial),
+                 [table.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)])
 
 
 def spent(job: Job, cycles: int) -> tuple[float, float]:
     """Return (processor seconds of the diagnosis, seconds of gait in its trial); two healthy trials beside it."""
-    from diagnosis.data import table
-    from diagnosis.finder import diagnose
-
-    case = cases.case(job, cycles=cycles)
-    trial = table.table("trial", case.trial)
-    healthy = [table.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
-    began = time.process_time()
-    diagnose([trial], healthy=healthy)
-    return time.process_time() - began, float(trial["time_s"][-1])
+    given = asked(job, cycles)
+    return given.diagnosed(), given.gait_s
 
 
 def lengths() -> list[str]:
     """Return the table by length of trial and healthy trials."""
     job = Job("one", SEED, ("cable_friction",))
-    found = {cycles: spent(job, cycles)[0] for cycles in (LENGTHS[0], *LENGTHS)}
+    given = {cycles: asked(job, cycles) for cycles in LENGTHS}
+    given[LENGTHS[0]].diagnosed()
+    found = {cycles: one.diagnosed() for cycles, one in given.items()}
     unit = found[10] / 10
-    return ["| gait cycles | CPU (s) | per cycle, against 10 cycles |", "|---|---|---|",
-            *(f"| {cycles} | {found[cycles]:.1f} | {found[cycles] / cycles / unit:.2f} |" for cycles in LENGTHS)]
+    return [f"| gait cycles | CPU (s) | per cycle, against 10 cycles | peak of memory, in columns (bar ≤ {MEMORY:g}) |",
+            "|---|---|---|---|",
+            *(f"| {cycles} | {found[cycles]:.1f} | {found[cycles] / cycles / unit:.2f} | {given[cycles].peak():.1f} |"
+              for cycles in LENGTHS)]
 
 
 def kinds() -> list[str]:
@@ -56,18 +110,46 @@ def kinds() -> list[str]:
     single = [spent(Job("one", SEED + 1 + i, (name,)), 10) for i, name in enumerate(SINGLE)]
     pairs = [spent(Job("two", SEED + 50 + i, names), 10) for i, names in enumerate(PAIRS)]
     healthy = [spent(Job("none", SEED + 90 + i), 10) for i in range(2)]
-    rows = [f"| {word} | {len(found)} | {median(cpu for cpu, _ in found):.1f} | {max(found)[0]:.1f} | {bar} "
-            f"| {median(cpu / gait for cpu, gait in found):.2f} |" for word, found, bar in (
-                ("nothing", healthy, "–"), ("one effect", single, "median ≤ 10 s"), ("two effects", pairs, "≤ 60 s"))]
-    return ["| in the trial | trials | CPU, median (s) | most (s) | bar | CPU against the gait's seconds |",
-            "|---|---|---|---|---|---|", *rows]
+    rows = []
+    for word, found, bar in (("nothing", healthy, SINGLE_S), ("one effect", single, SINGLE_S),
+                             ("two effects", pairs, PAIR_S)):
+        middle = median(cpu for cpu, _ in found)
+        rows.append(f"| {word} | {len(found)} | {middle:.1f} | {max(found)[0]:.1f} | ≤ {bar:g} s | {middle / bar:.1f} "
+                    f"| {median(cpu / gait for cpu, gait in found):.2f} |")
+    return ["| in the trial | trials | CPU (s) | most (s) | bar | median over bar | CPU over the gait's seconds |",
+            "|---|---|---|---|---|---|---|", *rows]
+
+
+def profile() -> list[str]:
+    """Return where the CPU of one trial goes, by part of the diagnosis and by what is compiled."""
+    given = asked(Job("one", SEED + 1, SINGLE[:1]), 10)
+    given.diagnosed()
+    profiler = cProfile.Profile(time.process_time)
+    profiler.runcall(given.diagnosed)
+    stats = pstats.Stats(profiler)
+    rows = {(Path(file).name, name): times for (file, _, name), times in stats.stats.items()}  # type: ignore[attr-defined]
+    whole = stats.total_tt  # type: ignore[attr-defined]
+    parts = [(word, rows[file, name][3] / whole) for word, file, name in PARTS if (file, name) in rows]
+    parts.append(("the rest", 1.0 - sum(share for _, share in parts)))
+    compiled = sum(times[2] for (file, name), times in rows.items() if file in COMPILED and name in _COMPILED_NAMES)
+    count = rows["relation.py", "predict"][1]
+    return ["| part | share of a profiled run (%) |", "|---|---|",
+            *(f"| {word} | {100.0 * share:.0f} |" for word, share in parts), "",
+            f"The compiled laws themselves take {100.0 * compiled / whole:.0f} % of it; the profile weighs calls more "
+            f"than they cost.  The laws are evaluated {count} times."]
+
+
+_COMPILED_NAMES: Final = frozenset({
+    "from_motion", "along_cable", "over_fabric", "read_at_start", "toed", "tracked", "slipped", "crept", "lag", "play",
+    "_filtered", "run"})
 
 
 def main(arguments: list[str]) -> None:
-    """Print both tables."""
+    """Print all tables."""
     said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {provenance.commit()}: one thread, "
             "a trial beside two healthy ones of the same length.")
-    text = "\n".join([said, "", *lengths(), "", "Ten gait cycles:", "", *kinds()])
+    text = "\n".join([said, "", *lengths(), "", "Ten gait cycles:", "", *kinds(), "",
+                      f"Where it goes ({SINGLE[0]}, ten cycles):", "", *profile()])
     print(text)
     if "--page" in arguments:
         marked.put(PAGE, "cost", text)

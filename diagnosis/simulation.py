@@ -21,6 +21,7 @@ from parameters import InputError
 from physics import memory_laws
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.plant import PlantParameters, imposed
+from physics.plant.imposed import Motion, Tensions
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
@@ -72,24 +73,45 @@ def simulate(given: Table, values: Values) -> SimulatedTensions:
 
     Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
     """
+    true = imposed.simulate(plant_of(values, length_s(given)), motion(given, values["knee_backlash"]))
+    return read(given["time_s"], true, values)
+
+
+def length_s(given: Table) -> float:
+    """Return the length of a trial, s."""
+    return float(given["time_s"][-1] - given["time_s"][0])
+
+
+def motion(given: Table, backlash_rad: float) -> Motion:
+    """Return the motion of rope and leg in `given`; the leg's is the knee drive's behind a dead band.
+
+    Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
+    """
     if "servo_position_m" not in given:
         raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
-    time, rope = given["time_s"], given["servo_position_m"]
+    time = given["time_s"]
     knee = given["knee_angle_rad"] if "knee_angle_rad" in given else np.full(time.size, KNEE_AT_FIT)
-    fresh = np.zeros(time.size, dtype=np.bool_)
-    fresh[0] = True
-    knee = memory_laws.play(knee, fresh, values["knee_backlash"]) if values["knee_backlash"] > 0.0 else knee
-    rope, knee = _filled(rope), _filled(knee)
-    whole = float(time[-1] - time[0])
-    start, end = imposed.simulate(plant_of(values, whole), time, rope, knee)
-    progress = (time - time[0]) / whole
-    end = memory_laws.lag(end, time, fresh, values["end_filter"]) if values["end_filter"] > 0.0 else end
+    knee = memory_laws.play(knee, _first(time), backlash_rad) if backlash_rad > 0.0 else knee
+    return imposed.motion(time, _filled(given["servo_position_m"]), _filled(knee))
+
+
+def read(time: Array, true: Tensions, values: Values) -> SimulatedTensions:
+    """Return what the sensors of the bench of `values` read of true tensions at the stamps `time`."""
+    start, end = true
+    progress = (time - time[0]) / float(time[-1] - time[0])
+    end = memory_laws.lag(end, time, _first(time), values["end_filter"]) if values["end_filter"] > 0.0 else end
     skew, lag = values["timestamp_skew"], values["end_delay"]
     return SimulatedTensions(
         values["start_gain"] * np.interp(time - skew, time, start) + values["start_offset"]
         + values["start_drift"] * progress,
         values["end_gain"] * np.interp(time - skew - lag, time, end) + values["end_offset"]
         + values["end_drift"] * progress)
+
+
+def _first(time: Array) -> NDArray[np.bool_]:
+    fresh = np.zeros(time.size, dtype=np.bool_)
+    fresh[0] = True
+    return fresh
 
 
 def _filled(values: Array) -> Array:

@@ -43,15 +43,34 @@ def presliding_shaped(s: float, travel: float, distance: float, shape: float) ->
 
     1 is `presliding`, 0 a stop that yields at once.  Source: Dahl 1968.
     """
-    power = 1.0 - shape
-    if abs(power) < EXPONENTIAL:
-        return presliding(s, travel, distance)
+    if travel == 0.0:
+        return s
     end = 1.0 if travel > 0.0 else -1.0
+    return presliding_from(presliding_left(s, end, shape), end, abs(travel) / distance, shape)[0]
+
+
+@njit(inline="always")
+def presliding_left(s: float, end: float, shape: float) -> float:
+    """Return (1 − s·end)^(1 − i): what is left of `presliding_shaped` before any travel towards `end`, ±1."""
     left = 1.0 - s * end
-    if left <= 0.0:
-        return end
-    rest = left**power - power * abs(travel) / distance
-    return end * (1.0 - rest ** (1.0 / power)) if rest > 0.0 else end
+    power = 1.0 - shape
+    return left if left <= 0.0 or abs(power) < EXPONENTIAL else left**power
+
+
+@njit(inline="always")
+def presliding_from(before: float, end: float, travel: float, shape: float) -> tuple[float, float]:
+    """Return the state after `travel` ≥ 0, in units of δ, towards `end` from `presliding_left`, and |ds/d travel|."""
+    power = 1.0 - shape
+    if before <= 0.0:
+        return end, 0.0
+    if abs(power) < EXPONENTIAL:
+        left = before * math.exp(-travel)
+        return end * (1.0 - left), left
+    rest = before - power * travel
+    if rest <= 0.0:
+        return end, 0.0
+    left = rest ** (1.0 / power)
+    return end * (1.0 - left), left / rest
 
 
 @njit(inline="always")

@@ -104,7 +104,7 @@ class _Sight:
 
     def __init__(self, setting: ProblemSetting, baseline: Fit) -> None:
         self.setting, self.problem, self.fit = setting, setting.problem, baseline
-        self.slopes = np.concatenate(self.fit.slopes, axis=1)
+        self.slopes = np.concatenate([self.fit.every_slope(i) for i in range(len(self.fit.slopes))], axis=1)
         self.inverse = np.linalg.pinv(self.fit.curvature, rcond=1e-12)
         names = [b.relation.name for b in setting.blocks]
         self.place = np.concatenate([np.full(r.size, names.index(n)) for n, r in zip(

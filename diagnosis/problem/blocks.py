@@ -7,9 +7,10 @@ one whole cycle of one trial, and cycles are never split between what is fitted 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cached_property
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 from diagnosis.data.table import Table
+from diagnosis.problem.zero_phase import thinning
 from physics.laws import Array
 from physics.parameters import PARAMETERS
 from physics.relations import relation as models
@@ -57,7 +59,22 @@ class Block:
 
     def residual(self, values: Values) -> Array:
         """Return measured less predicted, in the relation's unit, on the samples that count."""
-        return self._last.recall(self.relation.name, values, self._residual)
+        if self._read is None:
+            return self._residual(values)
+        return self._last.recall(self.relation.name, self._read(values), lambda: self._residual(values))
+
+    def like(self, name: str, values: Values) -> str | None:
+        """Return another parameter that the residual has the same slope by at `values`, if there is one."""
+        del name, values
+        return None
+
+    @cached_property
+    def _read(self) -> Callable[[Values], tuple[float, ...]] | None:
+        """Return what gives the values that move this block; None where an effect brings a law that may read more."""
+        if models.brings_own(self.relation):
+            return None
+        names = sorted(self.uses)
+        return itemgetter(*names) if len(names) > 1 else lambda values: tuple(values[n] for n in names)
 
     def _residual(self, values: Values) -> Array:
         return (self.signals[self.relation.output] - models.predict(self.relation, self.signals, values))[self.keep]
@@ -88,7 +105,7 @@ def signals_of(given: Table, rate_hz: float) -> Signals:
     rope = None
     if stride > 1 and "rope_m" in fine:
         slow = _low_passed(fine["rope_m"], FINE_HZ * step)
-        rope = Fine(slow, np.gradient(slow, time), gap, lambda values: _thinned(values, stride, "rope_m"))
+        rope = Fine(slow, np.gradient(slow, time), gap, thinning(stride))
     return Signals(columns, fresh, (columns["time_s"] - columns["time_s"][0]) / span, rope)
 
 
@@ -104,13 +121,7 @@ def _thinned(values: Array, stride: int, name: str) -> Array:
         return values
     if name in ("time_s", "cycle", "gait_percent") or name.endswith("_ns") or np.isnan(values).any():
         return values[::stride]
-    thinned: Array = sosfiltfilt(_anti_alias(stride), values)[::stride]
-    return thinned
-
-
-@cache
-def _anti_alias(stride: int) -> Array:
-    return np.asarray(butter(4, 0.8 / stride, output="sos"))
+    return thinning(stride)(values)
 
 
 def _derive(columns: dict[str, Array]) -> None:

@@ -30,23 +30,34 @@ of the band has; with it the median of a window says the noise of any working ra
 
 @dataclass(frozen=True)
 class Deviating(Block):
-    """A block of one of several like benches: what is common, and how far this bench is from it (`SLOT@BENCH`)."""
+    """A block of one of several like benches: what is common, and how far this bench is from it (`SLOT@BENCH`).
+
+    `own`: by slot in which it may deviate, the deviation's name and the slot's bounds.
+    """
 
     common: Block
-    bench: int
-    own: tuple[str, ...]
+    own: Mapping[str, tuple[str, float, float]]
 
     def residual(self, values: Values) -> Array:
         return self.common.residual({**values, **{
-            n: min(max(values[n] + values[f"{n}@{self.bench}"], min(low, values[n])), high)
-            for n in self.own for low, high in (RELATION_PARAMETERS[n].rig_bounds,)}})
+            slot: min(max(values[slot] + values[name], min(low, values[slot])), high)
+            for slot, (name, low, high) in self.own.items()}})
+
+    def like(self, name: str, values: Values) -> str | None:
+        """Return the slot whose deviation `name` is: only their sum is read, while it is inside the bounds."""
+        slot, _, bench = name.partition("@")
+        if not bench:
+            return None
+        _, low, high = self.own[slot]
+        return slot if low < values[slot] + values[name] < high else None
 
 
 def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
     """Return `block` of the bench of a number, which may stand apart from what is common in the slots of `nuisance`."""
-    own = tuple(f.name for f in nuisance if f.name in block.uses)
+    own = {f.name: (f"{f.name}@{bench}", *RELATION_PARAMETERS[f.name].rig_bounds) for f in nuisance
+           if f.name in block.uses}
     return Deviating(block.relation, block.signals, block.keep, block.cycle,
-                     block.uses | {f"{n}@{bench}" for n in own}, common=block, bench=bench, own=own)
+                     block.uses | {name for name, _, _ in own.values()}, common=block, own=own)
 
 
 def chances(rest: Array) -> Array:

@@ -8,9 +8,10 @@ steps cost one evaluation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ DIFFERENCE: Final = 0.02
 """Step of a slope, of a parameter's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
 ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
+ROUGHLY: Final = 5e-3
+"""The same of a fit that only says which others are worth carrying on."""
 IDLE: Final = 1e-5
 """Share of the cost below which a parameter's step is not made: the blocks that read it need no evaluation."""
 SHORT: Final = 1e-3
@@ -47,11 +50,37 @@ class Free:
     scale: float
 
     def pull(self, value: float) -> float:
-        return (value - self.mean) / self.sigma if np.isfinite(self.sigma) else 0.0
+        return (value - self.mean) / self.sigma if math.isfinite(self.sigma) else 0.0
 
     @property
     def stiffness(self) -> float:
-        return 1.0 / self.sigma**2 if np.isfinite(self.sigma) else 0.0
+        return 1.0 / self.sigma**2 if math.isfinite(self.sigma) else 0.0
+
+
+class Space:
+    """The free parameters of a fit side by side: bounds, scales and priors as arrays."""
+
+    def __init__(self, free: Sequence[Free]) -> None:
+        self.names = tuple(f.name for f in free)
+        self.low, self.high = np.array([f.low for f in free]), np.array([f.high for f in free])
+        self.scale, self.mean = np.array([f.scale for f in free]), np.array([f.mean for f in free])
+        self.stiffness = np.array([f.stiffness for f in free])
+
+    def of(self, values: Values) -> Array:
+        """Return the parameters among `values`."""
+        return np.array([values[name] for name in self.names])
+
+    def put(self, values: Values, at: Array) -> dict[str, float]:
+        """Return `values` with the parameters at `at`."""
+        return {**values, **dict(zip(self.names, at.tolist(), strict=True))}
+
+    def cost(self, residuals: Sequence[Array], at: Array) -> float:
+        """Return half the squares of the residuals and of the priors."""
+        with np.errstate(over="ignore"):  # a residual beyond 1e154 is as infinite as its square
+            total = 0.5 * sum(float(r @ r) for r in residuals)
+        off = at - self.mean
+        total += 0.5 * float(self.stiffness @ (off * off))
+        return total if math.isfinite(total) else math.inf
 
 
 class Problem:
@@ -80,104 +109,141 @@ class Problem:
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a fit arrived: all values, the cost, and what the residual does there, in the order of `free`."""
+    """Where a fit arrived: all values, the cost, and what the residual does there, by block.
+
+    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.
+    """
 
     values: dict[str, float]
     cost: float
     free: tuple[Free, ...]
     residuals: list[Array]
-    slopes: list[Array]
+    slopes: list[NDArray[np.floating[Any]]]
+    reads: list[NDArray[np.intp]]
     curvature: Array
     steps: int
 
+    def every_slope(self, block: int) -> Array:
+        """Return ∂residual/∂parameter of a block, one row for each of `free`."""
+        rows = np.zeros((len(self.free), self.residuals[block].size))
+        rows[self.reads[block]] = self.slopes[block]
+        return rows
+
 
 class Slopes:
-    """∂residual/∂parameter by block, one row a parameter; rows of parameters that a block does not read are zero."""
+    """∂residual/∂parameter by block, one row for each parameter that it reads, and their products (`grams`)."""
 
     def __init__(self, problem: Problem, free: Sequence[Free], residuals: Sequence[Array], known: Fit | None) -> None:
-        self.problem, self.free = problem, free
-        self.scale = np.array([f.scale for f in free])
+        self.problem, self.free, self.space = problem, free, Space(free)
         self.taken = np.full(len(free), np.nan)
-        self.rows = [np.zeros((len(free), r.size)) for r in residuals]
         self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
+        self.row = [{int(j): i for i, j in enumerate(reads)} for reads in self.reads]
+        self.rows = [np.zeros((reads.size, r.size)) for reads, r in zip(self.reads, residuals, strict=True)]
         if known is not None:
             self._carry(known)
+        self.grams = [rows @ rows.T for rows in self.rows]
 
     def _carry(self, known: Fit) -> None:
         place = {f.name: j for j, f in enumerate(known.free)}
-        both = [(j, place[f.name]) for j, f in enumerate(self.free) if f.name in place]
-        here, there = np.array(both, dtype=np.intp).reshape(-1, 2).T
-        self.taken[here] = [known.values[self.free[j].name] for j, _ in both]
-        for rows, carried, mask in zip(self.rows, known.slopes, self.problem.masks, strict=True):
-            rows[here] = carried[there] if mask is None else carried[np.ix_(there, np.flatnonzero(mask))]
+        for j, f in enumerate(self.free):
+            if f.name in place:
+                self.taken[j] = known.values[f.name]
+        for i, mask in enumerate(self.problem.masks):
+            there = {known.free[j].name: k for k, j in enumerate(known.reads[i].tolist())}
+            both = [(k, there[self.free[j].name]) for j, k in self.row[i].items() if self.free[j].name in there]
+            here, theirs = np.array(both, dtype=np.intp).reshape(-1, 2).T
+            carried = known.slopes[i]
+            self.rows[i][here] = carried[theirs] if mask is None else carried[np.ix_(theirs, np.flatnonzero(mask))]
 
     def stale(self, values: Values, thorough: bool = False) -> NDArray[np.intp]:
         """Return the parameters whose slope was never taken, or too far from `values`.
 
         `thorough`: all parameters, as soon as one was elsewhere when the slopes were taken.
         """
-        at = np.array([values[f.name] for f in self.free])
+        at = self.space.of(values)
         if thorough:
             return np.arange(at.size if (at != self.taken).any() else 0)
-        return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.scale))
+        return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.space.scale))
 
     def unknown(self) -> NDArray[np.intp]:
         """Return the parameters whose slope was never taken."""
         return np.flatnonzero(np.isnan(self.taken))
 
     def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> bool:
-        """Take the slopes of the parameters `which` by differences; return whether there were any."""
-        for i, block in enumerate(self.problem.blocks):
-            for j in which.tolist():
-                if self.free[j].name in block.uses:
-                    self.rows[i][j] = self.problem.slope(i, values, residuals[i], self.free[j])
-        self.taken[which] = [values[self.free[j].name] for j in which.tolist()]
+        """Take the slopes of the parameters `which` by differences; return whether there were any.
+
+        One parameter after another, each in all blocks: relations of one trial share parts of their laws.
+        """
+        wanted = {self.free[j].name: int(j) for j in which.tolist()}
+        copies: list[tuple[int, int, int]] = []
+        for name, j in wanted.items():
+            for i, block in enumerate(self.problem.blocks):
+                if name not in block.uses:
+                    continue
+                like = block.like(name, values)
+                if like in wanted:
+                    copies.append((i, self.row[i][j], self.row[i][wanted[like]]))
+                else:
+                    self.rows[i][self.row[i][j]] = self.problem.slope(i, values, residuals[i], self.free[j])
+        for i, here, there in copies:
+            self.rows[i][here] = self.rows[i][there]
+        for i, rows in enumerate(self.rows):
+            new = [self.row[i][j] for j in wanted.values() if j in self.row[i]]
+            self.grams[i][new] = rows[new] @ rows.T
+            self.grams[i][:, new] = self.grams[i][new].T
+        self.taken[which] = self.space.of(values)[which]
         return which.size > 0
 
     def follow(self, step: Array, before: Sequence[Array], after: Sequence[Array]) -> None:
         """Make the slopes agree with what `step` did."""
-        for rows, reads, old, new in zip(self.rows, self.reads, before, after, strict=True):
-            way = step[reads] / self.scale[reads]
+        for reads, rows, gram, old, new in zip(self.reads, self.rows, self.grams, before, after, strict=True):
+            scale = self.space.scale[reads]
+            way = step[reads] / scale
             length = float(way @ way)
             if length > SHORT**2 and np.isfinite(new).all():
-                missed = new - old - step[reads] @ rows[reads]
-                rows[reads] += np.outer(way / self.scale[reads] / length, missed)
+                missed, way = new - old - step[reads] @ rows, way / scale / length
+                crossed = np.outer(way, rows @ missed)
+                gram += crossed + crossed.T + float(missed @ missed) * np.outer(way, way)
+                rows += np.outer(way, missed)
 
     def curvature(self) -> Array:
-        total = np.diag([f.stiffness for f in self.free])
-        for rows, reads in zip(self.rows, self.reads, strict=True):
-            total[np.ix_(reads, reads)] += rows[reads] @ rows[reads].T
+        total = np.diag(self.space.stiffness)
+        for gram, reads in zip(self.grams, self.reads, strict=True):
+            total[np.ix_(reads, reads)] += gram
         return total
 
-    def gradient(self, residuals: Sequence[Array], values: Values) -> Array:
-        total = np.array([f.pull(values[f.name]) / f.sigma for f in self.free])
+    def gradient(self, residuals: Sequence[Array], at: Array) -> Array:
+        total: Array = self.space.stiffness * (at - self.space.mean)
         for rows, reads, r in zip(self.rows, self.reads, residuals, strict=True):
-            total[reads] += rows[reads] @ r
+            total[reads] += rows @ r
         return total
 
 
 def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int = MAX_STEPS, known: Fit | None = None,
-          thorough: bool = False) -> Fit:
+          thorough: bool = False, enough: float = ENOUGH) -> Fit:
     """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected.
 
     `known`: a fit of the same blocks whose slopes are near those at `start`.  `thorough`: it has arrived only where
-    slopes say so that were all taken there.
+    slopes say so that were all taken there.  `enough`: relative fall of the cost below which it has arrived.
     """
-    values = {**start, **{f.name: min(max(start[f.name], f.low), f.high) for f in free}}
+    space = Space(free)
+    at = np.clip(space.of(start), space.low, space.high)
+    values = space.put(start, at)
     residuals = problem.residuals(values)
-    cost, slopes = _cost(residuals, free, values), Slopes(problem, free, residuals, known)
+    cost, slopes = space.cost(residuals, at), Slopes(problem, free, residuals, known)
     slopes.take(values, residuals, slopes.unknown())
     curvature, damping, steps = slopes.curvature(), 1e-3, 0
     while free and steps < max_steps and damping < 1e6:
         steps += 1
-        trial, predicted = _stepped(values, free, slopes.gradient(residuals, values), curvature, damping, cost)
-        gain, arrived = 0.0, predicted < ENOUGH * cost
+        new, predicted = _stepped(at, space, slopes.gradient(residuals, at), curvature, damping, cost)
+        gain, arrived = 0.0, predicted < enough * cost
         if not arrived:
+            trial = space.put(values, new)
             tried = problem.residuals(trial)
-            gain = cost - _cost(tried, free, trial)
-            slopes.follow(np.array([trial[f.name] - values[f.name] for f in free]), residuals, tried)
+            gain = cost - space.cost(tried, new)
+            slopes.follow(new - at, residuals, tried)
         if gain > 0.0:
-            values, residuals, cost = trial, tried, cost - gain
+            at, values, residuals, cost = new, trial, tried, cost - gain
             damping = max(damping / 5.0, 1e-9)
         if gain < TRUSTED * predicted or arrived:
             renewed = slopes.take(values, residuals, slopes.stale(values, thorough and arrived))
@@ -185,29 +251,22 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
                 break
             damping *= 1.0 if renewed or gain > 0.0 else 8.0
         curvature = slopes.curvature()
-    return Fit(values, cost, tuple(free), residuals, slopes.rows, curvature, steps)
+    return Fit(values, cost, tuple(free), residuals, [*slopes.rows], slopes.reads, curvature, steps)
 
 
-def _cost(residuals: Sequence[Array], free: Sequence[Free], values: Values) -> float:
-    with np.errstate(over="ignore"):  # a residual beyond 1e154 is as infinite as its square
-        total = 0.5 * sum(float(r @ r) for r in residuals)
-    total += 0.5 * sum(f.pull(values[f.name]) ** 2 for f in free)
-    return total if np.isfinite(total) else np.inf
-
-
-def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: Array, damping: float,
-             cost: float) -> tuple[dict[str, float], float]:
-    """Return the next values and the gain that the slopes predict; parameters that would leave stop on their bound."""
-    at = np.array([values[f.name] for f in free])
-    down, up = np.array([f.low for f in free]) - at, np.array([f.high for f in free]) - at
+def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping: float, cost: float
+             ) -> tuple[Array, float]:
+    """Return the next parameters and the gain that the slopes predict; those that would leave stop on their bound."""
+    down, up = space.low - at, space.high - at
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     damped = curvature + damping * np.diag(scale**2)
     moving = ~(((down >= 0.0) & (gradient > 0.0)) | ((up <= 0.0) & (gradient < 0.0)))
-    step = np.zeros(len(free))
+    step = np.zeros(at.size)
     while moving.any():
-        pushed = (gradient + damped @ np.where(moving, 0.0, step))[moving] / scale[moving]
-        even = damped[np.ix_(moving, moving)] / np.outer(scale[moving], scale[moving])
-        step[moving] = -np.linalg.lstsq(even, pushed, rcond=1e-12)[0] / scale[moving]
+        free = np.flatnonzero(moving)
+        pushed = (gradient + damped @ np.where(moving, 0.0, step))[free] / scale[free]
+        even = damped[np.ix_(free, free)] / (scale[free, None] * scale[free])
+        step[free] = -_solved(even, pushed) / scale[free]
         out = moving & ((step < down) | (step > up))
         if not out.any():
             break
@@ -215,5 +274,12 @@ def _stepped(values: Values, free: Sequence[Free], gradient: Array, curvature: A
         moving &= ~out
     step[np.maximum(np.abs(gradient * step), (scale * step) ** 2) < IDLE * cost] = 0.0
     promised = -float(gradient @ step) - 0.5 * float(step @ curvature @ step)
-    new = np.clip(at + step, at + down, at + up)
-    return {**values, **{f.name: float(v) for f, v in zip(free, new, strict=True)}}, promised
+    return np.clip(at + step, space.low, space.high), promised
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solve for a matrix that damping keeps definite; where rounding has left it singular, the shortest solution."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])

@@ -36,9 +36,14 @@ class Screen:
         shape = (len(folds), len(self.names))
         self.gram, self.slope, self.cost = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
         for i, block in enumerate(problem.blocks):
-            columns = fit.slopes[i] if extra is None else np.concatenate([fit.slopes[i], extra[i]])
+            columns = fit.every_slope(i) if extra is None else np.concatenate([fit.every_slope(i), extra[i]])
             self._add(self.names.index(block.relation.name), columns, fit.residuals[i], block.cycle, folds)
-        self.every_gram, self.every_slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
+        every, slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
+        self.diagonal = np.diag(every).copy()
+        alone = len(folds) == 1  # one fold judges itself
+        self.left = np.array([every if alone else every - g for g in self.gram.sum(axis=1)])
+        self.left_slope = np.array([slope if alone else slope - g for g in self.slope.sum(axis=1)])
+        self.own = np.ascontiguousarray(self.gram[:, :, :self.known, :self.known])
 
     def _add(self, relation: int, columns: Array, rest: Array, cycle: NDArray[np.intp],
              folds: Sequence[frozenset[int]]) -> None:
@@ -61,31 +66,33 @@ class Screen:
         down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
         held = list(released)
         prior[held], pull[held], down[held], up[held] = 0.0, 0.0, -np.inf, np.inf
-        every = self.every_gram[np.ix_(at, at)]
-        ridge = np.diag(prior + RIDGE * np.diag(every) + 1e-12)
-        total = np.zeros(len(self.names))
-        for k in range(len(self.gram)):
-            mine = self.gram[k][:, at[:, None], at]
-            gram, slope = every + ridge, self.every_slope[at] + pull
-            if len(self.gram) > 1:
-                gram, slope = gram - mine.sum(axis=0), slope - self.slope[k].sum(axis=0)[at]
-            step = _inside(gram, slope, down, up)
-            total += self.cost[k] + 2.0 * self.slope[k][:, at] @ step + step @ mine @ step
-        return dict(zip(self.names, total.tolist(), strict=True))
+        gram = self.left[:, at[:, None], at]
+        gram[:, np.arange(at.size), np.arange(at.size)] += prior + RIDGE * self.diagonal[at] + 1e-12
+        steps = _inside(gram, self.left_slope[:, at] + pull, down, up)
+        known = steps[:, None, :self.known]
+        total = self.cost + 2.0 * (self.slope[:, :, at] @ steps[:, :, None])[:, :, 0]
+        total += ((self.own @ known[..., None])[..., 0] * known).sum(axis=2)
+        if extra is not None:
+            place, size = self.known + extra, steps[:, None, -1]
+            across = (self.gram[:, :, place, :self.known] @ steps[:, :self.known, None])[:, :, 0]
+            total += 2.0 * size * across + size**2 * self.gram[:, :, place, place]
+        return dict(zip(self.names, total.sum(axis=0).tolist(), strict=True))
 
 
 def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
-    """Return the step to the minimum; parameters that it would carry out of their bounds stay."""
-    moving = np.ones(slope.size, dtype=np.bool_)
-    step = np.zeros(slope.size)
-    for _ in range(ROUNDS):
-        step = np.zeros(slope.size)
-        step[moving] = -np.linalg.solve(gram[np.ix_(moving, moving)], slope[moving])
-        out = (step < down) | (step > up)
-        if not out.any():
-            break
-        moving &= ~out
-    return step
+    """Return the steps to the minima of several grams; parameters that one would carry out of their bounds stay."""
+    steps = -np.linalg.solve(gram, slope[:, :, None])[:, :, 0]
+    for step, matrix, right, beyond in zip(steps, gram, slope, (steps < down) | (steps > up), strict=True):
+        moving, out = np.ones(right.size, dtype=np.bool_), beyond
+        for _ in range(ROUNDS - 1):
+            if not out.any():
+                break
+            moving &= ~out
+            free = np.flatnonzero(moving)
+            step[:] = 0.0
+            step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], right[free])
+            out = (step < down) | (step > up)
+    return np.asarray(steps)
 
 
 def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]

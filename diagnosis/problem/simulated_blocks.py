@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from diagnosis import simulation
 from diagnosis.data.table import Table
-from diagnosis.problem.blocks import Block, cycles_of, signals_of
+from diagnosis.problem.blocks import REMEMBERED, Block, cycles_of, signals_of
 from diagnosis.problem.deviations import deviating
 from diagnosis.problem.fit import Free, Problem, solve
 from diagnosis.problem.healthy_reference import BAND
+from physics.plant import imposed
 from physics.relations.measured import Signals
+from physics.relations.recorded_reads import Memory
 from physics.relations.relation import Relation
 
 Array = NDArray[np.float64]
@@ -46,9 +48,14 @@ class SimulatedBlock(Block):
 
     table: Table
     at: NDArray[np.intp]
+    _runs: Memory = field(default_factory=lambda: Memory(REMEMBERED), repr=False, kw_only=True)
 
     def _residual(self, values: Values) -> Array:
-        told = simulation.simulate(self.table, values)
+        moved = self._runs.recall("motion", (values["knee_backlash"],),
+                                  lambda: simulation.motion(self.table, values["knee_backlash"]))
+        plant = simulation.plant_of(values, simulation.length_s(self.table))
+        true = self._runs.recall("tensions", (plant, *moved), lambda: imposed.simulate(plant, moved))
+        told = simulation.read(self.table["time_s"], true, values)
         return np.concatenate([
             (self.table[n] - getattr(told, n))[self.at] for n in simulation.SIGNALS if n in self.table])
 

@@ -101,8 +101,16 @@ def _compile(sources: int) -> Any:
 _run: Final[Any] = _compile(digest() ^ zlib.crc32(Path(__file__).read_bytes()))
 
 
-def simulate(parameters: PlantParameters, time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> Tensions:
-    """Return both tensions, N, that the simulated bench of `parameters` has under a measured motion, one per sample.
+class Motion(NamedTuple):
+    """A measured motion as it is followed: stamps, s; cubic splines through drum, m, and knee, rad, each (4, n − 1)."""
+
+    time: Array
+    rope: Array
+    knee: Array
+
+
+def motion(time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> Motion:
+    """Return the motion through the samples.
 
     Raises `InputError` where the samples are fewer than four, not in order of time, or not finite.
     """
@@ -113,12 +121,18 @@ def simulate(parameters: PlantParameters, time_s: Array, servo_position_m: Array
         if not np.isfinite(values).all():
             raise InputError(f"simulate: {name} is not a number at row {int(np.argmin(np.isfinite(values))) + 2}; "
                              "fill it in or cut the trial there.")
+    return Motion(time, _spline(time, rope), _spline(time, knee))
+
+
+def simulate(parameters: PlantParameters, moved: Motion) -> Tensions:
+    """Return both tensions, N, that the simulated bench of `parameters` has under a measured motion, one per sample."""
     memory = np.zeros(SIZE)
     derive(memory, parameters)
     settle(memory, parameters)
-    start, end = np.empty(time.size), np.empty(time.size)
-    _run(memory, time, _spline(time, rope - parameters.encoder_zero_m), _spline(time, knee), round(REST_S / STEP_S),
-         start, end)
+    start, end = np.empty(moved.time.size), np.empty(moved.time.size)
+    rope = moved.rope.copy()
+    rope[3] -= parameters.encoder_zero_m
+    _run(memory, moved.time, rope, moved.knee, round(REST_S / STEP_S), start, end)
     return Tensions(start, end)
 
 

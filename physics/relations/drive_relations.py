@@ -27,7 +27,8 @@ SUBSTEPS: Final = 8
 
 def drive_force(signals: Signals, p: Values) -> Array:
     """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
-    slip, square = signals.remember(_turned, p)
+    slip, square = signals.remember(_turned, p["drive_presliding"], p["drive_calm"], p["drive_stribeck_ratio"],
+                                   p["drive_stribeck_speed"] if p["drive_stribeck_ratio"] != 1.0 else 1.0)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
     speed = signals["rope_m_s"]
     drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
@@ -37,30 +38,28 @@ def drive_force(signals: Signals, p: Values) -> Array:
     return np.asarray(force / p["demand_gain"])
 
 
-def _turned(signals: Signals, p: Values) -> tuple[Array, Array]:
+def _turned(signals: Signals, distance: float, calm: float, ratio: float, slow: float) -> tuple[Array, Array]:
     """Return the state −1…1 of the drive's friction and its square, each by its Stribeck curve.
 
     It turns over within milliseconds.
     """
     if signals.fine is None:
-        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, p)
-        curve = _curve(signals["rope_m_s"], p)
+        slip = _slip(signals["rope_m"], signals["rope_m_s"], signals.fresh, distance, calm)
+        curve = _curve(signals["rope_m_s"], ratio, slow)
         return curve * slip, curve * slip**2
-    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, p)
-    curve = _curve(signals.fine.rope_m_s, p)
+    slip = _slip(signals.fine.rope_m, signals.fine.rope_m_s, signals.fine.fresh, distance, calm)
+    curve = _curve(signals.fine.rope_m_s, ratio, slow)
     return signals.fine.thinned(curve * slip), signals.fine.thinned(curve * slip**2)
 
 
-def _curve(speed: Array, p: Values) -> Array | float:
-    """Return the friction over that in quick motion, by speed."""
-    if p["drive_stribeck_ratio"] == 1.0:
-        return 1.0
-    return np.asarray(1.0 + (p["drive_stribeck_ratio"] - 1.0) * np.exp(-((speed / p["drive_stribeck_speed"]) ** 2)))
+def _curve(speed: Array, ratio: float, slow: float) -> Array | float:
+    """Return the friction over that in quick motion, by speed; `slow` is the Stribeck speed, m/s."""
+    return 1.0 if ratio == 1.0 else np.asarray(1.0 + (ratio - 1.0) * np.exp(-((speed / slow) ** 2)))
 
 
-def _slip(position: Array, speed: Array, fresh: Mask, p: Values) -> Array:
-    slip = states.slipped(position, fresh, p["drive_presliding"])
-    return np.asarray(slip * np.tanh(np.abs(speed) / p["drive_calm"])) if p["drive_calm"] > 0.0 else slip
+def _slip(position: Array, speed: Array, fresh: Mask, distance: float, calm: float) -> Array:
+    slip = states.slipped(position, fresh, distance)
+    return np.asarray(slip * np.tanh(np.abs(speed) / calm)) if calm > 0.0 else slip
 
 
 @njit(cache=True)
@@ -75,6 +74,8 @@ def tracked(
     out = np.empty(target.size)
     limited = force < np.inf or sag > 0.0
     w = 2.0 * np.pi * bandwidth
+    spring, damper = w * w, 2.0 * damping * w
+    per_volt, per_mass, per_force = constant / ohm, 1.0 / mass, 1.0 / constant
     x, v, bus = 0.0, 0.0, volts
     for k in range(target.size):
         if fresh[k]:
@@ -82,17 +83,18 @@ def tracked(
         else:
             # a step of the loop is stable while it is shorter than the loop's own times
             steps = max(SUBSTEPS, int(w * (1.0 + 2.0 * damping) * (time[k] - time[k - 1])) + 1)
-            dt = (time[k] - time[k - 1]) / steps
+            dt, onwards = (time[k] - time[k - 1]) / steps, (target[k] - target[k - 1]) / steps
             for i in range(steps):
-                part = (i + 1) / steps
-                aim = target[k - 1] + part * (target[k] - target[k - 1])
-                wanted = w * w * (aim - x) - 2.0 * damping * w * v
+                aim = target[k - 1] + (i + 1) * onwards
+                wanted = spring * (aim - x) - damper * v
                 if limited:
-                    resisting = load[k] + viscous * v + coulomb * min(1.0, max(-1.0, v / 1e-3))
-                    most = min(force, max(0.0, (bus - constant * abs(v)) / ohm * constant))
+                    resisting = load[k] + viscous * v + coulomb * min(1.0, max(-1.0, 1e3 * v))
+                    most = min(force, max(0.0, (bus - constant * abs(v)) * per_volt))
                     given = min(most, max(-most, mass * wanted + resisting))
-                    bus = max(0.2 * volts, volts - sag * max(0.0, given * v + ohm * (given / constant) ** 2) / volts)
-                    wanted = (given - resisting) / mass
+                    if sag > 0.0:
+                        drawn = max(0.0, given * v + ohm * (per_force * given) ** 2)
+                        bus = max(0.2 * volts, volts - sag * drawn / volts)
+                    wanted = (given - resisting) * per_mass
                 v += dt * wanted
                 x += dt * v
         out[k] = x
@@ -101,7 +103,7 @@ def tracked(
 
 def servo(signals: Signals, p: Values) -> Array:
     """Predict the rope's position, m, from its target: delay, second-order loop, limits of current and voltage."""
-    aim = signals.later(signals["servo_target_m"], -p["servo_delay"])
+    aim = signals.column_later("servo_target_m", -p["servo_delay"])
     load = signals["tension_start_n"] if signals.has("tension_start_n") else np.zeros(aim.size)
     return np.asarray(tracked(
         aim, load, signals["time_s"], signals.fresh, p["servo_bandwidth"], p["servo_damping"],
@@ -111,7 +113,7 @@ def servo(signals: Signals, p: Values) -> Array:
 
 def knee(signals: Signals, p: Values) -> Array:
     """Predict the knee angle, rad, from its target: delay and second-order loop."""
-    aim = signals.later(signals["knee_target_rad"], -p["knee_delay"])
+    aim = signals.column_later("knee_target_rad", -p["knee_delay"])
     still = np.zeros(aim.size)
     return np.asarray(tracked(
         aim, still, signals["time_s"], signals.fresh, p["knee_bandwidth"], p["knee_damping"], 1.0, 0.0, 0.0,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, TypeVar
+from functools import cached_property
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ Values = Mapping[str, float]
 
 T = TypeVar("T")
 
-MEMORIES: Final = 12
+REMEMBERED: Final = 4
+"""Results of each part of a law that are kept: a slope's, and those of the point that it is taken at."""
 
 
 class Fine(NamedTuple):
@@ -45,59 +47,66 @@ class Signals:
     fresh: NDArray[np.bool_]
     progress: Array
     fine: Fine | None = None
-    _memory: Memory = field(default_factory=lambda: Memory(MEMORIES), repr=False)
+    _memory: Memory = field(default_factory=lambda: Memory(REMEMBERED), repr=False)
 
     def has(self, *names: str) -> bool:
-        return all(name in self.columns for name in names)
+        return self.columns.keys() >= set(names)
 
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]
 
-    def remember(self, law: Callable[[Signals, Values], T], p: Values) -> T:
-        """Return `law(self, p)`, made once for the values that it reads: most parameters leave most laws alone."""
-        return self._memory.recall(law, p, lambda read: law(self, read))
+    def remember(self, law: Callable[..., T], *given: Any) -> T:
+        """Return `law(self, *given)`, made once for what is given: most parameters leave most laws alone."""
+        return self._memory.recall(law, given, lambda: law(self, *given))
 
     def later(self, values: Array, seconds: float) -> Array:
         """Return `values` as they are `seconds` later."""
-        if seconds == 0.0:
-            return values
         time = self["time_s"]
-        return np.interp(time + seconds, time, values)
+        return values if seconds == 0.0 else np.interp(time + seconds, time, values)
+
+    def column_later(self, name: str, seconds: float) -> Array:
+        """Return a column as it is `seconds` later."""
+        return self._memory.recall(name, (seconds,), lambda: self.later(self[name], seconds))
+
+    @cached_property
+    def step_s(self) -> float:
+        """Time from one sample to the next, s."""
+        return float(np.median(np.diff(self["time_s"])))
 
 
 def end_tension(signals: Signals, p: Values) -> Array:
     """Return END tension, N, with its sensor's gain, offset, drift, mass, filter and delay undone."""
-    return signals.remember(_end_tension, p)
+    mass = p["end_mass"] if signals.has("knee_angle_rad") else 0.0
+    return signals.remember(_end_tension, p["end_filter"], p["end_delay"], p["end_offset"], p["end_drift"], mass,
+                            p["end_mass_arm"] if mass > 0.0 else 0.0, p["end_gain"])
 
 
-def _end_tension(signals: Signals, p: Values) -> Array:
-    end = signals["tension_end_n"]
-    if p["end_filter"] > 0.0:
-        end = end + p["end_filter"] * signals["end_rate"]
-    end = signals.later(end, p["end_delay"]) - p["end_offset"] - p["end_drift"] * signals.progress
-    if p["end_mass"] > 0.0 and signals.has("knee_angle_rad"):
-        swing = GRAVITY * np.cos(signals["knee_angle_rad"]) + p["end_mass_arm"] * signals["knee_acceleration"]
-        end = end - p["end_mass"] * swing
-    return np.asarray(end / p["end_gain"])
+def _end_tension(signals: Signals, lag: float, delay: float, offset: float, drift: float, mass: float, arm: float,
+                 gain: float) -> Array:
+    end = signals.column_later("tension_end_n", delay)
+    if lag > 0.0:
+        end = end + lag * signals.column_later("end_rate", delay)
+    end = end - offset - drift * signals.progress
+    if mass > 0.0:
+        end = end - mass * (GRAVITY * np.cos(signals["knee_angle_rad"]) + arm * signals["knee_acceleration"])
+    return np.asarray(end / gain)
 
 
 def start_tension(signals: Signals, p: Values) -> Array:
     """Return START tension, N, with its sensor's gain, offset and drift undone."""
-    shifted = signals["tension_start_n"] - p["start_offset"] - p["start_drift"] * signals.progress
-    return np.asarray(shifted / p["start_gain"])
+    return signals.remember(_start_tension, p["start_gain"], p["start_offset"], p["start_drift"])
 
 
-def start_reading(signals: Signals, p: Values, tension: Array) -> Array:
-    """Return what the START sensor says, N, of a true `tension`."""
-    return np.asarray(p["start_gain"] * tension + p["start_offset"] + p["start_drift"] * signals.progress)
+def _start_tension(signals: Signals, gain: float, offset: float, drift: float) -> Array:
+    return np.asarray((signals["tension_start_n"] - offset - drift * signals.progress) / gain)
 
 
 def leg_angle(signals: Signals, p: Values) -> Array:
     """Return the leg's own angle, rad: the knee drive's behind a dead band."""
     if p["knee_backlash"] <= 0.0:
         return signals["knee_angle_rad"]
-    return signals.remember(_played, p)
+    return signals.remember(_played, p["knee_backlash"])
 
 
-def _played(signals: Signals, p: Values) -> Array:
-    return np.asarray(states.play(signals["knee_angle_rad"], signals.fresh, p["knee_backlash"]))
+def _played(signals: Signals, width: float) -> Array:
+    return np.asarray(states.play(signals["knee_angle_rad"], signals.fresh, width))

@@ -1,13 +1,16 @@
-"""What a law depends on, recorded as it reads its parameters, and results kept by what was read.
+"""What a law depends on, recorded as it reads its parameters; results kept by what they were made from.
 
-The rule of this file: nothing lists what a law reads.  A result holds for every set of values that agrees in all that
-was read while it was made; a law that reads more where a switch is on is recorded once for each state of its switches.
+The rule of this file: nothing lists what a law reads.  A relation is run once on values that record (`Recorded`), its
+switches on and off; a part of a law is a function of arrays and numbers alone, so that what it was called with is what
+its result depends on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
+
+import numpy as np
 
 Values = Mapping[str, float]
 T = TypeVar("T")
@@ -39,37 +42,29 @@ class Recorded(Mapping[str, float]):
 
 
 class Memory:
-    """The last `size` results of laws, each kept by the values that were read while it was made."""
+    """The last `size` results of each function, by what it was called with: numbers by value, arrays by identity.
 
-    __slots__ = ("_reads", "_results", "size")
+    An array that was handed in or out is never written to afterwards; the memory holds it, so that no other takes its
+    place.
+    """
+
+    __slots__ = ("_held", "size")
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self._reads: dict[object, list[tuple[str, ...]]] = {}
-        self._results: dict[tuple[object, ...], Any] = {}
+        self._held: dict[object, dict[tuple[Any, ...], tuple[Any, tuple[Any, ...]]]] = {}
 
-    def recall(self, law: object, p: Values, make: Callable[[Values], T]) -> T:
-        """Return `make(p)`, from memory where all that it read then is as it was; `law` names what is made."""
-        values = p.values_ if isinstance(p, Recorded) else p
-        for names in self._reads.get(law, ()):
-            key = (law, names, *[values[name] for name in names])
-            if key in self._results:
-                if isinstance(p, Recorded):
-                    p.read.update(names)
-                known: T = self._results[key]
-                return known
-        recorded = Recorded(values)
-        made = make(recorded)
-        self._keep(law, recorded, made)
-        if isinstance(p, Recorded):
-            p.read.update(recorded.read)
-        return made
-
-    def _keep(self, law: object, recorded: Recorded, made: object) -> None:
-        names = tuple(sorted(recorded.read))
-        known = self._reads.setdefault(law, [])
-        if names not in known:
-            known.append(names)
-        if len(self._results) >= self.size:
-            self._results.pop(next(iter(self._results)))
-        self._results[law, names, *[recorded.values_[name] for name in names]] = made
+    def recall(self, function: object, given: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """Return `make()`, from memory where `function` was called with `given` before."""
+        key = tuple([id(v) if v.__class__ is np.ndarray else v for v in given])
+        held = self._held.get(function)
+        if held is None:
+            held = self._held[function] = {}
+        kept = held.pop(key, None)
+        if kept is None:
+            kept = make(), given
+            if len(held) >= self.size:
+                del held[next(iter(held))]
+        held[key] = kept  # the last again: what goes first is what was asked for longest ago
+        result: T = kept[0]
+        return result

@@ -103,10 +103,15 @@ def _probe(fine: bool = False, only: set[str] | None = None) -> Signals:
     return Signals(columns, fresh, time / time[-1], rope)
 
 
+def brings_own(relation: Relation) -> bool:
+    """Whether an effect of the catalogue brings a law of its own to `relation`."""
+    return any(relation.name in effect.measured for effect in CATALOGUE.values())
+
+
 def predict(relation: Relation, signals: Signals, values: Values) -> Array:
     """Return the prediction of `relation`, with the laws that effects bring themselves put on top."""
     predicted = relation.law(signals, values)
-    for effect in CATALOGUE.values():
+    for effect in [e for e in CATALOGUE.values() if e.measured]:
         brought = effect.measured.get(relation.name)
         if brought is not None and any(p.name in values and values[p.name] != p.neutral for p in effect.parameters):
             predicted = brought(signals.columns, predicted, values)

@@ -16,7 +16,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from physics.laws import Array
-from physics.path_laws import capstan, load_dependence, presliding_shaped, stretch, stribeck
+from physics.path_laws import (
+    capstan,
+    load_dependence,
+    presliding_from,
+    presliding_left,
+    presliding_shaped,
+    stretch,
+    stribeck,
+)
 
 Mask = NDArray[np.bool_]
 
@@ -32,6 +40,8 @@ SHARES: Final = np.array([SHARE_AFTER + SHARE_OVER * 0.5 / FABRIC_NODES,
 """Shares of the fabric's stretch behind its first node, between them, and before its last."""
 ITERATIONS: Final = 50
 TOE_N: Final = 6.0
+UNSURE_N: Final = 1.0
+"""Tension below which a sensor's word does not decide whether a rope that is dragged is taut."""
 CLOSE_N: Final = 1e-6
 CLOSE_M: Final = 1e-9
 
@@ -110,8 +120,8 @@ def along_cable(
     `gain`: START per tension behind the cable without friction.
     """
     start, mean = np.empty(tension.size), np.empty(tension.size)
-    s, u = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
-    trial = np.zeros(CABLE_NODES)
+    s, u = np.zeros(CABLE_NODES), 0.0
+    trial, left, back = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
     recent, before, taken = 0.0, 0.0, 0.0
     for k in range(tension.size):
         base = gain * tension[k]
@@ -121,20 +131,33 @@ def along_cable(
             speed = (position[k] - position[k - 1] - taken) / seconds
             recent, before = recalled(recent, speed, before, seconds, memory), speed
         whole = exponent[k] * grip(tension[k], recent, load, ratio, calm) / CABLE_NODES
+        force, target = base, base
         if fresh[k] or tension[k] < slack_n:
-            force = base
-            for i in range(CABLE_NODES):
-                s[i], u[i] = 0.0, position[k] - compliance * force
+            s[:] = 0.0
         else:
-            low, high = -abs(base) * math.exp(abs(whole) * CABLE_NODES), abs(base) * math.exp(abs(whole) * CABLE_NODES)
-            force, last = min(max(start[k - 1], low), high), np.inf
+            high = abs(base) * math.exp(abs(whole) * CABLE_NODES)
+            low, known, known_back, last = -high, False, False, np.inf
+            force = start[k - 1] * (tension[k] / tension[k - 1] if tension[k - 1] != 0.0 else 1.0)
+            force = min(max(force, low), high)
             for _ in range(ITERATIONS):
+                step = position[k] - compliance * force - u
+                if step > 0.0 and not known:
+                    known = True
+                    for i in range(CABLE_NODES):
+                        left[i] = presliding_left(s[i], 1.0, shape)
+                elif step <= 0.0 and not known_back:
+                    known_back = True
+                    for i in range(CABLE_NODES):
+                        back[i] = presliding_left(s[i], -1.0, shape)
                 turn, steep = 0.0, 0.0
                 for i in range(CABLE_NODES):
-                    step = position[k] - compliance * force - u[i]
-                    trial[i] = presliding_shaped(s[i], step, distance * SPREAD[i], shape)
+                    travel = abs(step) / (distance * SPREAD[i])
+                    if step > 0.0:
+                        trial[i], rate = presliding_from(left[i], 1.0, travel, shape)
+                    else:
+                        trial[i], rate = presliding_from(back[i], -1.0, travel, shape)
                     turn += trial[i]
-                    steep += abs((1.0 if step > 0.0 else -1.0) - trial[i]) / (distance * SPREAD[i])
+                    steep += rate / (distance * SPREAD[i])
                 target = capstan(base, whole * turn)
                 miss = force - target
                 if abs(miss) < CLOSE_N:
@@ -146,11 +169,10 @@ def along_cable(
                 newton = force - miss / (1.0 + abs(target * whole) * steep * compliance)
                 falls = abs(miss) < 0.5 * last and low < newton < high
                 force, last = newton if falls else 0.5 * (low + high), abs(miss)
-            for i in range(CABLE_NODES):
-                s[i], u[i] = trial[i], position[k] - compliance * force
-            force = capstan(base, whole * turn)
-        start[k], mean[k] = force, (s[0] + s[1] + s[2]) / CABLE_NODES
-        taken = 0.0 if fresh[k] else compliance * (force - start[k - 1])
+            s[:] = trial
+        u = position[k] - compliance * force
+        start[k], mean[k] = target, (s[0] + s[1] + s[2]) / CABLE_NODES
+        taken = 0.0 if fresh[k] else compliance * (target - start[k - 1])
     return start, mean
 
 
@@ -256,3 +278,44 @@ def from_motion(
         before = drum[k] - anchor[k]
         end_out[k], start_out[k] = end, start
     return end_out, start_out
+
+
+@njit(cache=True)
+def read_at_start(
+    start: Array, speed: Array, measured: Array, progress: Array, viscous: float, slack_n: float, gain: float,
+    offset: float, drift: float,
+) -> Array:
+    """Return what the START sensor reads, N, of the tension `start` with the rope's viscous drag put on while taut.
+
+    `slack_n` above 0: a rope that can be slack never pushes.  Its drag at the edge of slack is anything from none to
+    all of it, and END cannot say which: below `UNSURE_N` it is what START itself (`measured`, N, empty where there is
+    none) says in between.
+    """
+    out = np.empty(start.size)
+    for k in range(start.size):
+        force = start[k]
+        shift = offset + drift * progress[k]
+        drag = viscous * speed[k]
+        if drag != 0.0 and slack_n <= 0.0:
+            force += drag
+        elif drag != 0.0:
+            least = min(force, 0.0)
+            if force < UNSURE_N and measured.size > 0:
+                taut = max(force + drag, least)
+                said = (measured[k] - shift) / gain
+                force = min(max(said, min(force, taut)), max(force, taut))
+            else:
+                force = max(force + drag * min(max(2.0 * force, 0.0), 1.0), least)
+        out[k] = gain * force + shift
+    return out
+
+
+@njit(cache=True)
+def toed(end: Array, middle: Array, before: Array, shares: Array) -> Array:
+    """Return e^(−T/TOE_N) − 1 of the tensions along the fabric, N, by their shares."""
+    out = np.empty(end.size)
+    for k in range(end.size):
+        out[k] = (shares[0] * math.expm1(-max(end[k], 0.0) / TOE_N)
+                  + shares[1] * math.expm1(-max(middle[k], 0.0) / TOE_N)
+                  + shares[2] * math.expm1(-max(before[k], 0.0) / TOE_N))
+    return out

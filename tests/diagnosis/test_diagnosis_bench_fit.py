@@ -25,7 +25,7 @@ def on_own_plant(seed: int, zero_m: float = 0.0, turned: bool = False) -> Table:
     """A trial of this project's own simulated bench under a walking motion, its rope counted from another zero."""
     motion = family.gait(draws.draw(1), cycles=4)
     rope = motion.rope - float(draws.draw(1).zero) + PlantParameters().encoder_zero_m
-    told = imposed.simulate(PlantParameters(), motion.time, rope, motion.knee)
+    told = imposed.simulate(PlantParameters(), imposed.motion(motion.time, rope, motion.knee))
     rng = np.random.default_rng(seed)
     columns = {"time_s": motion.time, "gait_percent": motion.percent, "cycle": motion.cycle,
                "servo_position_m": (rope + zero_m) * (-1.0 if turned else 1.0), "knee_angle_rad": motion.knee,

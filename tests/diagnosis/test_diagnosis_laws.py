@@ -40,7 +40,8 @@ def pulled(values: dict[str, float]) -> Signals:
 
 def _answer(signals: Signals, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
     wound = transmission.wound(signals, values, signals["rope_m"])
-    anchored = transmission.anchored(values, signals["knee_angle_rad"])
+    anchored = transmission.anchored(
+        signals, signals["knee_angle_rad"], 0.0, values["rope_per_knee"], values["rope_per_knee_quadratic"])
     end, start = from_motion(
         wound, anchored, signals["time_s"], signals.fresh, transmission.fabric_exponent(signals, values),
         transmission.cable_exponent(signals, values), transmission.STRETCH_LINEAR, transmission.STRETCH_BEND, 0.0,

@@ -92,20 +92,23 @@ def test_an_effect_names_the_relations_that_read_it(effect: object) -> None:
     assert reading == set(effect.relations) & set(RELATIONS)  # type: ignore[attr-defined]
 
 
-def test_a_result_is_kept_by_what_was_read() -> None:
+def test_a_result_is_kept_by_what_it_was_made_from() -> None:
     made: list[str] = []
 
-    def law(p: object) -> float:
+    def law(array: np.ndarray, factor: float) -> np.ndarray:
         made.append("made")
-        return p["a"] if p["switch"] == 0.0 else p["a"] + p["b"]  # type: ignore[index, no-any-return]
+        return factor * array
 
-    memory = Memory(8)
-    for values, result, times in (
-        ({"switch": 0.0, "a": 1.0, "b": 5.0}, 1.0, 1), ({"switch": 0.0, "a": 1.0, "b": 6.0}, 1.0, 1),
-        ({"switch": 1.0, "a": 1.0, "b": 6.0}, 7.0, 2), ({"switch": 1.0, "a": 1.0, "b": 7.0}, 8.0, 3),
-        ({"switch": 0.0, "a": 1.0, "b": 9.0}, 1.0, 3), ({"switch": 1.0, "a": 1.0, "b": 6.0}, 7.0, 3),
-    ):
-        outer = Recorded(values)
-        assert memory.recall("law", outer, law) == result
+    memory, one = Memory(2), np.ones(3)
+    same = one.copy()
+    for array, factor, times in ((one, 1.0, 1), (one, 1.0, 1), (same, 1.0, 2), (one, 1.0, 2), (one, 2.0, 3),
+                                 (one, 1.0, 3), (same, 1.0, 4)):
+        said = memory.recall("law", (array, factor), lambda array=array, factor=factor: law(array, factor))
+        np.testing.assert_array_equal(said, factor * array)
         assert len(made) == times
-        assert outer.read == ({"switch", "a"} if values["switch"] == 0.0 else {"switch", "a", "b"})
+
+
+def test_an_array_that_is_gone_is_taken_for_no_other() -> None:
+    memory = Memory(4)
+    said = [memory.recall("sum", (np.full(8, float(i)),), lambda i=i: 8.0 * i) for i in range(64)]
+    assert said == [8.0 * i for i in range(64)]
