@@ -60,8 +60,8 @@ def page(options: str, commits: list[str], key: str, whole: int, kinds: list[str
     missed = [f"- {said(a)}" for a in told if family_bars.against(a)] or ["nothing."]
     return "\n".join((
         f"Printed by `python -m tests.hidden.family_run {options}` at commit {', '.join(commits)}:",
-        f"{len(told)} of {whole} cases; SHA-256 of all: {key}.", "", family_bars.table(kinds, by_kind), "", "Not right:",
-        "", *missed))
+        f"{len(told)} of {whole} cases; SHA-256 of all: {key}.", "", family_bars.table(kinds, by_kind), "",
+        "Not right:", "", *missed))
 
 
 def main(arguments: list[str]) -> None:
