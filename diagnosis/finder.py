@@ -232,7 +232,7 @@ def _unfit(settled: problem.ProblemSetting) -> list[str]:
         return []
     told = []
     for name in ("friction", "elasticity", "kinematics"):
-        left, spread = settled.learnt.plain.get(name, 0.0), settled.learnt.spread.get(name, 0.0)
+        left, spread = settled.learnt.misfit.get(name, 0.0), settled.learnt.spread.get(name, 0.0)
         if left > UNFIT * spread:
             told.append(f"the healthy trials do not fit: {name} leaves {left:.3g} of {spread:.3g} "
                         f"{RELATIONS[name].unit} ({100.0 * left / spread:.0f} %; expected below "

@@ -32,10 +32,14 @@ STRUCTURE: Final = 0.5
 @dataclass(frozen=True)
 class HealthyResiduals:
     """By relation: RMSE on the unseen with the discrepancy taken off, and without it; the sensors' noise in both; how
-    many samples of the former count as one; the spread of the signal itself; what was learnt, and where it scatters."""
+    many samples of the former count as one; the spread of the signal itself; what was learnt, and where it scatters.
+
+    `misfit`: the plain RMSE with each sample counted as the fit counts it.
+    """
 
     floors: Mapping[str, float]
     plain: Mapping[str, float]
+    misfit: Mapping[str, float]
     noise: Mapping[str, float]
     correlation_length: Mapping[str, float]
     spread: Mapping[str, float]
@@ -45,11 +49,12 @@ class HealthyResiduals:
 
 @dataclass(frozen=True)
 class _Alone:
-    """One relation on one trial that was fitted alone: its features, what the law leaves, what is held back together.
-    """
+    """One relation on one trial that was fitted alone: its features, what the law leaves, how much that counts, and
+    what is held back together."""
 
     at: Array
     rest: Array
+    certain: Array
     group: NDArray[np.intp]
 
 
@@ -61,12 +66,12 @@ def examine(trials: Sequence[Sequence[Block]], bench: HealthyReference, near: Se
     """
     held = [list(zip(trial, own, strict=True)) for trial, own in zip(trials, certain, strict=True)]
     alone = [_fitted(trial, {}, bench, start, weights) for trial, start in zip(held, near, strict=True)]
-    told = _told(trials, alone, bench.values)
+    told = _told(held, alone, bench.values)
     learnt = {n: _learnt(parts) for n, parts in told.items() if _motion(n)}
     if len(trials) > 1 and any(d.used for d in learnt.values()):
         # with the discrepancy taken off the constants need not stand in for it any more
         alone = [_fitted(trial, learnt, bench, values, weights) for trial, values in zip(held, alone, strict=True)]
-        told = _told(trials, alone, bench.values)
+        told = _told(held, alone, bench.values)
         learnt = {n: _learnt(parts) for n, parts in told.items() if _motion(n)}
     plain = {n: rmse(p.rest for p in parts) for n, parts in told.items()}
     unseen = _unseen(held, told, learnt, bench, alone, weights)
@@ -75,7 +80,8 @@ def examine(trials: Sequence[Sequence[Block]], bench: HealthyReference, near: Se
     rests = {n: unseen[n] if n in worth else [p.rest for p in parts] for n, parts in told.items()}
     noise = {n: math.sqrt(float(np.mean([chance(p.rest) ** 2 for p in parts]))) for n, parts in told.items()}
     return HealthyResiduals(
-        {n: rmse(r) for n, r in rests.items()}, plain, noise, {n: correlated(r) for n, r in rests.items()},
+        {n: rmse(r) for n, r in rests.items()}, plain, {n: _misfit(parts) for n, parts in told.items()}, noise,
+        {n: correlated(r) for n, r in rests.items()},
         {n: _spread(trials, n) for n in told}, worth,
         {n: _structure(parts, rests[n], another(len(trials))) for n, parts in told.items() if _motion(n)})
 
@@ -140,15 +146,20 @@ def _fitted(trial: Held, learnt: Mapping[str, Discrepancy], bench: HealthyRefere
     return solve(Problem(blocks, weights), {**bench.values, **start}, free).values
 
 
-def _told(trials: Sequence[Sequence[Block]], alone: Sequence[Values], values: Values) -> dict[str, list[_Alone]]:
+def _told(held: Sequence[Held], alone: Sequence[Values], values: Values) -> dict[str, list[_Alone]]:
     found: dict[str, list[_Alone]] = {}
-    for i, (trial, own) in enumerate(zip(trials, alone, strict=True)):
-        for block in trial:
+    for i, (trial, own) in enumerate(zip(held, alone, strict=True)):
+        for block, certain in trial:
             if block.keep.size:
-                group = np.full(block.keep.size, i, dtype=np.intp) if len(trials) > 1 else block.cycle
+                group = np.full(block.keep.size, i, dtype=np.intp) if len(held) > 1 else block.cycle
                 found.setdefault(block.relation.name, []).append(_Alone(
-                    discrepancy.features(block.signals, values)[block.keep], block.residual(own), group))
+                    discrepancy.features(block.signals, values)[block.keep], block.residual(own), certain, group))
     return found
+
+
+def _misfit(parts: Sequence[_Alone]) -> float:
+    squares = sum(float(np.sum((p.certain * p.rest) ** 2)) for p in parts)
+    return math.sqrt(squares / max(sum(float(np.sum(p.certain**2)) for p in parts), 1e-300))
 
 
 def _learnt(parts: Sequence[_Alone]) -> Discrepancy:

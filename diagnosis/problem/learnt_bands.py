@@ -139,6 +139,7 @@ class Learnt:
     """What healthy trials say of a bench: values and 1σ by slot, bands about them, floors and what the laws leave.
 
     `floors`: RMSE by relation with the discrepancy taken off, on what it was not learnt on; `plain`: without it;
+    `misfit`: the same, each sample counted as the fit of the healthy trials counts it, beside the signal's `spread`;
     `noise`: what of both is the sensors' noise of the healthy trials, which another trial need not have.
     """
 
@@ -146,6 +147,7 @@ class Learnt:
     sigma: Mapping[str, float]
     floors: Mapping[str, float]
     plain: Mapping[str, float]
+    misfit: Mapping[str, float]
     spread: Mapping[str, float]
     correlation_length: Mapping[str, float]
     discrepancies: Mapping[str, Discrepancy]
@@ -251,7 +253,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
              for f in _own(reference)} for i in range(len(trials))]
     parts = iter(certain)
     left = examine(trials, moved, near, weights, [[next(parts) for _ in trial] for trial in trials])
-    return Learnt(moved, sigmas(together), left.floors, left.plain, left.spread, left.correlation_length,
+    return Learnt(moved, sigmas(together), left.floors, left.plain, left.misfit, left.spread, left.correlation_length,
                   left.discrepancies, left.scatters, len(trials), left.noise)
 
 
