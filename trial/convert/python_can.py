@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import math
 import os
 import shutil
 import struct
@@ -19,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 import can
 import numpy as np
@@ -233,6 +232,12 @@ def _sqlite(path: Path) -> Iterator[can.Message]:
                               is_fd=len(data or b"") > 8)
 
 
+LATEST_S: Final = 9e9
+"""Time stamp beyond which a signed count of nanoseconds holds none, s."""
+LAST_IDENTIFIER: Final = 0x1FFF_FFFF
+"""29 bits at most (ISO 11898-1)."""
+
+
 def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
     """Read a log that python-can knows (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
@@ -265,7 +270,7 @@ def read_log(path: Path, progress: Callable[[float], None] = lambda share: None)
 def _take(message: can.Message, rows: Gathered, channels: ChannelNumbers, counts: dict[str, int]) -> None:
     if message.is_fd or len(message.data or b"") > 8:
         counts["fd_frames"] += 1
-    elif not math.isfinite(message.timestamp):
+    elif not (abs(message.timestamp) < LATEST_S and 0 <= message.arbitration_id <= LAST_IDENTIFIER):
         counts["malformed_frames"] += 1
     else:
         counts["dlc_above_8"] += message.dlc > 8
