@@ -444,8 +444,8 @@ WHY = ("Learning goes to where START, its friction undone, says that END is as d
        "a bench stays in END.")
 """Why a structure is worst."""
 PRODUCTS = ("The fabric's exponents are products of two scalars whose errors are taken as if they had nothing to do "
-            "with each other, which makes them wide. What breakaway remembers is told to about 10 ms, and where there is no "
-            "breakaway not at all: its interval is then as wide as what was assumed of it.")
+            "with each other, which makes them wide. What breakaway remembers is told to about 10 ms, where there is "
+            "no breakaway not at all: its interval is then as wide as what was assumed of it.")
 """What the table of intervals needs besides."""
 
 

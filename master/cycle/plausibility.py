@@ -219,8 +219,10 @@ def _one_stretch(
     """
     expected = _curve(g, max(force, 0.0))
     beyond = max(0.0, most - g[TOP_N])
+    # homing's parabola may bend more than the bench does: beyond it the slope is between its last one and its mean one
+    bent = max(0.0, g[C1] + g[C2] * g[TOP_N] - _slope(g, g[TOP_N])) * max(0.0, force - g[TOP_N])
     room_n = STRETCH_N + RATIO_N_S_M * s[SPEED] + spread * max(force, 0.0)
-    room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond
+    room = (STRETCH_M + _slope(g, force) * room_n + BEYOND * 1e-3 * beyond + bent
             + SWING_SHARE * g[SWING_K] * abs(knee - g[KNEE_HOME]))
     if force < TAUT_N + RATIO_N_S_M * s[SPEED] and stretch < expected:
         stretch = expected
