@@ -33,8 +33,9 @@ PATIENCE_S = 120.0  # a browser that says nothing for so long has hung
 
 @pytest.fixture(scope="session", autouse=True)
 def _signals_as_at_a_terminal() -> Iterator[None]:
-    """A shell starts a background job with SIGINT and SIGQUIT ignored; tests that send them must not depend on that."""
-    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: signal.SIG_DFL}
+    """A shell starts a background job with SIGINT and SIGQUIT ignored, nohup any with SIGHUP; a child inherits that,
+    and ends by none of them."""
+    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
     before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
     yield
     for number, handler in before.items():

@@ -348,7 +348,7 @@ def test_what_serves_or_listens_ends_on_a_signal(here: Path, command: tuple[str,
         assert process.stdout is not None
         assert process.stdout.readline()  # it says where it is, and from then on it runs
         process.send_signal(number)
-        rest = process.communicate()[0]
+        rest = process.communicate(timeout=120.0)[0]
     finally:
         process.kill()
     assert process.returncode == 128 + number, rest
