@@ -26,14 +26,17 @@ LOOK_FRAMES = 256  # frames between two looks at the size of the file
 
 
 class BusRecording:
-    """Takes messages as `can.BusABC.recv` gives them; use it in a `with`, or call `close`."""
+    """Takes messages as `can.BusABC.recv` gives them; use it in a `with`, or call `close`.
+
+    `max_bytes` is of what is on disk, which a writer that is `threaded` may bring there later.
+    """
 
     def __init__(
         self, path: Path, wire: WireLayout, *, about: Mapping[str, str], overwrite: bool = False,
-        max_bytes: int | None = None, max_ns: int | None = None,
+        max_bytes: int | None = None, max_ns: int | None = None, threaded: bool = True,
     ) -> None:
         self._path, self._overwrite, self._about = path, overwrite, dict(about)
-        self._max_bytes, self._max_ns = max_bytes, max_ns
+        self._max_bytes, self._max_ns, self._threaded = max_bytes, max_ns, threaded
         self._wire = wire
         self._follower = Follower(wire)
         names = set(self._follower.names)
@@ -59,7 +62,7 @@ class BusRecording:
         self._in_file = 0
         told = {**{name: text for name, text in self._about.items() if text}, "source": "bowden record"}
         return Recorder(path, metadata=told | ({"part": str(part)} if self._rotates else {}), attachments={},
-                        threaded=True, overwrite=self._overwrite, signals=self._signals)
+                        threaded=self._threaded, overwrite=self._overwrite, signals=self._signals)
 
     def take(self, message: Any) -> None:
         """Record one message; CAN FD frames are no bench's and are counted as left out."""

@@ -21,7 +21,7 @@ from parameters import InputError
 from physics import memory_laws
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.plant import PlantParameters, imposed
-from physics.plant.imposed import Motion, Tensions
+from physics.plant.imposed import ImposedMotion, Tensions
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
@@ -82,7 +82,7 @@ def length_s(given: Table) -> float:
     return float(given["time_s"][-1] - given["time_s"][0])
 
 
-def motion(given: Table, backlash_rad: float) -> Motion:
+def motion(given: Table, backlash_rad: float) -> ImposedMotion:
     """Return the motion of rope and leg in `given`; the leg's is the knee drive's behind a dead band.
 
     Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.

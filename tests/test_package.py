@@ -45,7 +45,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     shutil.copytree(ROOT, place / "tree", ignore=LEFT_OUT)
     sdist = place / run(sys.executable, "-c", BUILD, "build_sdist", place, at=place / "tree").splitlines()[-1]
     with tarfile.open(sdist) as packed:
-        packed.extractall(place, filter="data")
+        packed.extractall(place, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))  # from 3.11.4 on
     source = place / sdist.name.removesuffix(".tar.gz")
     wheel = place / run(sys.executable, "-c", BUILD, "build_wheel", place, at=source).splitlines()[-1]
     return sdist, wheel

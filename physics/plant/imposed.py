@@ -101,7 +101,7 @@ def _compile(sources: int) -> Any:
 _run: Final[Any] = _compile(digest() ^ zlib.crc32(Path(__file__).read_bytes()))
 
 
-class Motion(NamedTuple):
+class ImposedMotion(NamedTuple):
     """A measured motion as it is followed: stamps, s; cubic splines through drum, m, and knee, rad, each (4, n − 1)."""
 
     time: Array
@@ -109,7 +109,7 @@ class Motion(NamedTuple):
     knee: Array
 
 
-def motion(time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> Motion:
+def motion(time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> ImposedMotion:
     """Return the motion through the samples.
 
     Raises `InputError` where the samples are fewer than four, not in order of time, or not finite.
@@ -121,10 +121,10 @@ def motion(time_s: Array, servo_position_m: Array, knee_angle_rad: Array) -> Mot
         if not np.isfinite(values).all():
             raise InputError(f"simulate: {name} is not a number at row {int(np.argmin(np.isfinite(values))) + 2}; "
                              "fill it in or cut the trial there.")
-    return Motion(time, _spline(time, rope), _spline(time, knee))
+    return ImposedMotion(time, _spline(time, rope), _spline(time, knee))
 
 
-def simulate(parameters: PlantParameters, moved: Motion) -> Tensions:
+def simulate(parameters: PlantParameters, moved: ImposedMotion) -> Tensions:
     """Return both tensions, N, that the simulated bench of `parameters` has under a measured motion, one per sample."""
     memory = np.zeros(SIZE)
     derive(memory, parameters)

@@ -203,7 +203,7 @@ def test_a_recorded_bus_is_a_trial_and_full_files_follow_each_other_without_a_fr
 
 
 def test_rotation_by_size_closes_whole_files(tmp_path: Path) -> None:
-    with BusRecording(tmp_path / "bus.mcap", WIRE, about={}, max_bytes=10_000) as recording:
+    with BusRecording(tmp_path / "bus.mcap", WIRE, about={}, max_bytes=10_000, threaded=False) as recording:
         for message in frames(3000):
             recording.take(message)
     assert len(recording.files) > 1
