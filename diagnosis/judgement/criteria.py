@@ -91,7 +91,7 @@ class SearchCriteria:
 
     def says(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
-        return self._unlike(effect, model) and self._leads(effect, model)
+        return self._unlike(effect, model) and self.leads(effect, model)
 
     def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
@@ -110,7 +110,7 @@ class SearchCriteria:
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
                    for scale in (next(f.scale for f in effect.frees if f.name == n),))
 
-    def _leads(self, effect: Candidate, model: FittedEffects) -> bool:
+    def leads(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a law moves its level by no more than it changes itself: more is a change of the level, by its name.
 
         A level is said at one load, bend or time; at another one within its range it is off by the law's own share.

@@ -61,7 +61,8 @@ class Judge:
             return []
         if self.within is not None:
             return list(verdict.rivals(self.found, self.criteria.says, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
-        return list(verdict.rivals(self.found, self.criteria.says))
+        # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
+        return list(verdict.rivals(self.found, self.criteria.leads))
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class by calculation, None where nothing is to be split."""
