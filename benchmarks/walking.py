@@ -37,7 +37,6 @@ PERIOD_S = 1.2
 PEAK_N = 40.0
 FAMILY = (16, 24, 25)
 """Benches of the family, developed with, none like another: a chain of masses, slip cells behind a play, fronts."""
-EVERY = 4
 """Of the recorded files one in so many is walked on a bench of the family, the last among them."""
 
 
@@ -104,7 +103,7 @@ def page(
                           for curve, period, rmse in zip(curves, periods, own, strict=True)]),
         "A gap is bridged by a straight line up to 0.1 s, or 5 % of the gait, and counted; a longer one is refused.",
         "## On benches of the family",
-        f"One of {EVERY} files at {PEAK_N:g} N on three benches that share no code with the controller's model "
+        f"Every file at {PEAK_N:g} N on three benches that share no code with the controller's model "
         "([the family](family.md)), identified on day 0 and walked on day 1. RMSE holds a loose rope's drag at END, "
         "which no controller can take away.",
     ]
@@ -132,9 +131,9 @@ def main(arguments: Sequence[str]) -> None:
     timed = [bool(np.isfinite(curve.stride_s)) for curve in curves]
     rows = [row(curve.path, own, calibration) for curve, own in zip(curves, timed, strict=True)]
     own = walked("walking", rows, options.workers)
-    few = list(zip(curves, timed, strict=True))[::-EVERY][::-1]
-    others = {serial: (tuple(curve.path.name for curve, _ in few), walked(f"walking_{serial}", [
-        family_row(serial, curve.path, each) for curve, each in few], options.workers)) for serial in FAMILY}
+    both = list(zip(curves, timed, strict=True))
+    others = {serial: (tuple(curve.path.name for curve, _ in both), walked(f"walking_{serial}", [
+        family_row(serial, curve.path, each) for curve, each in both], options.workers)) for serial in FAMILY}
     periods = [float(each["gait.period_s"]) for each in rows]
     (ROOT / "docs" / "walking.md").write_text(page(curves, periods, own, others), encoding="utf-8")
 
