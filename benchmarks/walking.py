@@ -37,7 +37,6 @@ PERIOD_S = 1.2
 PEAK_N = 40.0
 FAMILY = (16, 24, 25)
 """Benches of the family, developed with, none like another: a chain of masses, slip cells behind a play, fronts."""
-"""Of the recorded files one in so many is walked on a bench of the family, the last among them."""
 
 
 def row(file: Path, timed: bool, calibration: Path) -> Row:
