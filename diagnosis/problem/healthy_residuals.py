@@ -31,10 +31,12 @@ STRUCTURE: Final = 0.5
 
 @dataclass(frozen=True)
 class HealthyResiduals:
-    """By relation: RMSE on the unseen with the discrepancy taken off, and without it; the sensors' noise in both; how
-    many samples of the former count as one; the spread of the signal itself; what was learnt, and where it scatters.
+    """By relation, what the laws leave on the healthy trials.
 
-    `misfit`: the plain RMSE with each sample counted as the fit counts it.
+    `floors`: RMSE with the discrepancy taken off, on what it was not learnt on; `plain`: without it; `misfit`: that one
+    with each sample counted as the fit counts it, beside the signal's own `spread`; `noise`: what of both is the
+    sensors' noise of these trials, which another trial need not have; `correlation_length`: how many samples of the
+    former count as one; `discrepancies`: what was learnt; `scatters`: where it scatters.
     """
 
     floors: Mapping[str, float]
@@ -80,10 +82,10 @@ def examine(trials: Sequence[Sequence[Block]], bench: HealthyReference, near: Se
     rests = {n: unseen[n] if n in worth else [p.rest for p in parts] for n, parts in told.items()}
     noise = {n: math.sqrt(float(np.mean([chance(p.rest) ** 2 for p in parts]))) for n, parts in told.items()}
     return HealthyResiduals(
-        {n: rmse(r) for n, r in rests.items()}, plain, {n: _misfit(parts) for n, parts in told.items()}, noise,
-        {n: correlated(r) for n, r in rests.items()},
-        {n: _spread(trials, n) for n in told}, worth,
-        {n: _structure(parts, rests[n], another(len(trials))) for n, parts in told.items() if _motion(n)})
+        floors={n: rmse(r) for n, r in rests.items()}, plain=plain, noise=noise, discrepancies=worth,
+        misfit={n: _misfit(parts) for n, parts in told.items()},
+        correlation_length={n: correlated(r) for n, r in rests.items()}, spread={n: _spread(trials, n) for n in told},
+        scatters={n: _structure(parts, rests[n], another(len(trials))) for n, parts in told.items() if _motion(n)})
 
 
 def another(trials: int) -> float:

@@ -20,11 +20,10 @@ from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
 from diagnosis.problem.deviations import chances, deviating
-from diagnosis.problem.discrepancy import Discrepancy, Scatter
 from diagnosis.problem.fit import Fit, Free, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
-from diagnosis.problem.healthy_residuals import another, certainties, examine, noise_at
+from diagnosis.problem.healthy_residuals import HealthyResiduals, another, certainties, examine, noise_at
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
@@ -134,26 +133,13 @@ def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
             for t in tables], -1
 
 
-@dataclass(frozen=True)
-class Learnt:
-    """What healthy trials say of a bench: values and 1σ by slot, bands about them, floors and what the laws leave.
-
-    `floors`: RMSE by relation with the discrepancy taken off, on what it was not learnt on; `plain`: without it;
-    `misfit`: the same, each sample counted as the fit of the healthy trials counts it, beside the signal's `spread`;
-    `noise`: what of both is the sensors' noise of the healthy trials, which another trial need not have.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Learnt(HealthyResiduals):
+    """What healthy trials say of a bench: bands about the learnt values, 1σ by slot, and what the laws leave."""
 
     reference: HealthyReference
     sigma: Mapping[str, float]
-    floors: Mapping[str, float]
-    plain: Mapping[str, float]
-    misfit: Mapping[str, float]
-    spread: Mapping[str, float]
-    correlation_length: Mapping[str, float]
-    discrepancies: Mapping[str, Discrepancy]
-    scatters: Mapping[str, Scatter]
     trials: int
-    noise: Mapping[str, float]
 
     def structure(self, relation: str) -> float:
         """Return how far a relation may be from holding on a healthy trial without noise, RMS.
@@ -253,8 +239,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
              for f in _own(reference)} for i in range(len(trials))]
     parts = iter(certain)
     left = examine(trials, moved, near, weights, [[next(parts) for _ in trial] for trial in trials])
-    return Learnt(moved, sigmas(together), left.floors, left.plain, left.misfit, left.spread, left.correlation_length,
-                  left.discrepancies, left.scatters, len(trials), left.noise)
+    return Learnt(reference=moved, sigma=sigmas(together), trials=len(trials), **vars(left))
 
 
 def _costing_one(blocks: Sequence[Block], values: Values, before: Mapping[str, float]) -> dict[str, float]:

@@ -56,3 +56,12 @@ def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(comp
     # to 40 N of START's tension: the packaged one says 10 mm there; half of it is far from either bench's day
     assert found.stiffness_a * 1600.0 + found.stiffness_b * 40.0 < 0.5 * (
         nominal().stiffness_a * 1600.0 + nominal().stiffness_b * 40.0)
+
+
+def test_a_stretch_that_bends_less_beyond_homings_tension_is_no_finding() -> None:
+    """Serial 28: up to homing's tension it bends so much that a parabola through it is flat there."""
+    from benchmarks.family import bench_row
+    from bowden.sweep import row_trial
+
+    reason, _text = row_trial.identify(row_trial.bench_of(bench_row("family", 28, 0)))
+    assert reason is None

@@ -143,6 +143,23 @@ def test_drive_friction_that_bends_beyond_homings_speed_is_no_finding() -> None:
     assert watched(fast) is None
 
 
+@pytest.mark.parametrize(("speed_m_s", "found"), [(0.25, False), (0.0, True)])
+def test_the_drag_of_a_rope_that_is_much_too_long_is_no_finding(speed_m_s: float, found: bool) -> None:
+    """5 N at START with 20 mm of slack: drag where the rope is pulled fast, and a lie where it stands."""
+    watch = Plausibility(1e-3)
+    watch.begin_learning(swing_k=0.0, knee_home=0.0, compliance=0.0)
+    for i in range(2000):
+        place = 2.5e-3 * (1.0 - math.cos(3.14e-3 * i))
+        watch.check(1.0, (place, 0.0), place, 8e3 * place, 0.0, 8e3 * place, 8e3 * place)
+    watch.learn(0.0, 1.25e-4)
+    watch.restart()
+    findings = []
+    for i in range(60):
+        place, start = -0.04 + 1e-3 * speed_m_s * i, 5.0 if i > 40 else 0.0
+        findings.append(watch.check(1.0, (place, 0.0), place, start, 0.0, start, 0.0))
+    assert [f.relation for f in findings if f][:1] == ([plausibility.BY_START] if found else [])
+
+
 def test_a_gap_is_no_finding() -> None:
     """Cycles without inputs are coasted over: the targets go on, and the first whole cycle is judged by them."""
     checked = Plausibility(1e-3)
