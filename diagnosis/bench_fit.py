@@ -204,7 +204,7 @@ def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
 def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
     """Return what was learnt, moved to where the simulation fits."""
     values = {n: found.reference.values[n] for n in RELATION_PARAMETERS}
-    return simulated_blocks.fitted(tables, values, found.sigma, found.reference.nuisance, SECONDS)
+    return simulated_blocks.fitted(tables, values, found.sigma, found.like, SECONDS)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -230,7 +230,7 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
 
 
 def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
-    known = {**{f.name: f.sigma for f in found.reference.nuisance if f.name in RELATION_PARAMETERS},
+    known = {**{f.name: f.sigma for f in found.like if f.name in RELATION_PARAMETERS},
              **learnt_bands.WIDE,
              "rope_per_knee": learnt_bands.KNEE_RATIO * abs(values["rope_per_knee"])}
     constants = {}

@@ -7,6 +7,7 @@ belong to, and fits nothing but what it asks the search for.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnosis.judgement import verdict
@@ -36,7 +37,7 @@ class SearchCriteria:
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
-        if lesser.score - model.score < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+        if self._fall(lesser, model, added) < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
             return False
         if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
             return False
@@ -53,6 +54,17 @@ class SearchCriteria:
         least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
         return any(share >= least and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
+
+    def _fall(self, lesser: FittedEffects, model: FittedEffects, added: Sequence[Candidate]) -> float:
+        """Return the fall of the score in relations that an effect moves, or constants of those that it moves.
+
+        What another one gains there (a servo's loop, fitted from elsewhere) is none of its doing.
+        """
+        own = frozenset().union(*(c.parameters for c in added))
+        read = frozenset().union(*(b.uses for b in self.setting.blocks if b.uses & own))
+        reached = {b.relation.name for b in self.setting.blocks if b.uses & read}
+        return lesser.prior_penalty - model.prior_penalty + sum(
+            lesser.by_relation[n] - model.by_relation[n] for n in reached)
 
     def _likelier(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
@@ -94,13 +106,16 @@ class SearchCriteria:
         return self._unlike(effect, model) and self.leads(effect, model)
 
     def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found."""
+        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
+
+        The band is about what is expected beside the other constants of the model.
+        """
         if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
             return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         outside = [f.name for f in effect.frees if f.name not in bands
-                   or not bands[f.name].low < model.fit.values[f.name] < bands[f.name].high]
+                   or not self.setting.reference.within(bands[f.name], model.fit.free, model.fit.values)]
         if self.setting.any_rig:
             return bool(outside)
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from diagnosis.data.table import table
 from diagnosis.judgement.verdict import LEAST_FALL
 from diagnosis.problem import blocks
-from diagnosis.problem.fit import Free
 from diagnosis.problem.floors import CORRELATION_LENGTH, FLOORS
+from diagnosis.problem.prior import Free, Prior
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
@@ -123,7 +123,7 @@ class Pair:
     def __init__(self, one: FittedEffects, other: FittedEffects, setting: ProblemSetting) -> None:
         nuisance = {f.name: f for f in setting.reference.nuisance}
         self._one, self._other, self._healthy = one.fit.values, other.fit.values, setting.reference.values
-        self._weights = setting.weights
+        self._weights, self._prior = setting.weights, setting.reference.prior
         own = {f.name for effect in one.effects for f in effect.frees}
         self._band = [f for f in nuisance.values() if f.name not in own]
         self._free = list((nuisance | {f.name: f for effect in other.effects for f in effect.frees}).values())
@@ -133,18 +133,19 @@ class Pair:
 
         Negative infinity where what is left is too little to be seen.
         """
-        left = apart(name, self._one, self._other, self._free, self._weights)
+        left = apart(name, self._one, self._other, self._free, self._weights, self._prior)
         return -math.inf if left < LEAST_FALL else self._share(name, left) - self._gait
 
     @functools.cached_property
     def _gait(self) -> float:
-        return self._share(GAIT, apart(GAIT, self._one, self._other, self._free, self._weights))
+        return self._share(GAIT, apart(GAIT, self._one, self._other, self._free, self._weights, self._prior))
 
     def _share(self, name: str, left: float) -> float:
-        return left / max(apart(name, self._one, self._healthy, self._band, self._weights), left, 1e-9)
+        return left / max(apart(name, self._one, self._healthy, self._band, self._weights, self._prior), left, 1e-9)
 
 
-def apart(name: str, one: Values, other: Values, free: Sequence[Free], weights: Mapping[str, float]) -> float:
+def apart(name: str, one: Values, other: Values, free: Sequence[Free], weights: Mapping[str, float], prior: Prior
+          ) -> float:
     """Return the χ² between two sets of values on experiment `name`, after `free` of `other` were fitted again.
 
     `weights`: of each checked relation, in its unit, its floor by the root of the samples that count as one.
@@ -152,7 +153,7 @@ def apart(name: str, one: Values, other: Values, free: Sequence[Free], weights: 
     relations = _readable(name, weights)
     told = {r: _told(name, r, other, weights) for r in relations}
     difference = np.concatenate([_told(name, r, one, weights) - told[r] for r in relations] or [np.zeros(1)])
-    rows, precision = [], []
+    rows, sizes, seen = [], [], []
     for f in free:
         step = STEP * f.scale * (-1.0 if other[f.name] + STEP * f.scale > f.high else 1.0)
         moved = {**other, f.name: other[f.name] + step}
@@ -162,13 +163,15 @@ def apart(name: str, one: Values, other: Values, free: Sequence[Free], weights: 
         size = float(slope @ slope)
         if size > 0.0:
             rows.append(slope / math.sqrt(size))
-            precision.append(f.stiffness / size)
+            sizes.append(math.sqrt(size))
+            seen.append(f)
     whole = float(difference @ difference)
     if not rows:
         return whole
     slopes = np.array(rows)
     along = slopes @ difference
-    fitted = np.linalg.solve(slopes @ slopes.T + np.diag(np.array(precision) + RIDGE), along)
+    fitted = np.linalg.solve(
+        slopes @ slopes.T + prior.precision(seen) / np.outer(sizes, sizes) + RIDGE * np.eye(len(rows)), along)
     return max(whole - float(fitted @ along), 0.0)
 
 

@@ -91,8 +91,9 @@ class Judge:
 
     def _likeness(self, parameter: str) -> float:
         """Return 1σ of the healthy value among like benches; 0 where nothing is known of it."""
-        bands = {f.name: f.sigma for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
-        return bands.get(parameter, 0.0)
+        reference, fit = self.setting.reference, self.found.best.fit
+        band = next((f for f in reference.nuisance if f.name == parameter and math.isfinite(f.sigma)), None)
+        return 0.0 if band is None else reference.prior.expected(band, fit.free, fit.values)[1]
 
     def figures(self) -> dict[str, verdict.Figures]:
         """Return every relation's figures, those that were not checked marked so."""

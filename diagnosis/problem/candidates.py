@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from diagnosis.problem.fit import Free
+from diagnosis.problem.prior import Free
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations import relation

@@ -63,7 +63,7 @@ def unseen(problem: Problem, folds: Sequence[frozenset[int]], fit: Fit) -> Cycle
     squares = CycleSquares()
     everything = frozenset().union(*folds)
     for fold in folds:
-        part = Problem(problem.blocks, problem.weights, (everything - fold) or fold)
+        part = Problem(problem.blocks, problem.weights, problem.prior, (everything - fold) or fold)
         values = solve(part, fit.values, fit.free, known=fit).values
         squares.fitted.append(values)
         for block in problem.blocks:

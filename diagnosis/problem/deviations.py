@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
-from diagnosis.problem.fit import Free
+from diagnosis.problem.prior import Free
 from physics.parameters import RELATION_PARAMETERS
 
 Array = NDArray[np.float64]

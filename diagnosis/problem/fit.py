@@ -1,7 +1,8 @@
 """Bounded least squares over whole cycles, with what is known beforehand about the parameters.
 
-The rule of this file: a fit sees blocks and parameters, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·Σ((p − p0)/σ)²,
-w the relation's floor times the root of the samples that count as one.  Slopes are taken by differences once and
+The rule of this file: a fit sees blocks and parameters, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·δᵀ·C⁻¹·δ,
+w the relation's floor times the root of the samples that count as one, δ how far the parameters are from what is known
+beforehand, C its covariance (`prior`).  Slopes are taken by differences once and
 then follow each step (Broyden 1965, Math. Comp. 19, eq. 4.5); a fit that adds to another starts from that one's: most
 steps cost one evaluation.
 """
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
+from diagnosis.problem.prior import NOTHING_TOGETHER, Free, Prior
 from physics.laws import Array
 
 Values = Mapping[str, float]
@@ -38,33 +40,14 @@ MOVED: Final = 0.25
 """Change of a parameter, in its scale, beyond which its slope is taken again."""
 
 
-@dataclass(frozen=True)
-class Free:
-    """A parameter of a fit: bounds, and a prior of `mean` ± `sigma` (infinite: nothing known beforehand)."""
-
-    name: str
-    low: float
-    high: float
-    mean: float
-    sigma: float
-    scale: float
-
-    def pull(self, value: float) -> float:
-        return (value - self.mean) / self.sigma if math.isfinite(self.sigma) else 0.0
-
-    @property
-    def stiffness(self) -> float:
-        return 1.0 / self.sigma**2 if math.isfinite(self.sigma) else 0.0
-
-
 class Space:
-    """The free parameters of a fit side by side: bounds, scales and priors as arrays."""
+    """The free parameters of a fit side by side: bounds, scales and what is known beforehand as arrays."""
 
-    def __init__(self, free: Sequence[Free]) -> None:
+    def __init__(self, free: Sequence[Free], prior: Prior) -> None:
         self.names = tuple(f.name for f in free)
         self.low, self.high = np.array([f.low for f in free]), np.array([f.high for f in free])
         self.scale, self.mean = np.array([f.scale for f in free]), np.array([f.mean for f in free])
-        self.stiffness = np.array([f.stiffness for f in free])
+        self.precision = prior.precision(free)
 
     def of(self, values: Values) -> Array:
         """Return the parameters among `values`."""
@@ -78,17 +61,21 @@ class Space:
         """Return half the squares of the residuals and of the priors."""
         with np.errstate(over="ignore"):  # a residual beyond 1e154 is as infinite as its square
             total = 0.5 * sum(float(r @ r) for r in residuals)
-        off = at - self.mean
-        total += 0.5 * float(self.stiffness @ (off * off))
+        total += 0.5 * self.penalty(at)
         return total if math.isfinite(total) else math.inf
+
+    def penalty(self, at: Array) -> float:
+        """Return the χ² of what is known beforehand."""
+        off = at - self.mean
+        return float(off @ self.precision @ off)
 
 
 class Problem:
-    """Blocks with their weights and, for each, the samples that a fit may see."""
+    """Blocks with their weights, what is known beforehand, and for each block the samples that a fit may see."""
 
-    def __init__(self, blocks: Sequence[Block], weights: Mapping[str, float], cycles: frozenset[int] | None = None):
-        self.blocks = blocks
-        self.weights = weights
+    def __init__(self, blocks: Sequence[Block], weights: Mapping[str, float], prior: Prior = NOTHING_TOGETHER,
+                 cycles: frozenset[int] | None = None):
+        self.blocks, self.weights, self.prior = blocks, weights, prior
         self.masks = [None if cycles is None else np.isin(b.cycle, list(cycles)) for b in blocks]
 
     def residual(self, i: int, values: Values) -> Array:
@@ -111,7 +98,8 @@ class Problem:
 class Fit:
     """Where a fit arrived: all values, the cost, and what the residual does there, by block.
 
-    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.
+    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.  `penalty`: the χ² of
+    what is known beforehand, twice its part of the cost.
     """
 
     values: dict[str, float]
@@ -121,6 +109,7 @@ class Fit:
     slopes: list[NDArray[np.floating[Any]]]
     reads: list[NDArray[np.intp]]
     curvature: Array
+    penalty: float
     steps: int
 
     def every_slope(self, block: int) -> Array:
@@ -134,7 +123,7 @@ class Slopes:
     """∂residual/∂parameter by block, one row for each parameter that it reads, and their products (`grams`)."""
 
     def __init__(self, problem: Problem, free: Sequence[Free], residuals: Sequence[Array], known: Fit | None) -> None:
-        self.problem, self.free, self.space = problem, free, Space(free)
+        self.problem, self.free, self.space = problem, free, Space(free, problem.prior)
         self.taken = np.full(len(free), np.nan)
         self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
         self.row = [{int(j): i for i, j in enumerate(reads)} for reads in self.reads]
@@ -207,13 +196,13 @@ class Slopes:
                 rows += np.outer(way, missed)
 
     def curvature(self) -> Array:
-        total = np.diag(self.space.stiffness)
+        total = self.space.precision.copy()
         for gram, reads in zip(self.grams, self.reads, strict=True):
             total[np.ix_(reads, reads)] += gram
         return total
 
     def gradient(self, residuals: Sequence[Array], at: Array) -> Array:
-        total: Array = self.space.stiffness * (at - self.space.mean)
+        total: Array = self.space.precision @ (at - self.space.mean)
         for rows, reads, r in zip(self.rows, self.reads, residuals, strict=True):
             total[reads] += rows @ r
         return total
@@ -226,7 +215,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
     `known`: a fit of the same blocks whose slopes are near those at `start`.  `thorough`: it has arrived only where
     slopes say so that were all taken there.  `enough`: relative fall of the cost below which it has arrived.
     """
-    space = Space(free)
+    space = Space(free, problem.prior)
     at = np.clip(space.of(start), space.low, space.high)
     values = space.put(start, at)
     residuals = problem.residuals(values)
@@ -251,7 +240,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
                 break
             damping *= 1.0 if renewed or gain > 0.0 else 8.0
         curvature = slopes.curvature()
-    return Fit(values, cost, tuple(free), residuals, [*slopes.rows], slopes.reads, curvature, steps)
+    return Fit(values, cost, tuple(free), residuals, [*slopes.rows], slopes.reads, curvature, space.penalty(at), steps)
 
 
 def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping: float, cost: float

@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnosis.data.table import Table
 from diagnosis.problem.blocks import Block
-from diagnosis.problem.fit import Free
+from diagnosis.problem.prior import NOTHING_TOGETHER, Free, Prior
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
@@ -33,13 +33,20 @@ LIKE_THIS_BENCH: Final = (0.7, 1.4)
 class HealthyReference:
     """Healthy values, and what a baseline may move; `kind`: calibration, nominal or none.
 
-    `measured`: 1σ of the values that a calibration measured on this bench, by its intervals.
+    `measured`: 1σ of the values that a calibration measured on this bench, by its intervals.  `prior`: how what is not
+    known of the healthy values hangs together.
     """
 
     kind: str
     values: Mapping[str, float]
     nuisance: tuple[Free, ...]
     measured: Mapping[str, float] = field(default_factory=dict)
+    prior: Prior = NOTHING_TOGETHER
+
+    def within(self, band: Free, rest: Sequence[Free], values: Mapping[str, float]) -> bool:
+        """Whether a value is what is expected of a healthy bench whose constants `rest` are what `values` have."""
+        mean, sigma = self.prior.expected(band, rest, values)
+        return max(band.low, mean - BAND * sigma) < values[band.name] < min(band.high, mean + BAND * sigma)
 
 
 IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presliding", "rope_per_knee", "rope_zero",

@@ -19,8 +19,9 @@ from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import Block, rmse
 from diagnosis.problem.deviations import chance, chances, correlated
 from diagnosis.problem.discrepancy import Discrepancy, Scatter
-from diagnosis.problem.fit import Free, Problem, solve
+from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.healthy_reference import HealthyReference
+from diagnosis.problem.prior import Free
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -145,7 +146,7 @@ def _fitted(trial: Held, learnt: Mapping[str, Discrepancy], bench: HealthyRefere
     blocks = [discrepancy.corrected(b, learnt, bench.values, certain) for b, certain in trial]
     reads = frozenset().union(*(b.uses for b in blocks))
     free: list[Free] = [f for f in bench.nuisance if f.name in reads]
-    return solve(Problem(blocks, weights), {**bench.values, **start}, free).values
+    return solve(Problem(blocks, weights, bench.prior), {**bench.values, **start}, free).values
 
 
 def _told(held: Sequence[Held], alone: Sequence[Values], values: Values) -> dict[str, list[_Alone]]:

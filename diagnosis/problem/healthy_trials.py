@@ -58,7 +58,7 @@ class HealthyTrials:
         if id(learnt) not in self._simulated:
             values = {n: v for n, v in learnt.reference.values.items() if n in RELATION_PARAMETERS}
             self._simulated[id(learnt)] = simulated_blocks.fitted(
-                self.tables, values, learnt.sigma, learnt.reference.nuisance, SECONDS / max(len(self.tables), 1))
+                self.tables, values, learnt.sigma, learnt.like, SECONDS / max(len(self.tables), 1))
         return self._simulated[id(learnt)]
 
     def _learn(self, checked: tuple[str, ...], known: HealthyReference, rate: float) -> Learnt:

@@ -20,10 +20,11 @@ from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
 from diagnosis.problem.deviations import chances, deviating
-from diagnosis.problem.fit import Fit, Free, Problem, solve
+from diagnosis.problem.fit import Fit, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_residuals import HealthyResiduals, another, certainties, examine, noise_at
+from diagnosis.problem.prior import Free, Prior
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
@@ -139,6 +140,7 @@ class Learnt(HealthyResiduals):
 
     reference: HealthyReference
     sigma: Mapping[str, float]
+    like: tuple[Free, ...]
     trials: int
 
     def structure(self, relation: str) -> float:
@@ -213,8 +215,6 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
     """
     weights = {n: 2.0 * floors[n] * math.sqrt(correlation_length[n]) for n in floors}
     blocks = [deviating(b, i, _own(reference)) for i, trial in enumerate(trials) for b in trial]
-    deviations = [Free(f"{f.name}@{i}", -BAND * f.sigma, BAND * f.sigma, 0.0, f.sigma, f.scale)
-                  for i in range(len(trials)) for f in _own(reference)] if len(trials) > 1 else []
     rest = {f"{f.name}@{i}": 0.0 for i in range(len(trials)) for f in _own(reference)}
     wide = _wide(reference)
     short = _short(trials)
@@ -222,7 +222,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
                      for shape in (reference.values, *others) for start in _starts(shape, trials)),
                     key=lambda f: f.cost)
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
-    free = (*wide, *deviations)
+    free = (*wide, *_deviations({f.name: f.sigma for f in _own(reference)}, len(trials)))
     together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free, thorough=True)
                     for fit in carried), key=lambda f: f.cost)
     for last in (False, True):
@@ -231,15 +231,17 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
         certain = certainties(blocks, [b.residual(together.values) for b in blocks], reference.values)
         counted = [discrepancy.corrected(b, {}, {}, c) for b, c in zip(blocks, certain, strict=True)]
         weights = _costing_one(counted, together.values, weights)
+        free = (*wide, *_deviations(_like(reference, together.values), len(trials)))
         together = solve(Problem(counted, weights), together.values, free, thorough=last)
     values = {n: together.values[n] for n in reference.values}
+    unknown = covariance(together)
     moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
-                             _bands(reference, values, len(trials), floors, sigmas(together)))
+                             _bands(reference, values, len(trials), floors, sigmas(unknown)), prior=unknown)
     near = [{f.name: values[f.name] + (together.values[f"{f.name}@{i}"] if rest and len(trials) > 1 else 0.0)
              for f in _own(reference)} for i in range(len(trials))]
     parts = iter(certain)
     left = examine(trials, moved, near, weights, [[next(parts) for _ in trial] for trial in trials])
-    return Learnt(reference=moved, sigma=sigmas(together), trials=len(trials), **vars(left))
+    return Learnt(reference=moved, sigma=sigmas(unknown), like=reference.nuisance, trials=len(trials), **vars(left))
 
 
 def _costing_one(blocks: Sequence[Block], values: Values, before: Mapping[str, float]) -> dict[str, float]:
@@ -323,34 +325,50 @@ def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
             "stiffness_shape": shape if found.linear > 0.0 else 0.0, "home_preload": 0.0}
 
 
+def _like(reference: HealthyReference, values: Values) -> dict[str, float]:
+    """Return 1σ by slot of like benches about what was learnt."""
+    found = {}
+    zero = next((f.sigma for f in reference.nuisance if f.name == "rope_zero"), math.inf)
+    for f in reference.nuisance:
+        sigma, slot = f.sigma, RELATION_PARAMETERS[f.name]
+        if f.name in RELATIVE and slot.nominal:
+            sigma *= max(abs(values[f.name] / slot.nominal), 0.2)
+        if f.name in STANDING_IN:
+            sigma *= NARROW
+        if slot.daily is None:
+            sigma = min(sigma, reference.measured.get(f.name, sigma))
+        if f.name in DRAG:
+            sigma = max(sigma, DRAG_SHARE * abs(values[f.name]))
+        if f.name == "home_preload":
+            sigma = min(sigma, zero / max(_homed(values), 1e-12))
+        found[f.name] = sigma
+    return found
+
+
+def _deviations(like: Values, trials: int) -> list[Free]:
+    """Return each trial's own deviation from what is common; of a single one it is part of what is learnt."""
+    return [Free(f"{name}@{i}", -BAND * sigma, BAND * sigma, 0.0, sigma, sigma)
+            for i in range(trials) for name, sigma in like.items()] if trials > 1 else []
+
+
 def _bands(reference: HealthyReference, values: Values, trials: int, relations: Mapping[str, float],
            learnt: Values) -> tuple[Free, ...]:
     """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them.
 
-    `learnt`: 1σ by slot of what was learnt.
+    `learnt`: 1σ by slot of what was not learnt.  Slots that no like bench differs in (the wrap of the fabric) are open
+    as far as the healthy trials left them so: beside them stand those that trade with them.
     """
-    known = {f.name: f for f in reference.nuisance}
-    found = []
-    for name, f in known.items():
-        sigma, slot, (low, high) = f.sigma * math.sqrt(1.0 + 1.0 / trials), RELATION_PARAMETERS[name], bounds(name)
-        if name in RELATIVE and slot.nominal:
-            sigma *= max(abs(values[name] / slot.nominal), 0.2)
-        if name in STANDING_IN:
-            sigma *= NARROW
-        if slot.daily is None:
-            sigma = min(sigma, reference.measured.get(name, sigma))
-        if name in DRAG:
-            sigma = max(sigma, DRAG_SHARE * abs(values[name]))
-        if name == "home_preload":
-            sigma = min(sigma, known["rope_zero"].sigma / max(_homed(values), 1e-12))
-        found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
-                          values[name], sigma, sigma))
-    for name in KEPT:
-        sigma, (low, high) = math.hypot(learnt[name], KEPT_SHARE * values[name]), bounds(name)
-        found.append(Free(name, max(low, values[name] - BAND * sigma), min(high, values[name] + BAND * sigma),
-                          values[name], sigma, sigma))
+    alone = math.sqrt(2.0) if trials == 1 else 1.0
+    like = {**dict.fromkeys(learnt, 0.0), **_like(reference, values), **{n: KEPT_SHARE * values[n] for n in KEPT}}
+    found = [_band(name, values[name], alone * sigma, learnt.get(name, 0.0)) for name, sigma in like.items()]
     found += [Free(discrepancy.slot(n), 0.0, 2.0, 1.0, discrepancy.AMPLITUDE, discrepancy.AMPLITUDE) for n in relations]
     return tuple(found)
+
+
+def _band(name: str, value: float, like: float, learnt: float) -> Free:
+    """Return the band of a slot from 1σ among like benches and of what was not learnt."""
+    sigma, (low, high) = math.hypot(like, learnt), bounds(name)
+    return Free(name, max(low, value - BAND * sigma), min(high, value + BAND * sigma), value, sigma, like or sigma)
 
 
 def _homed(values: Values) -> float:
@@ -362,8 +380,15 @@ def _homed(values: Values) -> float:
     return abs(linear)
 
 
-def sigmas(fit: Fit) -> dict[str, float]:
-    """Return 1σ of every slot from the curvature, what was known beforehand included."""
+def covariance(fit: Fit) -> Prior:
+    """Return what a fit leaves open of every slot, from its curvature, what was known beforehand included."""
     scale = np.sqrt(np.maximum(np.diag(fit.curvature), 1e-300))
-    covariance = np.linalg.pinv(fit.curvature / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-    return {f.name: math.sqrt(max(float(covariance[j, j]), 0.0)) for j, f in enumerate(fit.free) if "@" not in f.name}
+    whole = np.linalg.pinv(fit.curvature / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+    names = [f.name for f in fit.free]
+    common = [j for j, name in enumerate(names) if "@" not in name]
+    return Prior(tuple(names[j] for j in common), whole[np.ix_(common, common)])
+
+
+def sigmas(unknown: Prior) -> dict[str, float]:
+    """Return 1σ of every slot."""
+    return {n: math.sqrt(max(float(v), 0.0)) for n, v in zip(unknown.names, np.diag(unknown.covariance), strict=True)}

@@ -55,7 +55,7 @@ class ProblemSetting:
 
     @property
     def problem(self) -> Problem:
-        return Problem(self.blocks, self.weights)
+        return Problem(self.blocks, self.weights, self.reference.prior)
 
     @property
     def taut(self) -> float | None:

@@ -18,11 +18,12 @@ from diagnosis.problem.blocks import Block, rmse
 from diagnosis.problem.candidates import candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import correlated
-from diagnosis.problem.fit import Fit, Free
+from diagnosis.problem.fit import Fit
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learnt_bands import sigmas
+from diagnosis.problem.learnt_bands import covariance, sigmas
+from diagnosis.problem.prior import Free
 from diagnosis.problem.problem import ProblemSetting, build_problem
 from physics.parameters import RELATION_PARAMETERS
 
@@ -48,10 +49,11 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
     first = build_problem(healthy, HealthyTrials(), None)
     found = searched(first)
     checked = tuple(n for n in first.checked if not relations.allowed(trials)[n])
-    sigma = sigmas(found)
+    unknown = covariance(found)
+    sigma = sigmas(unknown)
     nuisance = tuple(_band(f, found.values[f.name], math.hypot(sigma[f.name], _daily(f.name, found, first)))
                      for f in found.free)
-    reference = HealthyReference("healthy", dict(found.values), nuisance)
+    reference = HealthyReference("healthy", dict(found.values), nuisance, prior=unknown)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
     # what a law lacks is a share of what it says: of twice the force it is twice as much

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -29,8 +30,8 @@ class Screen:
         self.known = len(fit.free)
         self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
         self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
-        self.prior = np.array([f.stiffness for f in fit.free])
-        self.pull = np.array([f.pull(fit.values[f.name]) / f.sigma for f in fit.free])
+        self.free, self.prior = fit.free, problem.prior
+        self.off = np.array([fit.values[f.name] - f.mean for f in fit.free])
         self.names = sorted(problem.weights)
         size = self.known + (len(extra[0]) if extra else 0)
         shape = (len(folds), len(self.names))
@@ -62,12 +63,15 @@ class Screen:
         """
         at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
         more = len(at) - self.known
-        prior, pull = np.append(self.prior, np.zeros(more)), np.append(self.pull, np.zeros(more))
-        down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
         held = list(released)
-        prior[held], pull[held], down[held], up[held] = 0.0, 0.0, -np.inf, np.inf
-        gram = self.left[:, at[:, None], at]
-        gram[:, np.arange(at.size), np.arange(at.size)] += prior + RIDGE * self.diagonal[at] + 1e-12
+        prior = np.zeros((at.size, at.size))
+        prior[:self.known, :self.known] = self.prior.precision([
+            replace(f, sigma=math.inf) if j in held else f for j, f in enumerate(self.free)])
+        pull = np.append(prior[:self.known, :self.known] @ self.off, np.zeros(more))
+        down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
+        down[held], up[held] = -np.inf, np.inf
+        gram = self.left[:, at[:, None], at] + prior
+        gram[:, np.arange(at.size), np.arange(at.size)] += RIDGE * self.diagonal[at] + 1e-12
         steps = _inside(gram, self.left_slope[:, at] + pull, down, up)
         known = steps[:, None, :self.known]
         total = self.cost + 2.0 * (self.slope[:, :, at] @ steps[:, :, None])[:, :, 0]

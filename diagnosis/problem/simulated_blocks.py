@@ -17,8 +17,9 @@ from diagnosis import simulation
 from diagnosis.data.table import Table
 from diagnosis.problem.blocks import REMEMBERED, Block, cycles_of, signals_of
 from diagnosis.problem.deviations import deviating
-from diagnosis.problem.fit import Free, Problem, solve
+from diagnosis.problem.fit import Problem, solve
 from diagnosis.problem.healthy_reference import BAND
+from diagnosis.problem.prior import Free
 from physics.plant import imposed
 from physics.relations.measured import Signals
 from physics.relations.recorded_reads import Memory

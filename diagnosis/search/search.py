@@ -15,7 +15,8 @@ import numpy as np
 
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares, unseen
-from diagnosis.problem.fit import ENOUGH, ROUGHLY, Fit, Free, Problem, solve
+from diagnosis.problem.fit import ENOUGH, ROUGHLY, Fit, Problem, solve
+from diagnosis.problem.prior import Free
 from diagnosis.problem.screen import promises
 from physics.parameters import RELATION_PARAMETERS
 
@@ -62,7 +63,7 @@ class FittedEffects:
     @property
     def prior_penalty(self) -> float:
         """Return what the nuisance pays for standing away from what is known of it."""
-        return sum(f.pull(self.fit.values[f.name]) ** 2 for f in self.fit.free)
+        return self.fit.penalty
 
     @property
     def complexity_penalty(self) -> float:

@@ -10,7 +10,8 @@ import pytest
 from diagnosis.data.table import table
 from diagnosis.finder import diagnose
 from diagnosis.problem.blocks import blocks_of
-from diagnosis.problem.fit import Free, Problem, solve
+from diagnosis.problem.fit import Problem, solve
+from diagnosis.problem.prior import Free
 from physics.effects.catalogue import Effect, EffectParameter, registered
 from physics.parameters import ideal
 from physics.relations.tension_chain import along_cable

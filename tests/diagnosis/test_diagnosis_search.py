@@ -12,7 +12,8 @@ import pytest
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import folds_of
-from diagnosis.problem.fit import Free, Problem
+from diagnosis.problem.fit import Problem
+from diagnosis.problem.prior import Free
 from diagnosis.search.search import FittedEffects, Search
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS

@@ -11,7 +11,8 @@ from scipy.signal import butter, sosfiltfilt
 from diagnosis.data.table import table
 from diagnosis.problem.blocks import blocks_of
 from diagnosis.problem.deviations import deviating
-from diagnosis.problem.fit import Free, Problem, solve
+from diagnosis.problem.fit import Problem, solve
+from diagnosis.problem.prior import Free
 from diagnosis.problem.zero_phase import ORDER, SHARE, thinning
 from physics.parameters import ideal
 
