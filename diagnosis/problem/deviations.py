@@ -27,6 +27,9 @@ PASSED: Final = 0.7
 """Share of a white noise's power that the low-pass before the thinning, run forward and back, leaves of what the middle
 of the band has; with it the median of a window says the noise of any working rate (a test holds it to 5 %)."""
 
+PHASES: Final = 20
+"""Places of a cycle at which its repetition is looked for."""
+
 
 @dataclass(frozen=True)
 class Deviating(Block):
@@ -100,3 +103,19 @@ def correlated(rests: Sequence[Array]) -> float:
     negative = np.flatnonzero(rho[1:] <= 0.0)
     last = int(negative[0]) + 1 if negative.size else rho.size
     return float(1.0 + 2.0 * rho[1:last].sum())
+
+
+def repeated(rests: Sequence[Array], cycles: Sequence[NDArray[np.intp]]) -> float:
+    """Return how many cycles count as one, from 1 to all: what a law lacks comes again in each cycle, noise does not.
+
+    `cycles`: by sample of each of `rests`, its cycle; compared is by the share of a cycle that has passed.
+    """
+    one, many, count = 0.0, 0.0, 1
+    for rest, cycle in zip(rests, cycles, strict=True):
+        held = [rest[cycle == c] for c in np.unique(cycle)]
+        held = [r for r in held if r.size >= PHASES]
+        if len(held) < 2:
+            continue
+        binned = np.array([np.interp(np.linspace(0.0, 1.0, PHASES), np.linspace(0.0, 1.0, r.size), r) for r in held])
+        one, many, count = one + float(np.mean(binned**2)), many + float(np.mean(binned.mean(axis=0) ** 2)), len(held)
+    return 1.0 + max(count * many / one - 1.0, 0.0) if one > 0.0 else 1.0

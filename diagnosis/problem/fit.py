@@ -23,13 +23,17 @@ from physics.laws import Array
 
 Values = Mapping[str, float]
 
-MAX_STEPS: Final = 40
+MAX_STEPS: Final = 80
 DIFFERENCE: Final = 0.02
 """Step of a slope, of a parameter's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
 ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
 ROUGHLY: Final = 5e-3
 """The same of a fit that only says which others are worth carrying on."""
+ROUNDS: Final = 12
+"""Most rounds in which a step finds the bounds that hold it."""
+SINGULAR: Final = 1e-9
+"""What is added to a scaled curvature before it is inverted."""
 IDLE: Final = 1e-5
 """Share of the cost below which a parameter's step is not made: the blocks that read it need no evaluation."""
 SHORT: Final = 1e-3
@@ -248,19 +252,26 @@ def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping
     """Return the next parameters and the gain that the slopes predict; those that would leave stop on their bound."""
     down, up = space.low - at, space.high - at
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-    damped = curvature + damping * np.diag(scale**2)
-    moving = ~(((down >= 0.0) & (gradient > 0.0)) | ((up <= 0.0) & (gradient < 0.0)))
+    # damped by what is known of each beside all others: of two that trade with each other, the sum is known far better
+    alone = 1.0 / np.diag(np.linalg.inv(curvature / np.outer(scale, scale) + SINGULAR * np.eye(at.size)))
+    damped = curvature + damping * np.diag(alone * scale**2)
+    low, high = (down >= 0.0) & (gradient > 0.0), (up <= 0.0) & (gradient < 0.0)
     step = np.zeros(at.size)
-    while moving.any():
-        free = np.flatnonzero(moving)
-        pushed = (gradient + damped @ np.where(moving, 0.0, step))[free] / scale[free]
-        even = damped[np.ix_(free, free)] / (scale[free, None] * scale[free])
-        step[free] = -_solved(even, pushed) / scale[free]
-        out = moving & ((step < down) | (step > up))
-        if not out.any():
+    for _ in range(ROUNDS):
+        free = np.flatnonzero(~(low | high))
+        step[low], step[high] = down[low], up[high]
+        if free.size:
+            held = damped[np.ix_(free, np.flatnonzero(low | high))] @ step[low | high]
+            step[free] = -_solved(damped[np.ix_(free, free)] / (scale[free, None] * scale[free]),
+                                  (gradient[free] + held) / scale[free]) / scale[free]
+        # a bound that one parameter was held by lets go where the others, moved, pull it back inside
+        slope = gradient + damped @ step
+        below, above = step < down, step > up
+        back = (low & (slope < 0.0)) | (high & (slope > 0.0))
+        if not (below | above | back).any():
             break
-        step[out] = np.clip(step, down, up)[out]
-        moving &= ~out
+        low, high = (low | below) & ~back, (high | above) & ~back
+    step = np.clip(step, down, up)
     step[np.maximum(np.abs(gradient * step), (scale * step) ** 2) < IDLE * cost] = 0.0
     promised = -float(gradient @ step) - 0.5 * float(step @ curvature @ step)
     return np.clip(at + step, space.low, space.high), promised

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from diagnosis.data.table import Table
 from diagnosis.problem import discrepancy
 from diagnosis.problem.blocks import REMEMBERED, TAUT_N, Block, rmse
-from diagnosis.problem.deviations import chances, deviating
+from diagnosis.problem.deviations import chances, correlated, deviating, repeated
 from diagnosis.problem.fit import Fit, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
@@ -36,8 +36,8 @@ Values = Mapping[str, float]
 
 WIDE: Final[Mapping[str, float]] = {
     "mu1": 0.05, "mu2": 0.15, "fabric_wrap": 1.0, "cable_bend": 0.1, "load_slope": 0.2, "viscous": 10.0,
-    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "presliding": 0.3e-3, "presliding_shape": 0.3,
-    "fabric_presliding_ratio": 1.0,
+    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "stribeck_memory": 15e-3, "presliding": 0.3e-3,
+    "presliding_shape": 0.3, "fabric_presliding_ratio": 1.0,
     "stiffness_scale": 0.4, "stiffness_shape": 0.5, "toe": 1e-3, "cable_share": 0.15, "rope_zero": 50e-3,
     "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
@@ -64,6 +64,8 @@ NOISE_LENGTH: Final = 1.25
 """Samples of white noise behind the low-pass of the working rate that count as one."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
+BREAKING_AWAY: Final[Mapping[str, float]] = {"stribeck_ratio": 1.5, "stribeck_memory": 35e-3}
+"""Where a fit starts again: friction that breaks away late is another minimum than friction that hardly does."""
 COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
                  "rope_zero", "rope_per_knee")
 FULL: Final = 2
@@ -225,6 +227,8 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
     free = (*wide, *_deviations({f.name: f.sigma for f in _own(reference)}, len(trials)))
     together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free, thorough=True)
                     for fit in carried), key=lambda f: f.cost)
+    together = min(together, solve(Problem(blocks, weights), {**together.values, **BREAKING_AWAY}, free, known=together,
+                                   thorough=True), key=lambda f: f.cost)
     for last in (False, True):
         # few samples that no law meets (a loose rope that snaps tight) would lead the constants: each counts as its
         # place; and how much data count beside what is known beforehand, what the laws do leave says, not what they may
@@ -234,7 +238,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
         free = (*wide, *_deviations(_like(reference, together.values), len(trials)))
         together = solve(Problem(counted, weights), together.values, free, thorough=last)
     values = {n: together.values[n] for n in reference.values}
-    unknown = covariance(together)
+    unknown = covariance(together, _information(counted, together))
     moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
                              _bands(reference, values, len(trials), floors, sigmas(unknown)), prior=unknown)
     near = [{f.name: values[f.name] + (together.values[f"{f.name}@{i}"] if rest and len(trials) > 1 else 0.0)
@@ -380,13 +384,33 @@ def _homed(values: Values) -> float:
     return abs(linear)
 
 
-def covariance(fit: Fit) -> Prior:
-    """Return what a fit leaves open of every slot, from its curvature, what was known beforehand included."""
-    scale = np.sqrt(np.maximum(np.diag(fit.curvature), 1e-300))
-    whole = np.linalg.pinv(fit.curvature / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+def covariance(fit: Fit, information: Array | None = None) -> Prior:
+    """Return what a fit leaves open of every slot, what was known beforehand included.
+
+    `information`: the inverse of the covariance of all that is free, where it is not the fit's own curvature.
+    """
+    precise = fit.curvature if information is None else information
+    scale = np.sqrt(np.maximum(np.diag(precise), 1e-300))
+    whole = np.linalg.pinv(precise / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
     names = [f.name for f in fit.free]
     common = [j for j, name in enumerate(names) if "@" not in name]
     return Prior(tuple(names[j] for j in common), whole[np.ix_(common, common)])
+
+
+def _information(blocks: Sequence[Block], fit: Fit) -> Array:
+    """Return the curvature of a fit with its residuals counted as what they are: one after another, cycle after cycle.
+
+    What the laws lack is left again in each cycle of a trial, and does not say less for being seen more often.
+    """
+    found = fit.curvature.copy()
+    for name in {b.relation.name for b in blocks}:
+        mine = [i for i, b in enumerate(blocks) if b.relation.name == name and b.keep.size]
+        rests = [fit.residuals[i] for i in mine]
+        length = max(correlated(rests), LEAST_CORRELATION_LENGTH) * repeated(rests, [blocks[i].cycle for i in mine])
+        for i in mine:
+            reads, rows = fit.reads[i], fit.slopes[i]
+            found[np.ix_(reads, reads)] -= (1.0 - LEAST_CORRELATION_LENGTH / length) * (rows @ rows.T)
+    return found
 
 
 def sigmas(unknown: Prior) -> dict[str, float]:

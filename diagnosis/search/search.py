@@ -127,7 +127,12 @@ class Search:
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.arrived: set[tuple[str, ...]] = set()
         self.lacks: dict[tuple[tuple[str, ...], str], FittedEffects] = {}
-        self.baseline = self.model((), start)
+        self.model((), start)
+
+    @property
+    def baseline(self) -> FittedEffects:
+        """The best fit without any effect."""
+        return self.tried[()]
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
         """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
@@ -202,11 +207,10 @@ class Search:
         return model
 
     def without(self, model: FittedEffects, out: Candidate) -> FittedEffects:
-        """Return `model` less one effect, fitted anew."""
+        """Return `model` less one effect, fitted anew from there: in its place the rest may be in another minimum."""
         left = [c for c in model.effects if c is not out]
-        known = self.tried.get(tuple(sorted(c.name for c in left)))
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
-        return known if known is not None and not left else self.model(left, {**model.fit.values, **back}, model)
+        return self.model(left, {**model.fit.values, **back}, model)
 
     def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
         """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
