@@ -279,7 +279,7 @@ class Search:
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
-        best = self._ordered(self._first(len(best.effects))) if best.effects else best
+        best = self._ordered(self._first(len(best.effects))) if best.effects else self.baseline
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
                      and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)
