@@ -223,7 +223,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
                     key=lambda f: f.cost)
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     free = (*wide, *deviations)
-    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free, thorough=True)
+    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free)
                     for fit in carried), key=lambda f: f.cost)
     for last in (False, True):
         # few samples that no law meets (a loose rope that snaps tight) would lead the constants: each counts as its
