@@ -82,7 +82,7 @@ def slowness(v: float, scale: float) -> float:
 @njit(inline="always")
 def stribeck(ratio: float, scale: float, v: float) -> float:
     """Return the friction's factor at the sliding speed `v`: 1 + (μs/μc − 1)·e^(−(v/vs)²)."""
-    return 1.0 + (ratio - 1.0) * slowness(v, scale)
+    return 1.0 if ratio == 1.0 else 1.0 + (ratio - 1.0) * slowness(v, scale)
 
 
 @njit(inline="always")

@@ -212,7 +212,7 @@ def _changed(name: str, values: Values) -> dict[str, float] | None:
     return None
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)  # what their laws remember is larger than a trial
 def _signals(name: str) -> Signals:
     """Return what a healthy bench's sensors would say on an experiment's motion, nearly."""
     points = MOTIONS[name]

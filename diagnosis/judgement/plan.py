@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity
@@ -99,12 +100,15 @@ def sight(setting: ProblemSetting, baseline: Fit) -> tuple[Limit, ...]:
     return _Sight(setting, baseline).plan().limits
 
 
+_Seen = tuple[Mapping[str, float], NDArray[np.float32], float]
+
+
 class _Sight:
     """Residuals of one healthy trial, and how they change."""
 
     def __init__(self, setting: ProblemSetting, baseline: Fit) -> None:
         self.setting, self.problem, self.fit = setting, setting.problem, baseline
-        self.slopes = np.concatenate([self.fit.every_slope(i) for i in range(len(self.fit.slopes))], axis=1)
+        self.slopes = self.fit.every_slope()
         self.inverse = np.linalg.pinv(self.fit.curvature, rcond=1e-12)
         names = [b.relation.name for b in setting.blocks]
         self.place = np.concatenate([np.full(r.size, names.index(n)) for n, r in zip(
@@ -119,11 +123,12 @@ class _Sight:
         return Plan(limits, {n: self._floor(n) for n in dict.fromkeys(self.names)},
                     {n: self._independent(n) for n in dict.fromkeys(self.names)}, blind)
 
-    def _best(self, candidate: Candidate) -> tuple[Mapping[str, float], Array, float]:
+    def _best(self, candidate: Candidate) -> _Seen:
         """Return the start along which the least of the effect shows, its Δ⊥ there, and the share that shows."""
         moving, at = _moving(candidate), self.setting.reference.values
         tried = [(start, *self._share(self._change(start))) for start in candidate.starts]
-        return min(tried, key=lambda one: one[2] * abs(one[0][moving.name] - at[moving.name]))
+        start, change, share = min(tried, key=lambda one: one[2] * abs(one[0][moving.name] - at[moving.name]))
+        return start, change.astype(np.float32), share  # every candidate's is held, to be laid beside every other's
 
     def _change(self, start: Mapping[str, float]) -> Array:
         values = {**self.fit.values, **start}
@@ -140,8 +145,8 @@ class _Sight:
         least = max(LEAST_FALL, STRUCTURE * sum(self._independent(n) for n in dict.fromkeys(self.names)))
         return change, max(math.sqrt(least / fall), math.sqrt(RISE / max(by_relation)))
 
-    def _limit(self, candidate: Candidate, start: Mapping[str, float], change: Array, share: float,
-               seen: Mapping[str, tuple[Mapping[str, float], Array, float]]) -> Limit:
+    def _limit(self, candidate: Candidate, start: Mapping[str, float], change: NDArray[np.float32], share: float,
+               seen: Mapping[str, _Seen]) -> Limit:
         moving = _moving(candidate)
         size = share * abs(start[moving.name] - self.setting.reference.values[moving.name])
         loudest = [float(change[self.place == i] @ change[self.place == i]) / self._independent(n)
@@ -173,7 +178,7 @@ def _moving(candidate: Candidate) -> EffectParameter:
     return next((p for p in free if p.neutral is not None), free[0])
 
 
-def _alike(one: Array, other: Array) -> float:
+def _alike(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
     """Return the share of `one` that `other`, scaled, takes away."""
     both = float(one @ one) * float(other @ other)
     return float(one @ other) ** 2 / both if both > 0.0 else 0.0

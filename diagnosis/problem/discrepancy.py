@@ -12,7 +12,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,13 +91,34 @@ class Discrepancy:
 
 
 def _kernel(at: Array, centres: Array, length: float) -> Array:
-    apart = (at**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1)[None, :] - 2.0 * at @ centres.T
-    return np.asarray(np.exp(-np.maximum(apart, 0.0) / (at.shape[1] * length**2)))
+    near = at @ (-2.0 * centres.T)
+    near += (at**2).sum(axis=1)[:, None]
+    near += (centres**2).sum(axis=1)
+    np.maximum(near, 0.0, out=near)
+    near *= -1.0 / (at.shape[1] * length**2)
+    return np.asarray(np.exp(near, out=near))
 
 
-def _weights(basis: Array, target: Array, prior: Array, noise: float) -> Array:
-    return np.asarray(np.linalg.lstsq(basis.T @ basis + noise * prior + 1e-8 * len(basis) * np.eye(prior.shape[0]),
-                                      basis.T @ target, rcond=1e-12)[0])
+class _Normal(NamedTuple):
+    """Normal equations of a basis on some samples; of sums and differences of samples they are such, too."""
+
+    gram: Array
+    right: Array
+    samples: int
+
+    def less(self, other: _Normal) -> _Normal:
+        """Return them without the samples of `other`."""
+        return _Normal(self.gram - other.gram, self.right - other.right, self.samples - other.samples)
+
+    def weights(self, prior: Array, noise: float) -> Array:
+        """Return the basis functions' weights; `noise` over structure weighs the prior."""
+        matrix = self.gram + noise * prior
+        matrix.flat[:: len(matrix) + 1] += 1e-8 * self.samples
+        return np.asarray(np.linalg.solve(matrix, self.right))
+
+
+def _normal(basis: Array, target: Array) -> _Normal:
+    return _Normal(basis.T @ basis, basis.T @ target, target.size)
 
 
 def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[np.intp]]) -> Discrepancy:
@@ -111,21 +132,27 @@ def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[
     if not x.shape[1] or len(labels) < 2 or y.size < 4 * CENTRES:
         return Discrepancy(plain, plain)
     scale, chosen, centres = _sampled(x)
-    x, y, group = (x[chosen] - scale[0]) / scale[1], y[chosen], group[chosen]
+    fold = group[chosen] % 5 if len(labels) > 5 else np.searchsorted(labels, group[chosen])
+    chosen = chosen[np.argsort(fold, kind="stable")]  # side by side, so that a fold is a view of the whole
+    ends = np.cumsum(np.bincount(fold))
+    folds = [slice(end - count, end) for end, count in zip(ends, np.bincount(fold), strict=True)]
+    x, y = (x[chosen] - scale[0]) / scale[1], y[chosen]
     whole = float(np.mean(y**2))
-    folds = [group % 5 == k for k in range(5)] if len(labels) > 5 else [group == c for c in labels]
     best: tuple[float, float, float] = (math.inf, 0.0, 0.0)
+    weights = np.zeros(0)
     for length in LENGTHS:
         basis, prior = _kernel(x, centres, length), _kernel(centres, centres, length)
+        held = [(basis[f], y[f]) for f in folds]
+        own, every = [_normal(*part) for part in held], _normal(basis, y)
         for noise in NOISES:
-            left = sum(float(((y - basis @ _weights(basis[~f], y[~f], prior, noise))[f] ** 2).sum()) for f in folds)
-            best = min(best, (left / y.size, length, noise))
+            left = sum(float(((target - part @ every.less(mine).weights(prior, noise)) ** 2).sum())
+                       for (part, target), mine in zip(held, own, strict=True)) / y.size
+            if left < best[0]:
+                best, weights = (left, length, noise), every.weights(prior, noise)
     left, length, noise = best
     if left >= WORTH**2 * whole:
         return Discrepancy(plain, plain)
-    basis, prior = _kernel(x, centres, length), _kernel(centres, centres, length)
-    return Discrepancy(plain * math.sqrt(left / whole), plain, scale, centres, _weights(basis, y, prior, noise), length,
-                       noise)
+    return Discrepancy(plain * math.sqrt(left / whole), plain, scale, centres, weights, length, noise)
 
 
 def again(known: Discrepancy, at: Sequence[Array], rests: Sequence[Array]) -> Discrepancy:
@@ -135,8 +162,8 @@ def again(known: Discrepancy, at: Sequence[Array], rests: Sequence[Array]) -> Di
     x, y = np.concatenate(list(at)), np.concatenate(list(rests))
     scale, chosen, centres = _sampled(x)
     x, y = (x[chosen] - scale[0]) / scale[1], y[chosen]
-    basis, prior = _kernel(x, centres, known.length), _kernel(centres, centres, known.length)
-    return dataclasses.replace(known, scale=scale, centres=centres, weights=_weights(basis, y, prior, known.noise))
+    normal, prior = _normal(_kernel(x, centres, known.length), y), _kernel(centres, centres, known.length)
+    return dataclasses.replace(known, scale=scale, centres=centres, weights=normal.weights(prior, known.noise))
 
 
 def _sampled(x: Array) -> tuple[Array, NDArray[np.intp], Array]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,25 +102,29 @@ class Problem:
 class Fit:
     """Where a fit arrived: all values, the cost, and what the residual does there, by block.
 
-    `slopes`: one row for each parameter that the block reads; `reads`: which of `free` those are.  `penalty`: the χ² of
-    what is known beforehand, twice its part of the cost.
+    `slopes`: one row for each parameter that the block reads, in half the width that they were computed in, since many
+    fits are held and a step needs no more; `reads`: which of `free` those are.  `penalty`: the χ² of what is known
+    beforehand, twice its part of the cost.
     """
 
     values: dict[str, float]
     cost: float
     free: tuple[Free, ...]
     residuals: list[Array]
-    slopes: list[NDArray[np.floating[Any]]]
+    slopes: list[NDArray[np.float32]]
     reads: list[NDArray[np.intp]]
     curvature: Array
     penalty: float
     steps: int
 
-    def every_slope(self, block: int) -> Array:
-        """Return ∂residual/∂parameter of a block, one row for each of `free`."""
-        rows = np.zeros((len(self.free), self.residuals[block].size))
-        rows[self.reads[block]] = self.slopes[block]
-        return rows
+    def every_slope(self) -> Array:
+        """Return ∂residual/∂parameter of all blocks side by side, one row for each of `free`."""
+        every = np.zeros((len(self.free), sum(r.size for r in self.residuals)))
+        at = 0
+        for reads, rows in zip(self.reads, self.slopes, strict=True):
+            every[reads, at:at + rows.shape[1]] = rows
+            at += rows.shape[1]
+        return every
 
 
 class Slopes:
@@ -244,7 +248,8 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
                 break
             damping *= 1.0 if renewed or gain > 0.0 else 8.0
         curvature = slopes.curvature()
-    return Fit(values, cost, tuple(free), residuals, [*slopes.rows], slopes.reads, curvature, space.penalty(at), steps)
+    return Fit(values, cost, tuple(free), residuals, [rows.astype(np.float32) for rows in slopes.rows], slopes.reads,
+               curvature, space.penalty(at), steps)
 
 
 def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping: float, cost: float

@@ -225,7 +225,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
                     key=lambda f: f.cost)
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     free = (*wide, *_deviations({f.name: f.sigma for f in _own(reference)}, len(trials)))
-    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free, thorough=True)
+    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free)
                     for fit in carried), key=lambda f: f.cost)
     together = min(together, solve(Problem(blocks, weights), {**together.values, **BREAKING_AWAY}, free, known=together,
                                    thorough=True), key=lambda f: f.cost)

@@ -6,7 +6,7 @@ The rule of this file: it ranks, and nothing is reported from it; what is report
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -25,19 +25,22 @@ ROUNDS: Final = 6
 class Screen:
     """Normal matrices, by fold and relation, of the residual's change by each free parameter and extra column."""
 
-    def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]],
-                 extra: Sequence[Array] | None = None) -> None:
+    def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], count: int,
+                 extra: Callable[[int, Array], None]) -> None:
+        """Linearise `problem` about `fit`; `extra` writes a block's change by each of `count` further columns."""
         self.known = len(fit.free)
         self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
         self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
         self.free, self.prior = fit.free, problem.prior
         self.off = np.array([fit.values[f.name] - f.mean for f in fit.free])
         self.names = sorted(problem.weights)
-        size = self.known + (len(extra[0]) if extra else 0)
+        size = self.known + count
         shape = (len(folds), len(self.names))
         self.gram, self.slope, self.cost = np.zeros((*shape, size, size)), np.zeros((*shape, size)), np.zeros(shape)
         for i, block in enumerate(problem.blocks):
-            columns = fit.every_slope(i) if extra is None else np.concatenate([fit.every_slope(i), extra[i]])
+            columns = np.zeros((size, fit.residuals[i].size))
+            columns[fit.reads[i]] = fit.slopes[i]
+            extra(i, columns[self.known:])
             self._add(self.names.index(block.relation.name), columns, fit.residuals[i], block.cycle, folds)
         every, slope = self.gram.sum(axis=(0, 1)), self.slope.sum(axis=(0, 1))
         self.diagonal = np.diag(every).copy()
@@ -106,14 +109,13 @@ def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offere
     Start −1 is where the fit is, of a candidate whose parameters all move there already, inside their bands.
     """
     starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
-    extra = []
-    for i, block in enumerate(problem.blocks):
-        rows = np.zeros((len(starts), fit.residuals[i].size))
+
+    def changes(i: int, rows: Array) -> None:
         for j, (c, s) in enumerate(starts):
-            if offered[c].parameters & block.uses:
+            if offered[c].parameters & problem.blocks[i].uses:
                 rows[j] = problem.residual(i, {**fit.values, **offered[c].starts[s]}) - fit.residuals[i]
-        extra.append(rows)
-    screen = Screen(problem, fit, folds, extra)
+
+    screen = Screen(problem, fit, folds, len(starts), changes)
     base = sum(screen.unseen().values())
     falls = [(base - sum(screen.unseen(j).values()), c, s) for j, (c, s) in enumerate(starts)]
     place = {f.name: j for j, f in enumerate(fit.free)}

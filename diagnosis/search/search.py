@@ -11,8 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Protocol
 
-import numpy as np
-
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares, unseen
 from diagnosis.problem.fit import ENOUGH, ROUGHLY, Fit, Problem, solve
@@ -29,8 +27,6 @@ PARAMETER: Final = 0.01
 UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
-LARGE: Final = 6
-"""Models of one number of effects, the foremost, that keep their slopes in full: those are what a model is large by."""
 WORTH_POLISHING: Final = 2.0
 """Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
 LEVEL: Final = 4.0
@@ -153,14 +149,7 @@ class Search:
         if known is None or fit.cost < known.fit.cost:
             self.tried[names] = FittedEffects(tuple(effects), fit, self.problem, self.folds)
             (self.arrived.add if thorough else self.arrived.discard)(names)
-            self._lighten(len(effects))
         return self.tried[names]
-
-    def _lighten(self, count: int) -> None:
-        """Keep the slopes of models of `count` effects that are behind in half the width: a step needs no more."""
-        for model in sorted((m for m in self.tried.values() if len(m.effects) == count),
-                            key=lambda m: m.fit_score)[LARGE:]:
-            model.fit.slopes[:] = [rows.astype(np.float32, copy=False) for rows in model.fit.slopes]
 
     def polished(self, model: FittedEffects) -> FittedEffects:
         """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""

@@ -18,12 +18,16 @@ from scipy.signal import butter, sosfiltfilt
 
 from parameters import InputError
 from physics.laws import Array
+from physics.plant import step
 from physics.plant.chain import creep, refresh_friction, slide, tensions
 from physics.plant.derived import derive, settle
 from physics.plant.leg import GRAVITY, anchor
 from physics.plant.state_layout import CABLE_NODES, NODES, SIZE, SLOT, PlantParameters
-from physics.plant.step import SLOW, STEP_S, digest
+from physics.plant.step import SLOW, digest
 
+STEP_S: Final = 2.0 * step.STEP_S
+"""Longest step: without drives the chain is all that is quick, and its fastest mode turns by twice `derived.TURN`, one
+radian, of the two that an explicit step allows."""
 CUTOFF_HZ: Final = 60.0
 """Zero-phase low-pass on the given motion: an encoder's noise is no motion, and pre-sliding would take it for one."""
 REST_S: Final = 0.2
@@ -40,10 +44,12 @@ class Tensions(NamedTuple):
 @njit(inline="always")
 def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> float:
     """Put node 0 and the anchor where the measurement had them; return the velocity of the knee's surface, m/s."""
-    radius = m[SLOT.drum_radius_m]
-    turn = (drum + m[SLOT.encoder_zero_m]) / radius + m[SLOT.eccentricity_rad]
-    m[SLOT.x] = drum + m[SLOT.eccentricity_m] * (math.sin(turn) - math.sin(m[SLOT.eccentricity_rad]))
-    m[SLOT.v] = drum_v * (1.0 + m[SLOT.eccentricity_m] / radius * math.cos(turn))
+    m[SLOT.x], m[SLOT.v] = drum, drum_v
+    if m[SLOT.eccentricity_m] != 0.0:
+        radius = m[SLOT.drum_radius_m]
+        turn = (drum + m[SLOT.encoder_zero_m]) / radius + m[SLOT.eccentricity_rad]
+        m[SLOT.x] += m[SLOT.eccentricity_m] * (math.sin(turn) - math.sin(m[SLOT.eccentricity_rad]))
+        m[SLOT.v] += drum_v * m[SLOT.eccentricity_m] / radius * math.cos(turn)
     lever = m[SLOT.rope_per_knee] + 2.0 * m[SLOT.rope_per_knee_quadratic] * knee
     m[SLOT.x + NODES + 1] = anchor(m[SLOT.rope_per_knee], m[SLOT.rope_per_knee_quadratic], knee)
     m[SLOT.v + NODES + 1] = lever * knee_w

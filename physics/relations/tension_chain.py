@@ -74,6 +74,14 @@ def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
     return stretch(force, linear, bend)
 
 
+@njit(inline="always")
+def compliance_of(force: float, linear: float, bend: float, toe: float) -> float:
+    """Return the slope of `stretch_of`, m/N; on (10)'s tangent that of (10), which serves a search as well."""
+    force = max(force, 0.0)
+    steep = linear + 2.0 * bend * force
+    return steep if toe == 0.0 else steep + toe / TOE_N * math.exp(-force / TOE_N)
+
+
 @njit(cache=True)
 def over_fabric(
     end: Array, calmed: Array, exponent: Array, creep: Array, time: Array, fresh: Mask,
@@ -100,9 +108,10 @@ def over_fabric(
                 recent[i] = recalled(recent[i], speed, before[i], time[k] - time[k - 1], memory)
                 before[i] = speed
             q[i] = at
-            factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, recent[i], load, ratio, calm))
-            force *= factor
-            moved *= factor
+            if s[i] != 0.0:
+                factor = math.exp(s[i] * exponent[k] / FABRIC_NODES * grip(force, recent[i], load, ratio, calm))
+                force *= factor
+                moved *= factor
         out[k] = force
     return out
 
@@ -120,7 +129,7 @@ def along_cable(
     `gain`: START per tension behind the cable without friction.
     """
     start, mean = np.empty(tension.size), np.empty(tension.size)
-    s, u = np.zeros(CABLE_NODES), 0.0
+    s, u, per_m = np.zeros(CABLE_NODES), 0.0, 1.0 / (distance * SPREAD)
     trial, left, back = np.zeros(CABLE_NODES), np.zeros(CABLE_NODES), np.zeros(CABLE_NODES)
     recent, before, taken = 0.0, 0.0, 0.0
     for k in range(tension.size):
@@ -130,11 +139,11 @@ def along_cable(
             seconds = time[k] - time[k - 1]
             speed = (position[k] - position[k - 1] - taken) / seconds
             recent, before = recalled(recent, speed, before, seconds, memory), speed
-        whole = exponent[k] * grip(tension[k], recent, load, ratio, calm) / CABLE_NODES
         force, target = base, base
         if fresh[k] or tension[k] < slack_n:
             s[:] = 0.0
         else:
+            whole = exponent[k] * grip(tension[k], recent, load, ratio, calm) / CABLE_NODES
             high = abs(base) * math.exp(abs(whole) * CABLE_NODES)
             low, known, known_back, last = -high, False, False, np.inf
             force = start[k - 1] * (tension[k] / tension[k - 1] if tension[k - 1] != 0.0 else 1.0)
@@ -151,13 +160,13 @@ def along_cable(
                         back[i] = presliding_left(s[i], -1.0, shape)
                 turn, steep = 0.0, 0.0
                 for i in range(CABLE_NODES):
-                    travel = abs(step) / (distance * SPREAD[i])
+                    travel = abs(step) * per_m[i]
                     if step > 0.0:
                         trial[i], rate = presliding_from(left[i], 1.0, travel, shape)
                     else:
                         trial[i], rate = presliding_from(back[i], -1.0, travel, shape)
                     turn += trial[i]
-                    steep += rate / (distance * SPREAD[i])
+                    steep += rate * per_m[i]
                 target = capstan(base, whole * turn)
                 miss = force - target
                 if abs(miss) < CLOSE_N:
@@ -167,7 +176,8 @@ def along_cable(
                 else:
                     low = force
                 newton = force - miss / (1.0 + abs(target * whole) * steep * compliance)
-                falls = abs(miss) < 0.5 * last and low < newton < high
+                newton = min(max(newton, low), high)  # a rope that slides in full is at the end of its bracket
+                falls = abs(miss) < 0.5 * last
                 force, last = newton if falls else 0.5 * (low + high), abs(miss)
             s[:] = trial
         u = position[k] - compliance * force
@@ -177,39 +187,27 @@ def along_cable(
 
 
 @njit(inline="always")
-def _reach(
-    end: float, creep: float, fabric: float, cable: float, slid: Array, s: Array, u: Array,
-    new_s: Array, new_u: Array, anchor: float, own: float, bend: float, toe: float, compliance: float,
-    distance_f: float, distance: float, shape: float, load: float, ratio: float, calm: float,
-) -> tuple[float, float]:
-    """Return (drum position, START tension) that an END tension needs, and the memory it would leave."""
-    force, at = end, 0.0
-    for i in range(FABRIC_NODES):
-        at += SHARES[i] * (stretch_of(force, own, bend, toe) + creep)
-        new_u[i] = at
-        new_s[i] = presliding_shaped(s[i], at - u[i], distance_f, shape)
-        force = capstan(force, new_s[i] * fabric / FABRIC_NODES * grip(force, slid[i], load, ratio, calm))
-    at += anchor + SHARES[FABRIC_NODES] * (stretch_of(force, own, bend, toe) + creep)
-    whole = cable * grip(force, slid[FABRIC_NODES], load, ratio, calm) / CABLE_NODES
-    turn = 0.0
-    for i in range(CABLE_NODES):
-        j = FABRIC_NODES + i
-        new_u[j] = at
-        new_s[j] = presliding_shaped(s[j], at - u[j], distance * SPREAD[i], shape)
-        turn += new_s[j]
-    force = capstan(force, whole * turn)
-    return at + compliance * force, force
+def _slid(s: float, ahead: float, back: float, travel: float, shape: float) -> tuple[float, float, float, float]:
+    """Return the state after `travel`, in units of δ, and its slope; then `presliding_left` towards +1 and −1.
+
+    Of those two, a negative one was not needed yet.
+    """
+    if travel > 0.0:
+        ahead = presliding_left(s, 1.0, shape) if ahead < 0.0 else ahead
+        state, rate = presliding_from(ahead, 1.0, travel, shape)
+    else:
+        back = presliding_left(s, -1.0, shape) if back < 0.0 else back
+        state, rate = presliding_from(back, -1.0, -travel, shape)
+    return state, rate, ahead, back
 
 
 @njit(inline="always")
-def _expected(node: int, drum: Array, anchor: Array, k: int) -> float:
-    """Return how far a node slides from sample k − 1 to k where the path stretches evenly, m: the cable's are last."""
-    moved: float = drum[k] - drum[k - 1]
-    if node == FABRIC_NODES:
-        return moved
-    share: float = SHARE_AFTER + SHARE_OVER * (node + 0.5) / FABRIC_NODES
-    strain: float = moved - anchor[k] + anchor[k - 1]
-    return share * strain
+def _expected(node: int, moved: float, strain: float) -> float:
+    """Return how far a node slides where the path stretches evenly, m, from what the drum moved and the path strained.
+
+    The cable's nodes are last.
+    """
+    return moved if node == FABRIC_NODES else (SHARE_AFTER + SHARE_OVER * (node + 0.5) / FABRIC_NODES) * strain
 
 
 @njit(cache=True)
@@ -221,60 +219,91 @@ def from_motion(
     """Return (END, START) tension, N, that the positions of drum and leg anchor, m, ask for: (10), (11), (3), (7).
 
     `linear`, `bend`: the whole path's stretch, of which `compliance` is the rope's own, before the friction.
-    END is found in each sample by a secant kept in its bracket (monotone); zero where the rope is slack.
+    END is found in each sample by Newton's method kept in its bracket (monotone); zero where the rope is slack.
+    It is one function because arrays that are handed on within a loop are counted there, at more than what it computes.
     """
     n, nodes = drum.size, FABRIC_NODES + CABLE_NODES
     end_out, start_out = np.zeros(n), np.zeros(n)
     s, u, new_s, new_u = np.zeros(nodes), np.zeros(nodes), np.zeros(nodes), np.zeros(nodes)
+    ahead, back, slow, per_m = np.zeros(nodes), np.zeros(nodes), np.ones(FABRIC_NODES + 1), np.empty(nodes)
+    per_m[:FABRIC_NODES], per_m[FABRIC_NODES:] = 1.0 / distance_f, 1.0 / (distance * SPREAD)
     own = max(linear - compliance, 1e-6)
     slid, speed, lacks = np.zeros(FABRIC_NODES + 1), np.zeros(FABRIC_NODES + 1), np.zeros(FABRIC_NODES + 1)
     gamma, end, slope, before = 0.0, 0.0, linear, 0.0
     for k in range(n):
+        seconds, moved, strain = 0.0, 0.0, 0.0
+        if not fresh[k]:
+            seconds, moved = time[k] - time[k - 1], drum[k] - drum[k - 1]
+            strain = moved - anchor[k] + anchor[k - 1]
         if ratio != 1.0 and not fresh[k]:
-            seconds = time[k] - time[k - 1]
             for i in range(FABRIC_NODES + 1):
-                moved = _expected(i, drum, anchor, k) / seconds + lacks[i]
-                slid[i] = recalled(slid[i], moved, speed[i], seconds, memory)
-                speed[i] = moved
+                rate = _expected(i, moved, strain) / seconds + lacks[i]
+                slid[i] = recalled(slid[i], rate, speed[i], seconds, memory)
+                speed[i] = rate
         if fresh[k]:
             gamma = 0.0
         elif creep_rate > 0.0:
-            fade = math.exp(-(time[k] - time[k - 1]) / creep_time)
+            fade = math.exp(-seconds / creep_time)
             gamma = gamma * fade + creep_rate * end * (1.0 - fade)
         if drum[k] - anchor[k] - gamma <= 0.0 or fresh[k]:
-            end = 0.0
-            s[:] = 0.0
-            for i in range(FABRIC_NODES):
-                u[i] = (SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES) * gamma
-            u[FABRIC_NODES:] = anchor[k] + gamma
-            before = 0.0
-            lacks[:] = 0.0
+            end, before = 0.0, 0.0
+            for i in range(nodes):
+                s[i] = 0.0
+                u[i] = ((SHARE_AFTER + SHARE_OVER * (i + 0.5) / FABRIC_NODES) * gamma if i < FABRIC_NODES
+                        else anchor[k] + gamma)
+            for i in range(FABRIC_NODES + 1):
+                lacks[i] = 0.0
             continue
-        low, high, start = 0.0, 1e6, 0.0
+        for i in range(FABRIC_NODES + 1):
+            slow[i] = 1.0 if ratio == 1.0 else stribeck(ratio, calm, slid[i])
+        for i in range(nodes):
+            ahead[i], back[i] = -1.0, -1.0
+        low, high, start, missed = 0.0, 1e6, 0.0, np.inf
         guess = max(end + (drum[k] - anchor[k] - before) / slope, 1e-3)
-        last, f_last = end, -np.inf
-        for i in range(ITERATIONS):
+        for _ in range(ITERATIONS):
             end = guess
-            at, start = _reach(end, gamma, fabric[k], cable[k], slid, s, u, new_s, new_u, anchor[k], own, bend,
-                               toe, compliance, distance_f, distance, shape, load, ratio, calm)
-            f = at - drum[k]
-            if abs(f) < CLOSE_M or high - low < CLOSE_N:
+            # force and at: tension and position along the path from END to the drum; pull and steep: their slopes
+            force, pull, at, steep = end, 1.0, 0.0, 0.0
+            for i in range(FABRIC_NODES):
+                at += SHARES[i] * (stretch_of(force, own, bend, toe) + gamma)
+                steep += SHARES[i] * pull * compliance_of(force, own, bend, toe)
+                new_u[i] = at
+                new_s[i], rate, ahead[i], back[i] = _slid(s[i], ahead[i], back[i], (at - u[i]) * per_m[i], shape)
+                whole = fabric[k] * load_dependence(load, force) * slow[i] / FABRIC_NODES
+                factor = capstan(1.0, new_s[i] * whole)
+                pull = factor * (pull + force * whole * rate * per_m[i] * steep)
+                force *= factor
+            at += anchor[k] + SHARES[FABRIC_NODES] * (stretch_of(force, own, bend, toe) + gamma)
+            steep += SHARES[FABRIC_NODES] * pull * compliance_of(force, own, bend, toe)
+            whole = cable[k] * load_dependence(load, force) * slow[FABRIC_NODES] / CABLE_NODES
+            turn, turning = 0.0, 0.0
+            for i in range(FABRIC_NODES, FABRIC_NODES + CABLE_NODES):
+                new_u[i] = at
+                new_s[i], rate, ahead[i], back[i] = _slid(s[i], ahead[i], back[i], (at - u[i]) * per_m[i], shape)
+                turn += new_s[i]
+                turning += rate * per_m[i]
+            factor = capstan(1.0, whole * turn)
+            pull = factor * (pull + force * whole * turning * steep)
+            start = force * factor
+            slope = min(max(steep + compliance * pull, 0.2 * own), 20.0 * own)
+            miss = at + compliance * start - drum[k]
+            if abs(miss) < CLOSE_M or high - low < CLOSE_N:
+                # what is left is made up along the slope
+                end, start = end - miss / slope, start - pull * miss / slope
                 break
-            if f > 0.0:
+            if miss > 0.0:
                 high = end
             else:
                 low = end
-            if i > 0 and abs(end - last) > 1e-9:
-                slope = min(max((f - f_last) / (end - last), 0.2 * own), 20.0 * own)
-            guess = end - f / slope
-            if not low < guess < high or (i > 1 and abs(f) > 0.5 * abs(f_last)):
+            guess = end - miss / slope
+            if not low < guess < high or abs(miss) > 0.5 * missed:
                 guess = 0.5 * (low + min(high, 2.0 * end + 1.0))
-            last, f_last = end, f
+            missed = abs(miss)
         if ratio != 1.0 and before > 0.0:
             for i in range(FABRIC_NODES + 1):
-                lacks[i] = (new_u[i] - u[i] - _expected(i, drum, anchor, k)) / (time[k] - time[k - 1])
-        s[:] = new_s
-        u[:] = new_u
+                lacks[i] = (new_u[i] - u[i] - _expected(i, moved, strain)) / seconds
+        for i in range(nodes):
+            s[i], u[i] = new_s[i], new_u[i]
         before = drum[k] - anchor[k]
         end_out[k], start_out[k] = end, start
     return end_out, start_out
