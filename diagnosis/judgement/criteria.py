@@ -56,12 +56,12 @@ class SearchCriteria:
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _fall(self, lesser: FittedEffects, model: FittedEffects, added: Sequence[Candidate]) -> float:
-        """Return the fall of the score in the relations that an effect moves.
+        """Return the fall of the score in the relations that the effects `added` move (all, where none was).
 
         What another one gains beside it (a servo's loop, fitted from elsewhere) is none of its doing.
         """
         own = frozenset().union(*(c.parameters for c in added))
-        reached = {b.relation.name for b in self.setting.blocks if b.uses & own}
+        reached = {b.relation.name for b in self.setting.blocks if not own or b.uses & own}
         return lesser.prior_penalty - model.prior_penalty + sum(
             lesser.by_relation[n] - model.by_relation[n] for n in reached)
 

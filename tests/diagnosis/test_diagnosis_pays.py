@@ -13,6 +13,7 @@ from diagnosis.judgement import verdict
 from diagnosis.judgement.judge import Judge
 from diagnosis.problem.blocks import signals_of
 from diagnosis.problem.deviations import chance
+from diagnosis.problem.fit import Space
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import build_problem
 from diagnosis.search.search import FittedEffects
@@ -35,8 +36,10 @@ def judge() -> Judge:
 def moved(model: FittedEffects, by_relation: dict[str, float] | None = None,
           values: dict[str, float] | None = None) -> FittedEffects:
     """Return `model` as if its fit had left other χ² on unseen cycles, or arrived at other values."""
+    there = {**model.fit.values, **(values or {})}
+    space = Space(model.fit.free, model.problem.prior)
     other = dataclasses.replace(model, fit=dataclasses.replace(
-        model.fit, values={**model.fit.values, **(values or {})}))
+        model.fit, values=there, penalty=space.penalty(space.of(there))))
     other.__dict__["by_relation"] = {**model.by_relation, **(by_relation or {})}
     return other
 
