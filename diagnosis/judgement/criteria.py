@@ -49,6 +49,9 @@ class SearchCriteria:
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
                                           for n in self.setting.checked):
             return False
+        if not lesser.effects and lesser.prior_penalty - model.prior_penalty >= verdict.LEAST_FALL:
+            # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
+            return True
         noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
         cuts, base = verdict.cut(lesser, model, noise), search.baseline
         least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
@@ -73,7 +76,9 @@ class SearchCriteria:
         """
         if self._takes(lesser, model, search.baseline):
             return True
-        for name in self.setting.nameless if lesser.effects else ():
+        units = {p.unit for c in model.effects if c not in lesser.effects for p in CATALOGUE[c.name].parameters}
+        # a sensor's offset is as level as the constant: one does not stand for the other
+        for name in self.setting.nameless if lesser.effects and units != {"N"} else ():
             bare = search.lacking(model, name)
             if not self._takes(bare, model, search.baseline) and self._takes(
                     search.lacking(lesser, name), bare, search.baseline):
@@ -136,8 +141,14 @@ class SearchCriteria:
         return all(max(values[n] - f.high, f.low - values[n]) <= change * abs(healthy[n]) for n, f in bands.items())
 
     def can_improve(self, model: FittedEffects) -> bool:
-        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known."""
-        if self.setting.floors is None or self.splits or model.prior_penalty > verdict.STRAINED:
+        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known.
+
+        An effect may be all in what a healthy bench may vary; a second one is looked for where the first leaves that
+        further away than it is by chance.
+        """
+        strained = verdict.STRAINED if not model.effects else _by_chance(sum(
+            math.isfinite(f.sigma) for f in model.fit.free))
+        if self.setting.floors is None or self.splits or model.prior_penalty > strained:
             return True
         return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
                    + self.noise(n, model) for n in self.setting.checked)
@@ -180,3 +191,8 @@ class SearchCriteria:
 
     def _excess(self, model: FittedEffects, relation: str) -> float:
         return max(model.by_relation[relation] - self._expected(relation), 0.0)
+
+
+def _by_chance(count: int) -> float:
+    """Return what χ² of so many exceeds once in a thousand, nearly: three standard deviations above its mean."""
+    return count + 3.0 * math.sqrt(2.0 * count)

@@ -26,7 +26,7 @@ from diagnosis.problem.prior import Free
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
-STRUCTURE: Final = 0.5
+STRUCTURE: Final = 0.25
 """Share of what the laws leave that one like bench may leave in another way than another one."""
 
 

@@ -49,11 +49,10 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
     first = build_problem(healthy, HealthyTrials(), None)
     found = searched(first)
     checked = tuple(n for n in first.checked if not relations.allowed(trials)[n])
-    unknown = covariance(found)
-    sigma = sigmas(unknown)
+    sigma = sigmas(covariance(found))
     nuisance = tuple(_band(f, found.values[f.name], math.hypot(sigma[f.name], _daily(f.name, found, first)))
                      for f in found.free)
-    reference = HealthyReference("healthy", dict(found.values), nuisance, prior=unknown)
+    reference = HealthyReference("healthy", dict(found.values), nuisance)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
     # what a law lacks is a share of what it says: of twice the force it is twice as much
