@@ -35,6 +35,7 @@ from master.cycle.run_safely import collector_frozen, run_safely
 from master.motion.experiment_run import ExperimentSetup, Planned
 from master.network.host_computer import prepared
 from master.network.link import WANTED, Link
+from master.network.recorded_bus import RecordedBus
 from master.network.socketcan import KernelBus
 from master.settings import Gait, Limits
 from physics.reference import paper_reference
@@ -72,15 +73,15 @@ def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool 
         used.append((cpu_s() - before) / walked)
 
     recorder = Recorder(folder / "ours.mcap", metadata={}, attachments={})  # its writer outside SCHED_FIFO
-    with KernelBus(channel) as bus, KernelBus(channel) as tap, prepared():
+    with RecordedBus(channel) as bus, prepared():
         bus.set_filters(WANTED)
         link = Link(bus, time.time_ns)
         if served:
-            outcome = run_safely(link, tap, recorder, network, Limits(), perform)
+            outcome = run_safely(link, bus, recorder, network, Limits(), perform)
             if outcome.reason is not None:
                 raise RuntimeError(outcome.reason)
         else:
-            _cycle(link, Log(tap, recorder, TARGETS_COB_ID), wire(network), perform)
+            _cycle(link, Log(bus, recorder, TARGETS_COB_ID), wire(network), perform)
         recorder.close({})
     return used[0]
 
