@@ -96,7 +96,7 @@ class KernelCycles:
             return False
         self._data[:] = data
         self._settings[frames.AFTER] = after_ns
-        ended = frames.cycle(self._numbers, bus.memory, bus.block_rows, bus.numbers)
+        ended = frames.cycle(self._numbers, bus.memory, bus.block_rows)
         if told[frames.DROPPED] >= 0:
             bus.lost = told[frames.DROPPED]
         if ended != frames.WHOLE and not self._mended(ended, after_ns):

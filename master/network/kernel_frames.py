@@ -21,8 +21,9 @@ SLOT, HEADER, ROW = 10, 8, 3
 ROW_BYTES: Final = 8 * ROW
 BATCH: Final = 32
 """Slots of one `recvmmsg`, and as many headers."""
-MEMORY: Final = BATCH * (HEADER + SLOT)
-"""Words that a socket is read into: headers, then slots."""
+SLOTS: Final = BATCH * HEADER
+KNOWN: Final = SLOTS + BATCH * SLOT
+"""Words that a socket is read into: headers; from here on slots, and what is known of rows."""
 EFF, RTR, ERR, ID = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
 HERE: Final = 4
 """MSG_DONTROUTE: the frame was sent by this computer."""
@@ -37,6 +38,7 @@ NS: Final = 1_000_000_000
 MARKED_NS, SYNC_END, FIRST, TAKEN, TOLD = range(5)
 """What is known of rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first
 row that nobody has taken, and the end."""
+MEMORY: Final = KNOWN + TOLD
 INPUTS: Final = 4
 MISSING, AT_NS, DROPPED, BEATS, BEAT = 0, 1, 2, 3, 4
 """What `heed` tells: a bit for each input that is not there yet, −1 before SYNC; when SYNC came; lost frames, −1 where
@@ -198,11 +200,13 @@ def fetch(c: Any, headers: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def cycle(c: Any, memory: Any, block: Any, heard: Any) -> int:
+def cycle(c: Any, memory: Any, block: Any) -> int:
     """Send the targets, wait for the last input of the next SYNC, take every frame up to it: as rows, and as inputs.
 
-    `c`: `NUMBERS`; `memory`: what the socket is read into; `block` and `heard`: rows, as `rows` goes on with them.
+    `c`: `NUMBERS`; `memory`: `MEMORY`, of the socket; `block`: rows, as `rows` goes on with them.
     """
+    headers, slots = memory[:SLOTS].reshape(BATCH, HEADER), memory[SLOTS:KNOWN].reshape(BATCH, SLOT)
+    heard = memory[KNOWN:].view(np.int64)
     to_front(block, heard)
     if heard[TAKEN] + BATCH > len(block):
         return NOT_SENT
@@ -213,7 +217,6 @@ def cycle(c: Any, memory: Any, block: Any, heard: Any) -> int:
     woke = woken(c, c[AFTER] + c[PATIENCE] - now(c))
     if woke < 0:
         return FAILED
-    headers, slots = memory[:BATCH * HEADER].reshape(BATCH, HEADER), memory[BATCH * HEADER:].reshape(BATCH, SLOT)
     c[COUNT] = count = fetch(c, headers)
     if count < 0:
         return FAILED
@@ -235,5 +238,5 @@ def prepare() -> None:
     mark(block, 0, 0, heard)
     c = np.full(NUMBERS, -1, np.int64)
     heed(slots, headers, 0, c[IDS:SIZES], c[SIZES:HEED], c[HEED:])
-    if cycle(c, np.zeros(MEMORY, np.uint64), block, heard) != NOT_SENT:
+    if cycle(c, np.zeros(MEMORY, np.uint64), block) != NOT_SENT:
         raise RuntimeError("send() took a socket that there is not")

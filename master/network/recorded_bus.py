@@ -31,7 +31,8 @@ class RecordedBus(KernelBus):
         super().__init__(channel, receive_own_messages=True, **options)
         self._trigger: socket.socket | None = None
         self._make_room(2 * frames.BATCH)
-        self.numbers: Any = np.array([-1, -1, 0, 0], np.int64)
+        self.numbers: Any = self.memory[frames.KNOWN:].view(np.int64)
+        self.numbers[[frames.MARKED_NS, frames.SYNC_END]] = -1
         self.told: Any = memoryview(cast(Any, self.numbers))
 
     def fetch(self) -> int:

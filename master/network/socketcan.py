@@ -22,7 +22,7 @@ import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 
 from master.network import kernel_frames
-from master.network.kernel_frames import BATCH, HEADER, SLOT
+from master.network.kernel_frames import BATCH, HEADER, KNOWN, SLOT, SLOTS
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
@@ -67,8 +67,8 @@ class KernelBus(SocketcanBus):
         self._number = self.socket.fileno()
         self.waiting: deque[KernelMessage] = deque()
         self.memory: Any = np.zeros(kernel_frames.MEMORY, np.uint64)
-        self.headers, self.slots = (self.memory[:BATCH * HEADER].reshape(BATCH, HEADER),
-                                    self.memory[BATCH * HEADER:].reshape(BATCH, SLOT))
+        self.headers, self.slots = (self.memory[:SLOTS].reshape(BATCH, HEADER),
+                                    self.memory[SLOTS:KNOWN].reshape(BATCH, SLOT))
         self._headers, self._slots = (memoryview(cast(Any, part)).cast("B") for part in (self.headers, self.slots))
         self._vectors = bytearray(BATCH * _VECTOR.size)
         self._template = self._laid_out()
