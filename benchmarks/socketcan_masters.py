@@ -32,9 +32,9 @@ from eds.setup import Pdo
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
-from master.cycle.run_safely import collector_frozen, run_safely
+from master.cycle.run_safely import run_safely
 from master.motion.experiment_run import ExperimentSetup, Planned
-from master.network.host_computer import prepared
+from master.network.host_computer import collector_frozen, prepared
 from master.network.link import WANTED, Link
 from master.network.recorded_bus import RecordedBus
 from master.network.socketcan import KernelBus

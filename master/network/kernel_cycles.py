@@ -54,19 +54,19 @@ class ReadSocket(Protocol):
 
 
 class KernelCycles:
-    """Cycles of one master on its `bus`: the frame that it sends, the inputs that it waits for.
+    """Cycles of one master on its `bus`: the frames that it sends, the inputs that it waits for.
 
-    `targets` and `inputs` are identifiers with the least numbers of bytes.  Inputs have to come within `budget_ns` of
-    their SYNC, SYNC within a period.  `count` is the number of cycles taken as one.
+    `targets` and `inputs` are identifiers with the least numbers of bytes; `heartbeat` is the master's identifier and
+    its byte.  Inputs have to come within `budget_ns` of their SYNC, SYNC within a period.  `count` is the number of
+    cycles taken as one.
     """
 
     def __init__(
         self, bus: ReadSocket, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
-        budget_ns: int,
+        budget_ns: int, heartbeat: tuple[int, int],
     ) -> None:
-        frames.prepare()
         self.count = 0
-        self._bus, self._budget_ns, self._soon_ns = bus, budget_ns, 2 * period_ns
+        self._bus, self._budget_ns, self._period_ns, self._heartbeat = bus, budget_ns, period_ns, heartbeat
         targets_id, size = targets
         self._last = max(can_id for can_id, _ in inputs)
         self._trigger = bus.trigger(self._last)
@@ -80,6 +80,8 @@ class KernelCycles:
         raw = self._settings.cast("B")
         self._inputs = raw[8 * (frames.HEED + frames.FRAMES):]
         _HEAD.pack_into(raw, 8 * frames.FRAME, targets_id, size)
+        _HEAD.pack_into(raw, 8 * frames.BEAT_FRAME, heartbeat[0], 1)
+        raw[8 * frames.BEAT_FRAME + _HEAD.size] = heartbeat[1]
         data = 8 * frames.FRAME + _HEAD.size
         self._data = raw[data:data + size]
         self._behind = True
@@ -87,15 +89,19 @@ class KernelCycles:
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
         """Send the targets, and go on to the last input of the next SYNC, which has to come after `after_ns`.
 
-        False: nothing has happened, for frames wait or the heartbeat at `beat_ns` is due about now.  True: the targets
-        were sent, and the frames that came wait to be received.  Raises `can.CanError` where the bus failed.
+        The heartbeat at `beat_ns` is sent where it is due within a period from then, and told with the others.  False:
+        nothing has happened, for frames wait, or `beat_ns` is 0.  True: the targets were sent, and the frames that came
+        wait to be received; a heartbeat is not told then, and one more is sent at its time.  Raises `can.CanError`
+        where the bus failed.
         """
         bus, told = self._bus, self._told
-        if bus.waiting or beat_ns < after_ns + self._soon_ns or (self._behind and not self._forgotten()):
+        if bus.waiting or not beat_ns or (self._behind and not self._forgotten()):
             self._behind = True
             return False
         self._data[:] = data
         self._settings[frames.AFTER] = after_ns
+        due = beat_ns < after_ns + self._period_ns
+        self._settings[frames.ALIVE] = due
         ended = frames.cycle(self._numbers, bus.memory, bus.block_rows)
         if told[frames.DROPPED] >= 0:
             bus.lost = told[frames.DROPPED]
@@ -106,7 +112,10 @@ class KernelCycles:
         self.count += 1
         heard = bus.told
         count = heard[frames.FIRST] = heard[frames.SYNC_END]
-        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, self._beats() if told[frames.BEATS] else (),
+        beats = self._beats() if told[frames.BEATS] else ()
+        if due and not self._settings[frames.ALIVE]:
+            beats = (*beats, (self._heartbeat[0], max(beat_ns, after_ns), self._heartbeat[1]))
+        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, beats,
                 bus.row_bytes[:frames.ROW_BYTES * count], count)
 
     def _forgotten(self) -> bool:

@@ -140,11 +140,12 @@ def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: An
 
 # ---- one cycle ----
 
-MAIN, TRIGGER, TARGETS, PATIENCE, AFTER, ERRNO, COUNT, SPEC, WOKEN, POLL, FRAME = 0, 1, 2, 3, 4, 5, 6, 7, 9, 11, 12
+MAIN, TRIGGER, TARGETS, PATIENCE, AFTER, ERRNO, COUNT, ALIVE, SPEC, WOKEN, POLL, FRAME, BEAT_FRAME = (
+    *range(9), 10, 12, 13, 15)
 """Numbers of `cycle`: sockets; identifier of the targets; how long after `AFTER` the last input is waited for, ns; time
-that SYNC has to come after, ns; what failed; frames fetched last; memory of system calls: struct timespec, a frame
-received, struct pollfd, the frame to send."""
-IDS: Final = FRAME + 2
+that SYNC has to come after, ns; what failed; frames fetched last; 1 where the heartbeat is due, 0 once it is sent;
+memory of system calls: struct timespec, a frame received, struct pollfd, the targets' frame, the heartbeat's."""
+IDS: Final = BEAT_FRAME + 2
 SIZES: Final = IDS + INPUTS
 HEED: Final = SIZES + INPUTS
 NUMBERS: Final = HEED + HEEDED
@@ -203,6 +204,7 @@ def fetch(c: Any, headers: Any) -> Any:
 def cycle(c: Any, memory: Any, block: Any) -> int:
     """Send the targets, wait for the last input of the next SYNC, take every frame up to it: as rows, and as inputs.
 
+    The heartbeat goes behind the targets where it is due; one that finds the queue full is left to the next cycle.
     `c`: `NUMBERS`; `memory`: `MEMORY`, of the socket; `block`: rows, as `rows` goes on with them.
     """
     headers, slots = memory[:SLOTS].reshape(BATCH, HEADER), memory[SLOTS:KNOWN].reshape(BATCH, SLOT)
@@ -212,6 +214,8 @@ def cycle(c: Any, memory: Any, block: Any) -> int:
         return NOT_SENT
     if _send(np.int32(c[MAIN]), c.ctypes.data + 8 * FRAME, 16, np.int32(0)) != 16:
         return NOT_SENT
+    if c[ALIVE] and _send(np.int32(c[MAIN]), c.ctypes.data + 8 * BEAT_FRAME, 16, np.int32(0)) == 16:
+        c[ALIVE] = 0
     told = c[HEED:]
     told[MISSING], told[DROPPED], told[BEATS] = -1, -1, 0
     woke = woken(c, c[AFTER] + c[PATIENCE] - now(c))

@@ -29,6 +29,7 @@ class RecordedBus(KernelBus):
 
     def __init__(self, channel: str = "", **options: Any) -> None:
         super().__init__(channel, receive_own_messages=True, **options)
+        frames.prepare()
         self._trigger: socket.socket | None = None
         self._make_room(2 * frames.BATCH)
         self.numbers: Any = self.memory[frames.KNOWN:].view(np.int64)
@@ -73,9 +74,9 @@ class RecordedBus(KernelBus):
         """Offer whole control cycles to a master, see `KernelCycles`; None with another bus as the recorder's tap.
 
         `targets` and `inputs` are identifiers and sizes of the frame that the master sends in each and of those that it
-        then waits for, within `budget_ns` of their SYNC.
+        then waits for, within `budget_ns` of their SYNC; `heartbeat`: identifier, byte and period of its own.
         """
-        return KernelCycles(self, targets, inputs, period_ns, budget_ns) if tap is self else None
+        return KernelCycles(self, targets, inputs, period_ns, budget_ns, heartbeat[:2]) if tap is self else None
 
     def trigger(self, can_id: int) -> socket.socket:
         """Open another socket on the same interface that hears this identifier alone; it closes with this bus."""
