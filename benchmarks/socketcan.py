@@ -2,6 +2,8 @@
 
     python -m benchmarks.socketcan                   # prints the table, and writes it into docs/bench.md
     python -m benchmarks.socketcan --cycles 10000    # longer; what is counted is scaled to 10⁵ cycles either way
+    python -m benchmarks.socketcan --profile         # where our master's cycle goes, into the page too
+    python -m benchmarks.socketcan --rates           # which rate the guest carries with the plant on its processor
 
 Needs `../shared/run_in_vm.sh` (back end `icount`): the guest's clock counts instructions, so any machine prints the
 same.  The bench (`bowden bench`) and a master are two processes of the guest's one processor.  Every figure but the
@@ -14,12 +16,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from benchmarks.marked import put
 
 ROOT = Path(__file__).resolve().parents[1]
 GUEST = ROOT.parent / "shared" / "run_in_vm.sh"
@@ -31,7 +35,10 @@ RUNS = (("vcan0", "vcan0", 500, True), ("can0", "can1", 500, True), ("vcan0", "v
 HEAD = ("master on, nodes on", "nodes", "SYNC asked (Hz)", "master", "cycles", "SYNC held (Hz)", "missed per 10⁵",
         "SYNC jitter, 99 % / worst (µs)", "last TPDO after SYNC, median / worst (µs)",
         "targets after SYNC, median / worst (µs)", "CPU per cycle (µs)")
-BEGIN, END = "<!-- benchmarks.socketcan begins -->", "<!-- benchmarks.socketcan ends -->"
+RATES_HZ = (500, 625, 800, 1000)
+"""Whole microseconds of period, as a configuration wants them."""
+RATES_HEAD = ("SYNC asked (Hz)", "SYNC held (Hz)", "cycles", "missed per 10⁵",
+              "targets after SYNC, median / worst (µs)", "the trial")
 
 
 def main() -> None:
@@ -39,21 +46,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cycles", type=int, default=500)
     parser.add_argument("--run", type=int, choices=range(len(RUNS)), action="append", help="only this row of RUNS")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--profile", action="store_true", help="our cycle by stages")
+    kind.add_argument("--rates", action="store_true", help="our cycle with the bench, at several rates")
     chosen = parser.parse_args()
-    runs = [RUNS[i] for i in chosen.run] if chosen.run else list(RUNS)
     if "CANVM" in os.environ:
-        from benchmarks.socketcan_masters import measured
-
-        for run in runs:
-            for told in measured(*run, chosen.cycles):
-                print(json.dumps(told), flush=True)
+        for told in measured_here(chosen):
+            print(json.dumps(told), flush=True)
         return
-    text = table(in_guest(sys.argv[1:]))
+    name, laid_out = (("socketcan profile", profile) if chosen.profile
+                      else ("socketcan rates", rates) if chosen.rates else ("socketcan", table))
+    text = laid_out(in_guest(sys.argv[1:]))
     print(text)
     if not chosen.run:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(re.sub(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{text}\n{END}", page, flags=re.DOTALL),
-                        encoding="utf-8")
+        put(PAGE, name, text)
+
+
+def measured_here(chosen: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """What was asked for, measured on this kernel."""
+    from benchmarks import socketcan_masters as masters
+
+    if chosen.profile:
+        yield masters.profiled(chosen.cycles)
+    elif chosen.rates:
+        yield from masters.carried(RATES_HZ, chosen.cycles)
+    else:
+        for i in chosen.run or range(len(RUNS)):
+            yield from masters.measured(*RUNS[i], chosen.cycles)
 
 
 def in_guest(arguments: list[str]) -> list[dict[str, Any]]:
@@ -75,18 +94,38 @@ def in_guest(arguments: list[str]) -> list[dict[str, Any]]:
 
 def table(told: list[dict[str, Any]]) -> str:
     """The runs as a table of Markdown."""
-    rows = [HEAD, ("---",) * len(HEAD), *map(_cells, told)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return _laid_out(HEAD, map(_cells, told))
+
+
+def profile(told: list[dict[str, Any]]) -> str:
+    """Processor time of a cycle by stage, and of the whole."""
+    return _laid_out(("where", "µs a cycle"), [(name, f"{spent_us:.0f}") for name, spent_us in told[0].items()])
+
+
+def rates(told: list[dict[str, Any]]) -> str:
+    """What came of each rate with the bench on the same processor."""
+    return _laid_out(RATES_HEAD, [
+        (str(each["rate_hz"]), "–", "–", "–", "–", f"stopped: {each['stopped']}") if each["stopped"] else
+        (str(each["rate_hz"]), f"{each['held_hz']:.0f}", str(each["cycles"]), _missed(each),
+         _pair(each["targets_us"]), "completed") for each in told])
+
+
+def _laid_out(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ("---",) * len(head), *rows))
+
+
+def _pair(values: Sequence[float | None]) -> str:
+    return " / ".join("–" if value is None else f"{value:.0f}" for value in values)
+
+
+def _missed(told: dict[str, Any]) -> str:
+    return f"{1e5 * told['missed'] / told['cycles']:.0f}"
 
 
 def _cells(told: dict[str, Any]) -> tuple[str, ...]:
-    def pair(name: str) -> str:
-        return " / ".join("–" if value is None else f"{value:.0f}" for value in told[name])
-
-    missed = 1e5 * told["missed"] / told["cycles"]
     return (f"{told['master_on']}, {told['nodes_on']}", told["nodes"], str(told["rate_hz"]), told["master"],
-            str(told["cycles"]), f"{told['held_hz']:.2f}", f"{missed:.0f}", pair("jitter_us"), pair("inputs_us"),
-            pair("targets_us"), f"{told['cpu_us']:.0f}")
+            str(told["cycles"]), f"{told['held_hz']:.2f}", _missed(told), _pair(told["jitter_us"]),
+            _pair(told["inputs_us"]), _pair(told["targets_us"]), f"{told['cpu_us']:.0f}")
 
 
 if __name__ == "__main__":

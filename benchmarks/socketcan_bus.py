@@ -11,20 +11,25 @@ import numpy as np
 
 from eds.bench_network import FILES, TARGETS_COB_ID
 from eds.cia301 import SYNC_COB_ID, TPDO_BASE
-from master.network.socketcan import KernelBus, Row
+from master.network.socketcan import KernelBus
 from tests.socketcan import rig
 
 EDGE = 50
 """Cycles at either end that are left out: starting and ending."""
 
 
+Row = tuple[int, int]
+"""A frame's time stamp, ns, and identifier."""
+
+
 def watched(tap: KernelBus, process: rig.Process) -> tuple[rig.Told, list[Row]]:
     """Wait until a master has ended, then take every frame: who looks earlier takes the processor from the cycle."""
-    return process.wait(), list(tap.rows())
+    told = process.wait()
+    return told, [(each.time_ns, each.arbitration_id) for each in iter(lambda: tap.recv(0), None)]
 
 
 def shown(rows: list[Row], rate_hz: int) -> dict[str, Any]:
-    """What frames (time stamp, ns, identifier, …) show of the cycle; `EDGE` cycles at either end are left out."""
+    """What frames show of the cycle; `EDGE` cycles at either end are left out."""
     times = {can_id: np.array([row[0] for row in rows if row[1] == can_id], dtype=np.int64)
              for can_id in (SYNC_COB_ID, TARGETS_COB_ID, *(TPDO_BASE + node for node in FILES))}
     sync = times[SYNC_COB_ID][EDGE:-EDGE]

@@ -12,7 +12,7 @@ import resource
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -22,19 +22,21 @@ import can
 import canopen
 
 from benchmarks.socketcan_bus import shown, watched
+from benchmarks.socketcan_profile import WHOLE, WRITER, costs_ns, watching
 from eds import bus_load
 from eds.bench_network import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, WireLayout, wire
-from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand
+from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key, packaged
 from eds.setup import Pdo
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log
-from master.cycle.run_safely import collector_frozen, run_safely
+from master.cycle.run_safely import run_safely
 from master.motion.experiment_run import ExperimentSetup, Planned
-from master.network.host_computer import prepared
+from master.network.host_computer import collector_frozen, prepared
 from master.network.link import WANTED, Link
+from master.network.recorded_bus import RecordedBus
 from master.network.socketcan import KernelBus
 from master.settings import Gait, Limits
 from physics.reference import paper_reference
@@ -44,6 +46,8 @@ from trial.record import Recorder
 PEAK_N, PERIOD_S = 20.0, 1.0
 QUEUE = 256 << 20
 """Bytes of the watching socket's queue; the kernel charges about 770 for a frame."""
+BEATEN = 100
+"""Cycles from one heartbeat to the next of who answers in a bench's place."""
 
 
 class Master(Protocol):
@@ -58,8 +62,13 @@ def cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True) -> float:
-    """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served."""
+def ours(
+    channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool = True, spent_s: Callable[[], float] = cpu_s
+) -> float:
+    """A dry run of `bowden trial`: controller, safety and recorder in every cycle; no bring-up where none is served.
+
+    `spent_s` counts the processor time.
+    """
     network = Network(rate_hz=rate_hz)
     gait = Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=math.ceil(cycles / rate_hz / PERIOD_S), settle=0)
     planned = Planned(ExperimentSetup(paper_reference(PEAK_N, PERIOD_S), network, gait=gait, dry_run=True))
@@ -67,33 +76,37 @@ def ours(channel: str, rate_hz: int, cycles: int, folder: Path, *, served: bool 
     used = []
 
     def perform(exchange: Exchange) -> None:
-        before = cpu_s()
+        before = spent_s()
         planned.perform(exchange)
-        used.append((cpu_s() - before) / walked)
+        used.append((spent_s() - before) / walked)
 
     recorder = Recorder(folder / "ours.mcap", metadata={}, attachments={})  # its writer outside SCHED_FIFO
-    with KernelBus(channel) as bus, KernelBus(channel) as tap, prepared():
+    with RecordedBus(channel) as bus, prepared():
         bus.set_filters(WANTED)
         link = Link(bus, time.time_ns)
         if served:
-            outcome = run_safely(link, tap, recorder, network, Limits(), perform)
+            outcome = run_safely(link, bus, recorder, network, Limits(), perform)
             if outcome.reason is not None:
                 raise RuntimeError(outcome.reason)
         else:
-            _cycle(link, Log(tap, recorder, TARGETS_COB_ID), wire(network), perform)
+            _cycle(link, Log(bus, recorder, TARGETS_COB_ID), network, perform)
         recorder.close({})
     return used[0]
 
 
-def _cycle(link: Link, log: Log, described: WireLayout, perform: Callable[[Exchange], None]) -> None:
-    """The cycle alone, as `conduct` runs it between bring-up and end."""
-    guard = Guard(link, described, log, Limits(), 0)
-    guard.active = False
+def _cycle(link: Link, log: Log, network: Network, perform: Callable[[Exchange], None]) -> None:
+    """The cycle alone, as `run_safely` runs it between bring-up and end."""
+    described = wire(network)
+    guard = Guard(link, described, log, Limits(), network.heartbeat_timeout_ms * 1_000_000)
     budget = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
     exchange = Exchange(link, described, log, guard, budget)
+    guard.active = False
     with collector_frozen():
         link.sync_start(described.period_ns)
         exchange.begin()
+        for _ in range(BEATEN):
+            exchange.hold()
+        guard.active = True
         perform(exchange)
         exchange.end()
         link.sync_stop()
@@ -182,17 +195,19 @@ MASTERS: tuple[tuple[str, Master], ...] = (
 
 
 def answering(channel: str) -> int:
-    """In place of a bench: four TPDOs for every SYNC, until there are none for a while."""
+    """In place of a bench: heartbeats, and four TPDOs for every SYNC, until there are none for a while."""
     plans = wire(Network()).tpdo
     frames = [can.Message(arbitration_id=cob_id, data=plan.pack_si(*(0.0,) * len(plan.fields)), is_extended_id=False)
               for cob_id, plan in plans.items()]
-    patience = None
+    beats = [can.Message(arbitration_id=HEARTBEAT_BASE + node, data=[NmtState.OPERATIONAL], is_extended_id=False)
+             for node in FILES]
+    patience, answered = None, 0
     with KernelBus(channel) as bus, prepared():
         bus.set_filters([{"can_id": SYNC_COB_ID, "can_mask": 0x7FF, "extended": False}])
         while bus.recv(patience) is not None:
-            patience = 0.5
-            for frame in frames:
+            for frame in frames if answered % BEATEN else beats + frames:
                 bus.send(frame)
+            patience, answered = 0.5, answered + 1
     return 0
 
 
@@ -226,7 +241,45 @@ def measured(master_on: str, nodes_on: str, rate_hz: int, served: bool, cycles: 
                **shown(rows, rate_hz)}
 
 
-def tell(run: Callable[[], float]) -> int:
-    """Run a master and print its processor time as JSON."""
-    print(json.dumps({"cpu_s": run()}))
+def tell(run: Callable[[], object]) -> int:
+    """Run a master and print what it tells, its processor time or more, as JSON."""
+    told = run()
+    print(json.dumps(told if isinstance(told, dict) else {"cpu_s": told}))
     return 0
+
+
+def carried(rates_hz: Sequence[int], cycles: int) -> Iterator[dict[str, Any]]:
+    """Our master with `bowden bench` on the same processor, at each rate; why it stopped, where it did."""
+    rig.rehearse()
+    for rate_hz in rates_hz:
+        with tempfile.TemporaryDirectory() as at:
+            folder = Path(at)
+            with peer(folder, "vcan0", rate_hz, served=True), KernelBus("vcan0", receive_buffer=QUEUE) as tap:
+                run = partial(ours, "vcan0", rate_hz, cycles, folder)
+                told, rows = watched(tap, rig.Process(folder, "master", partial(tell, run)))
+        stopped = told.stderr.strip().rpartition("\n")[2].removeprefix("RuntimeError: ") if told.status else ""
+        yield {"rate_hz": rate_hz, "stopped": stopped, **({} if stopped else shown(rows, rate_hz))}
+
+
+def profiled(cycles: int) -> dict[str, float]:
+    """Processor time of our cycle at 1 kHz by stage of `socketcan_profile`, and of the whole process, µs."""
+    rig.rehearse()
+    around_ns, inside_ns = costs_ns()
+
+    def staged(folder: Path) -> dict[str, float]:
+        with watching() as watch:
+            ours("vcan0", 1000, cycles, folder, served=False, spent_s=watch.restarted)
+        return {stage: spent / 1e3 / watch.cycles for stage, spent in watch.spent_ns(around_ns, inside_ns).items()}
+
+    def counted(spent_s: Callable[[], float], folder: Path) -> dict[str, float]:
+        return {"": 1e6 * ours("vcan0", 1000, cycles, folder, served=False, spent_s=spent_s)}
+
+    found = []
+    for job in (staged, partial(counted, time.thread_time), partial(counted, cpu_s)):
+        with tempfile.TemporaryDirectory() as at, peer(Path(at), "vcan0", 1000, served=False):
+            told = rig.Process(Path(at), "master", partial(tell, partial(job, Path(at)))).wait()
+        if told.status:
+            raise RuntimeError(told.stderr)
+        found.append(told.result)
+    stages, thread, process = found
+    return {**stages, WRITER: process[""] - thread[""], WHOLE: process[""]}

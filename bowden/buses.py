@@ -52,7 +52,9 @@ class BusSettings:
 
 
 class Opened(NamedTuple):
-    """The master's filtered bus, the recorder's unfiltered one, the clock, ns, of their stamps, and the computer.
+    """The master's bus, the recorder's tap, the clock, ns, of their stamps, and the computer.
+
+    On the kernel's CAN the bus is the tap too: it keeps every frame that it reads until the recorder takes them.
 
     `host` is entered around the cycle and yields what the computer does not permit.
     """
@@ -159,12 +161,14 @@ def _open(arguments: dict[str, Any]) -> Any:
 
     if arguments["interface"] != KERNEL:
         return can.Bus(**arguments)
+    from master.network.recorded_bus import RecordedBus
     from master.network.socketcan import KernelBus
 
+    kind = RecordedBus if arguments.pop("recorded", False) else KernelBus
     given = {name: value for name, value in arguments.items() if value is not None}
     settings = dict(can.util.load_config(config=given))
     settings.pop("interface")
-    return KernelBus(**settings)
+    return kind(**settings)
 
 
 @contextmanager
@@ -173,6 +177,11 @@ def opened(chosen: BusSettings, *, bitrate: int, rate_hz: int, truth: Path | Non
     from master.network.host_computer import prepared
     from master.network.link import WANTED
 
+    if chosen.arguments["interface"] == KERNEL:
+        with opened_one(chosen, bitrate, recorded=True) as bus:
+            bus.set_filters(WANTED)
+            yield Opened(bus, bus, time.time_ns, prepared)
+        return
     if chosen.own_bench:
         chosen = replace(chosen, arguments={**chosen.arguments, "channel": f"{BENCH} {next(_NUMBERS)}"})
     more = {"rate_hz": rate_hz, "truth": None if truth is None else str(truth)} if chosen.simulated else {}

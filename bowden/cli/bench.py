@@ -47,7 +47,6 @@ def bench(
     from bowden import buses, session
     from bowden.cli import ending
     from eds.bench_network import Network
-    from master.cycle.run_safely import collector_frozen
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus
     from virtual_bus.serve import servable, serve
@@ -72,7 +71,7 @@ def bench(
         terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
         deadline = None if seconds is None else time.monotonic() + seconds
         try:
-            with prepared(), collector_frozen():
+            with prepared():
                 served = serve(real, hidden.bench, time.monotonic_ns,
                                lambda: ended or (deadline is not None and time.monotonic() >= deadline),
                                echoes=interface == "udp_multicast")

@@ -134,24 +134,24 @@ class Exchange:
 
         Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
         """
+        link, inputs = self.link, self.inputs
         self.targets = (servo_m, knee_rad)
-        self._step_ns = self.link.clock() - self._answered_ns
-        inputs = self.inputs
+        self._step_ns = link.clock() - self._answered_ns
         if self.kept is not None and not inputs.missing:
             self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
-        data, watch = self._pack_targets(servo_m, knee_rad), self.link.watch
-        if watch is not None:
-            watch.sent(self.wire.targets.cob_id, data)
+        data = self._pack_targets(servo_m, knee_rad)
+        if link.watch is not None:
+            link.watch.sent(self.wire.targets.cob_id, data)
         sent = False
         if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
             try:
-                whole = self._whole_cycles.run(data, self.link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
+                whole = self._whole_cycles.run(data, link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
             except can.CanError as error:
                 raise LinkError(f"receiving failed: {error}") from error
             if not isinstance(whole, bool):
                 return self._at_once(whole, annotations)
             sent = whole
-        sent = sent or self.link.try_send(can.Message(
+        sent = sent or link.try_send(can.Message(
             arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
         self.log.drain()

@@ -1,13 +1,12 @@
 """What the master tells the recorder: every frame of the bus, one row a cycle, and events.
 
-The rule of this file: the recorder hears the bus on a socket of its own, unfiltered, drained between the
-SYNC and the first answer to it, when the master has nothing else to do; a recorder that fails stops the trial.
+The rule of this file: the recorder hears every frame, by a tap that is drained in every cycle: an unfiltered bus of its
+own, or the master's, where that hands over blocks of all that it received; a recorder that fails stops the trial.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 import can
@@ -39,7 +38,7 @@ Row = tuple[int, int, bytes, int, bool]
 
 
 def _rows(tap: can.BusABC | None) -> Iterator[Row]:
-    """Every frame that waits at a bus which has no `rows` of its own."""
+    """Every frame that waits at a bus which hands over no blocks."""
     while tap is not None and (message := tap.recv(0)) is not None:
         flags, data = 0, bytes(message.data)
         if message.is_remote_frame or message.is_extended_id or message.is_error_frame:
@@ -61,7 +60,6 @@ class Log:
         self._recorder = recorder
         self._targets_cob_id = targets_cob_id
         self.tap, self.taps = tap, tap is not None
-        self._waiting: Callable[[], Iterable[Row]] = getattr(tap, "rows", None) or partial(_rows, tap)
         self._block: Callable[[int], tuple[Any, int, int, int]] | None = getattr(tap, "block", None)
         self.target_stamp_ns = -1
         self.quiet = False
@@ -77,7 +75,7 @@ class Log:
                 if count:
                     self.take(rows, count, last_ns, target_ns if target_ns >= 0 else self.target_stamp_ns)
                 return
-            for time_ns, can_id, data, flags, sent in self._waiting():
+            for time_ns, can_id, data, flags, sent in _rows(self._tap):
                 if can_id == targets:
                     self.target_stamp_ns = time_ns
                 if recorder is not None:

@@ -6,7 +6,6 @@ The rule of this file: whatever happens, the drives end disabled, SYNC stops, an
 from __future__ import annotations
 
 import contextlib
-import gc
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -28,6 +27,7 @@ from master.cycle.safety import Condition, StopError
 from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
+from master.network.host_computer import collector_frozen
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
 from master.settings import Limits
@@ -195,18 +195,3 @@ def interruption() -> Iterator[Callable[[], int]]:
     finally:
         for number in taken:
             signal.signal(number, before[number])
-
-
-@contextmanager
-def collector_frozen() -> Iterator[None]:
-    """No garbage collection in the cycle: everything made so far is left alone until the end."""
-    enabled = gc.isenabled()
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        if enabled:
-            gc.enable()

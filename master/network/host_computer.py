@@ -1,12 +1,14 @@
 """The computer the cycle runs on: what the kernel can be asked for, and what it did not permit.
 
 The rule of this file: nothing here is needed for a trial to run; whatever is refused is said in one sentence with
-what to type, and the trial goes on without it.
+what to type, and the trial goes on without it.  The priority comes last: whoever else runs a cycle on this processor
+would have to wait for what takes long.
 """
 
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -29,13 +31,29 @@ def prepared() -> Iterator[list[str]]:
     """Make the calling thread ready for a cycle in wall time; yields what could not be had, a sentence each."""
     refused: list[str] = []
     with ExitStack() as stack:
-        for ask in (_interpreter, _pages, _scheduling, _memory, _affinity):
+        stack.enter_context(collector_frozen())
+        for ask in (_interpreter, _pages, _memory, _affinity, _scheduling):
             try:
                 stack.callback(ask())
             except OSError as error:
                 refused.append(f"{_NAMES[ask]} is not permitted ({error.strerror}); type "
                                f"{PERMIT} {os.path.realpath(sys.executable)}, or run as root.")
         yield refused
+
+
+@contextmanager
+def collector_frozen() -> Iterator[None]:
+    """No garbage collection in the cycle: everything made so far is left alone until the end."""
+    enabled = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if enabled:
+            gc.enable()
 
 
 def _interpreter() -> Callable[[], object]:

@@ -1,8 +1,8 @@
-"""Whole control cycles on the kernel's CAN: the process is woken twice in each, by SYNC and by the last input.
+"""Whole control cycles on the kernel's CAN: the process is woken once in each, by the last input.
 
 The rule of this file: a cycle in which all that comes is SYNC, the inputs and heartbeats of nodes at work is taken as
 one; where anything else comes, every frame of the cycle waits in its order for the master to receive it singly.  A
-second socket, filtered to SYNC and one input, wakes; the master's own, which receives everything, is read once.
+second socket, filtered to one input, wakes; the master's own, which receives everything, is read once.
 """
 
 from __future__ import annotations
@@ -18,38 +18,35 @@ from typing import Any, Final, Protocol, cast
 import can
 import numpy as np
 
-from eds.cia301 import SYNC_COB_ID
 from master.network import kernel_frames as frames
 
 Socket = socket.socket
 NS: Final = 1_000_000_000
 _HEAD = struct.Struct("=IB3x")
 FRAME_BYTES: Final = 16
-ROW_BYTES: Final = 8 * frames.ROW
-BATCH: Final = 32
-"""Rows that the tap's memory has room for beside what one call fetches."""
 
 Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
 """Time stamps of SYNC and of the targets, ns; time stamps and data of the inputs, as `eds.pdo_plan.Joined` takes them;
-identifier, time and state of heartbeats; the frames that the tap heard up to that SYNC, bytes of `cdr.FRAME_ROW`s, and
-their number.  Bytes hold until the next call."""
+identifier, time and state of heartbeats; the frames received up to that SYNC, bytes of `cdr.FRAME_ROW`s, and their
+number.  Bytes hold until the next call."""
 
 
 class ReadSocket(Protocol):
-    """What a cycle uses of a `master.network.socketcan.KernelBus`: its socket, and the memory that it reads into."""
+    """What a cycle uses of a `master.network.recorded_bus.RecordedBus`: its socket, and the memory of what it heard."""
 
     channel: str
     socket: Socket
     waiting: Any
     lost: int
+    memory: Any
     slots: Any
     headers: Any
-    told: Any
     numbers: Any
-    row_bytes: Any
+    told: Any
     block_rows: Any
+    row_bytes: Any
 
-    def trigger(self, can_ids: list[int]) -> Socket: ...
+    def trigger(self, can_id: int) -> Socket: ...
 
     def keep(self, count: int) -> None: ...
 
@@ -57,109 +54,108 @@ class ReadSocket(Protocol):
 
 
 class KernelCycles:
-    """Cycles of one master: its `bus`, the recorder's `tap`, the frame that it sends, the inputs that it waits for.
+    """Cycles of one master on its `bus`: the frames that it sends, the inputs that it waits for.
 
-    `targets` and `inputs` are identifiers with the least numbers of bytes.  Inputs have to come within `budget_ns` of
-    their SYNC, SYNC within a period and a quarter of the targets.  `count` is the number of cycles taken as one.
+    `targets` and `inputs` are identifiers with the least numbers of bytes; `heartbeat` is the master's identifier and
+    its byte.  Inputs have to come within `budget_ns` of their SYNC, SYNC within a period.  `count` is the number of
+    cycles taken as one.
     """
 
     def __init__(
-        self, bus: ReadSocket, tap: ReadSocket | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]],
-        period_ns: int, budget_ns: int,
+        self, bus: ReadSocket, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
+        budget_ns: int, heartbeat: tuple[int, int],
     ) -> None:
-        frames.prepare()
         self.count = 0
-        self._bus, self._tap, self._period_ns = bus, tap, period_ns
+        self._bus, self._budget_ns, self._period_ns, self._heartbeat = bus, budget_ns, period_ns, heartbeat
         targets_id, size = targets
-        self._numbers: Any = np.zeros(frames.HEEDED, np.int64)
-        self._told: Any = memoryview(cast(Any, self._numbers))
-        self._inputs = self._told.cast("B")[8 * frames.FRAMES:]
         self._last = max(can_id for can_id, _ in inputs)
-        self._trigger = bus.trigger([SYNC_COB_ID, self._last])
-        settings: Any = np.zeros(frames.SETTINGS, np.int64)
-        settings[[frames.MAIN, frames.TAP, frames.TRIGGER, frames.TARGETS, frames.PATIENCE, frames.BUDGET]] = (
-            bus.socket.fileno(), -1 if tap is None else tap.socket.fileno(), self._trigger.fileno(), targets_id,
-            period_ns + period_ns // 4, budget_ns)
-        self._settings: Any = memoryview(cast(Any, settings))
-        frame: Any = np.zeros(FRAME_BYTES, np.uint8)
-        self._data = memoryview(frame)[_HEAD.size:_HEAD.size + size]
-        memoryview(frame)[:_HEAD.size] = _HEAD.pack(targets_id, size)
-        heard = bus if tap is None else tap
-        self._tap_told, self._rows = heard.told, heard.row_bytes
-        self._call = (settings, frame, bus.slots, bus.headers, np.array([can_id for can_id, _ in inputs]),
-                      np.array([least for _, least in inputs]), self._numbers, heard.slots, heard.headers,
-                      heard.block_rows, heard.numbers)
+        self._trigger = bus.trigger(self._last)
+        numbers = self._numbers = np.zeros(frames.NUMBERS, np.int64)
+        numbers[[frames.MAIN, frames.TRIGGER, frames.TARGETS, frames.PATIENCE]] = (
+            bus.socket.fileno(), self._trigger.fileno(), targets_id, period_ns - period_ns // 2 + budget_ns)
+        numbers[frames.IDS:frames.SIZES] = [can_id for can_id, _ in inputs]
+        numbers[frames.SIZES:frames.HEED] = [least for _, least in inputs]
+        self._settings: Any = memoryview(cast(Any, numbers))
+        self._told = self._settings[frames.HEED:]
+        raw = self._settings.cast("B")
+        self._inputs = raw[8 * (frames.HEED + frames.FRAMES):]
+        _HEAD.pack_into(raw, 8 * frames.FRAME, targets_id, size)
+        _HEAD.pack_into(raw, 8 * frames.BEAT_FRAME, heartbeat[0], 1)
+        raw[8 * frames.BEAT_FRAME + _HEAD.size] = heartbeat[1]
+        data = 8 * frames.FRAME + _HEAD.size
+        self._data = raw[data:data + size]
         self._behind = True
 
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
         """Send the targets, and go on to the last input of the next SYNC, which has to come after `after_ns`.
 
-        False: nothing has happened, for frames wait or the heartbeat at `beat_ns` is due about now.  True: the targets
-        were sent, and the frames that came wait to be received.  Raises `can.CanError` where the bus failed.
+        The heartbeat at `beat_ns` is sent where it is due within a period from then, and told with the others.  False:
+        nothing has happened, for frames wait, or `beat_ns` is 0.  True: the targets were sent, and the frames that came
+        wait to be received; a heartbeat is not told then, and one more is sent at its time.  Raises `can.CanError`
+        where the bus failed.
         """
-        if self._bus.waiting or beat_ns < time.time_ns() + 2 * self._period_ns or not self._ready():
+        bus, told = self._bus, self._told
+        if bus.waiting or not beat_ns or (self._behind and not self._forgotten()):
             self._behind = True
             return False
         self._data[:] = data
         self._settings[frames.AFTER] = after_ns
-        ended = frames.cycle(*self._call)
-        told, heard = self._told, self._tap_told
+        due = beat_ns < after_ns + self._period_ns
+        self._settings[frames.ALIVE] = due
+        ended = frames.cycle(self._numbers, bus.memory, bus.block_rows)
         if told[frames.DROPPED] >= 0:
-            self._bus.lost = told[frames.DROPPED]
+            bus.lost = told[frames.DROPPED]
         if ended != frames.WHOLE and not self._mended(ended, after_ns):
             self._behind = True
             return ended != frames.NOT_SENT
-        self._behind = self._behind or self._settings[frames.WOKEN] != self._last
+        self._behind = ended != frames.WHOLE or self._settings[frames.WOKEN] != self._last
         self.count += 1
-        count = 0
-        if self._tap is not None:
-            count = heard[frames.FIRST] = heard[frames.SYNC_END]
-        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, self._beats() if told[frames.BEATS] else (),
-                self._rows[:ROW_BYTES * count], count)
+        heard = bus.told
+        count = heard[frames.FIRST] = heard[frames.SYNC_END]
+        beats = self._beats() if told[frames.BEATS] else ()
+        if due and not self._settings[frames.ALIVE]:
+            beats = (*beats, (self._heartbeat[0], max(beat_ns, after_ns), self._heartbeat[1]))
+        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, beats,
+                bus.row_bytes[:frames.ROW_BYTES * count], count)
 
-    def _ready(self) -> bool:
-        """Whether the tap has room, and what woke cycles that were received singly is forgotten."""
-        tap, told = self._tap, self._tap_told
-        if tap is not None:
-            if tap.row_bytes is not self._rows or told[frames.TAKEN] - told[frames.FIRST] > BATCH:
-                return False
-            if told[frames.LOST] >= 0:
-                tap.lost = told[frames.LOST]
-        if self._behind:
-            self._behind = False
-            try:
-                while True:
-                    self._trigger.recv(FRAME_BYTES, socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                return True
-            except OSError:  # the master's own socket fails with it, and says so
-                return False
-        return True
+    def _forgotten(self) -> bool:
+        """Forget what woke cycles that were received singly; False where the socket failed."""
+        self._behind = False
+        try:
+            while True:
+                self._trigger.recv(FRAME_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return True
+        except OSError:  # the master's own socket fails with it, and says so
+            return False
 
     def _mended(self, ended: int, after_ns: int) -> bool:
         """Whether the inputs that were not there yet come by their deadline; else all frames wait to be received.
 
         Raises `can.CanOperationError` where a socket failed.
         """
-        bus, told, settings = self._bus, self._told, self._settings
+        bus, told, numbers = self._bus, self._told, self._numbers
         if ended == frames.FAILED:
-            raise can.CanOperationError(f"{bus.channel}: {os.strerror(settings[frames.ERRNO])}", settings[frames.ERRNO])
+            code = self._settings[frames.ERRNO]
+            raise can.CanOperationError(f"{bus.channel}: {os.strerror(code)}", code)
         if ended != frames.FETCHED:
             return False
-        status, count = frames.STRANGE, settings[frames.COUNT]
+        status, count = frames.STRANGE, self._settings[frames.COUNT]
         if told[frames.MISSING] > 0:
             status = frames.WAITING
-        deadline_ns = told[frames.AT_NS] + settings[frames.BUDGET]
+        deadline_ns = told[frames.AT_NS] + self._budget_ns
         while True:
             if status == frames.DONE and told[frames.AT_NS] > after_ns:
                 bus.waiting.clear()  # what was kept below of this cycle
+                frames.mark(bus.block_rows, bus.told[frames.SYNC_END], self._settings[frames.TARGETS], bus.numbers)
                 return True
             bus.keep(count)
             left_ns = deadline_ns - time.time_ns()
             if status != frames.WAITING or left_ns <= 0 or not select.select([bus.socket], (), (), left_ns / NS)[0]:
                 return False
             count = bus.fetch()
-            status = frames.heed(bus.slots, bus.headers, count, self._call[4], self._call[5], self._numbers)
+            status = frames.heed(bus.slots, bus.headers, count, numbers[frames.IDS:frames.SIZES],
+                                 numbers[frames.SIZES:frames.HEED], numbers[frames.HEED:])
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         told, first = self._told, frames.BEAT

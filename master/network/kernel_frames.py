@@ -18,22 +18,31 @@ from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
 
 SLOT, HEADER, ROW = 10, 8, 3
 """Words of a slot, of a header, of a `cdr.FRAME_ROW`."""
+ROW_BYTES: Final = 8 * ROW
+BATCH: Final = 32
+"""Slots of one `recvmmsg`, and as many headers."""
+SLOTS: Final = BATCH * HEADER
+KNOWN: Final = SLOTS + BATCH * SLOT
+"""Words that a socket is read into: headers; from here on slots, and what is known of rows."""
 EFF, RTR, ERR, ID = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
-OWN: Final = 4
+HERE: Final = 4
 """MSG_DONTROUTE: the frame was sent by this computer."""
+OWN: Final = 0x800
+"""MSG_CONFIRM: it was sent by the very socket that receives it."""
 ANCILLARY: Final = 64
 DONT_WAIT: Final = 0x40
 PLAIN: Final = 32
 """Ancillary bytes of a message that tells its time stamp alone."""
 NS: Final = 1_000_000_000
 
-LAST_NS, MARKED_NS, SYNC_NS, SYNC_END, LOST, FIRST, TAKEN, TOLD = range(8)
-"""What is known of rows: time stamps of the last frame, of the last marked one and of the last SYNC, −1 for none; the
-place behind that SYNC; lost frames, −1 where none was told; the first row that nobody has taken, and the end."""
+MARKED_NS, SYNC_END, FIRST, TAKEN, TOLD = range(5)
+"""What is known of rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first
+row that nobody has taken, and the end."""
+MEMORY: Final = KNOWN + TOLD
 INPUTS: Final = 4
 MISSING, AT_NS, DROPPED, BEATS, BEAT = 0, 1, 2, 3, 4
-"""What `heed` tells: a bit for each input that is not there yet, −1 before SYNC; when SYNC came; lost frames, as above;
-heartbeats and, from `BEAT` on, identifier, time and state of each."""
+"""What `heed` tells: a bit for each input that is not there yet, −1 before SYNC; when SYNC came; lost frames, −1 where
+none was told; heartbeats and, from `BEAT` on, identifier, time and state of each."""
 MOST_BEATS: Final = 8
 FRAMES: Final = BEAT + 3 * MOST_BEATS
 """From here on time stamp and data of each input."""
@@ -44,8 +53,8 @@ DONE, WAITING, STRANGE = 1, 0, -1
 
 
 @njit(cache=True)
-def rows(slots: Any, headers: Any, count: int, block: Any, marked_id: int, told: Any) -> None:
-    """Write `count` frames into `block`, rows of `ROW` words, behind those there; `told` says what they were."""
+def rows(slots: Any, headers: Any, count: int, block: Any, told: Any) -> None:
+    """Write `count` frames into `block`, rows of `ROW` words, behind those there; `told` goes on."""
     at = told[TAKEN]
     for n in range(count):
         raw, size = slots[n, 0] & np.uint64(0xFFFFFFFF), (slots[n, 0] >> np.uint64(32)) & np.uint64(0xFF)
@@ -60,17 +69,12 @@ def rows(slots: Any, headers: Any, count: int, block: Any, marked_id: int, told:
                 data = np.uint64(0)
         if size < np.uint64(8):
             data &= (np.uint64(1) << (np.uint64(8) * size)) - np.uint64(1)
-        own = np.uint64(headers[n, 6] & np.uint64(OWN) != np.uint64(0))
+        sent = np.uint64(headers[n, 6] & np.uint64(HERE) != np.uint64(0))
         block[at + n, 0] = np.uint64(time_ns)
-        block[at + n, 1] = can_id | flags << np.uint64(32) | size << np.uint64(40) | own << np.uint64(56)
+        block[at + n, 1] = can_id | flags << np.uint64(32) | size << np.uint64(40) | sent << np.uint64(56)
         block[at + n, 2] = data
-        told[LAST_NS] = time_ns
-        if raw == np.uint64(marked_id):
-            told[MARKED_NS] = time_ns
         if raw == np.uint64(SYNC_COB_ID):
-            told[SYNC_NS], told[SYNC_END] = time_ns, at + n + 1
-        if headers[n, 5] > np.uint64(PLAIN):
-            told[LOST] = np.int64(slots[n, 8] & np.uint64(0xFFFFFFFF))
+            told[SYNC_END] = at + n + 1
     told[TAKEN] = at + count
 
 
@@ -81,13 +85,23 @@ def to_front(block: Any, told: Any) -> None:
     for n in range(left if first else 0):
         for word in range(ROW):
             block[n, word] = block[first + n, word]
-    told[FIRST], told[TAKEN], told[SYNC_NS], told[SYNC_END] = 0, left, -1, -1
+    told[FIRST], told[TAKEN], told[SYNC_END] = 0, left, -1
+
+
+@njit(cache=True)
+def mark(block: Any, count: int, marked_id: int, told: Any) -> None:
+    """Tell the time stamp of the last data frame `marked_id` (base format) among the first `count` rows."""
+    for n in range(count - 1, -1, -1):
+        if block[n, 1] & np.uint64(0xFFFFFFFFFF) == np.uint64(marked_id):
+            told[MARKED_NS] = np.int64(block[n, 0])
+            return
 
 
 @njit(cache=True)
 def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: Any) -> int:
     """Take the frames of a cycle after its targets: this computer's SYNC, then each input once; heartbeats at any time.
 
+    Frames that the socket itself has sent are passed over.
     `inputs` and `sizes` are the inputs' identifiers, each with its node's number in the last seven bits, and least
     sizes; only these nodes' heartbeats are known.  `told` goes on from the call before.
     """
@@ -97,8 +111,10 @@ def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: An
         time_ns = np.int64(slots[n, 4]) * NS + np.int64(slots[n, 5])
         if headers[n, 5] > np.uint64(PLAIN):
             told[DROPPED] = np.int64(slots[n, 8] & np.uint64(0xFFFFFFFF))
+        if headers[n, 6] & np.uint64(OWN):
+            continue
         if raw == SYNC_COB_ID:
-            if told[MISSING] >= 0 or not headers[n, 6] & np.uint64(OWN):
+            if told[MISSING] >= 0 or not headers[n, 6] & np.uint64(HERE):
                 return STRANGE
             told[MISSING], told[AT_NS] = (1 << INPUTS) - 1, time_ns
             continue
@@ -124,13 +140,19 @@ def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: An
 
 # ---- one cycle ----
 
-MAIN, TAP, TRIGGER, TARGETS, LAST, PATIENCE, BUDGET, AFTER, ERRNO, COUNT, SPEC, WOKEN, POLL, SETTINGS = (
-    *range(11), 12, 14, 15)
-"""Settings of `cycle`: sockets, −1 for no tap; identifiers of the targets and of the input that wakes; ns; what failed;
-frames fetched last; memory of system calls (struct timespec, a frame, struct pollfd)."""
-WHOLE, BY_HAND, FETCHED, NOT_SENT, FAILED = range(5)
-"""How a cycle ended: all of it is here; nothing was read; the frames that were read are not, or not yet, a whole cycle;
-nothing was sent; a socket failed."""
+MAIN, TRIGGER, TARGETS, PATIENCE, AFTER, ERRNO, COUNT, ALIVE, SPEC, WOKEN, POLL, FRAME, BEAT_FRAME = (
+    *range(9), 10, 12, 13, 15)
+"""Numbers of `cycle`: sockets; identifier of the targets; how long after `AFTER` the last input is waited for, ns; time
+that SYNC has to come after, ns; what failed; frames fetched last; 1 where the heartbeat is due, 0 once it is sent;
+memory of system calls: struct timespec, a frame received, struct pollfd, the targets' frame, the heartbeat's."""
+IDS: Final = BEAT_FRAME + 2
+SIZES: Final = IDS + INPUTS
+HEED: Final = SIZES + INPUTS
+NUMBERS: Final = HEED + HEEDED
+"""Further: identifiers of the inputs, their least sizes, what `heed` tells."""
+WHOLE, FETCHED, NOT_SENT, FAILED = range(4)
+"""How a cycle ended: all of it is here; the frames that were read are not, or not yet, a whole cycle; nothing was sent;
+a socket failed."""
 _POLLIN: Final = 1 << 32
 _EAGAIN: Final = 11
 
@@ -167,11 +189,11 @@ def woken(c: Any, timeout_ns: int) -> Any:
 
 
 @njit
-def fetch(c: Any, which: int, headers: Any) -> Any:
-    """Take what waits at a socket into its memory; return how many frames, −1 where the socket failed."""
+def fetch(c: Any, headers: Any) -> Any:
+    """Take what waits at the socket into its memory; return how many frames, −1 where the socket failed."""
     for n in range(len(headers)):
         headers[n, 1], headers[n, 5], headers[n, 6], headers[n, 7] = 0, ANCILLARY, 0, 0
-    count = _recvmmsg(np.int32(c[which]), headers.ctypes.data, len(headers), np.int32(DONT_WAIT), 0)
+    count = _recvmmsg(np.int32(c[MAIN]), headers.ctypes.data, len(headers), np.int32(DONT_WAIT), 0)
     if count < 0:
         c[ERRNO] = _carray(_errno(), 1)[0]
         return 0 if c[ERRNO] == _EAGAIN else -1
@@ -179,36 +201,34 @@ def fetch(c: Any, which: int, headers: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def cycle(
-    c: Any, frame: Any, slots: Any, headers: Any, ids: Any, sizes: Any, told: Any, tap_slots: Any, tap_headers: Any,
-    block: Any, tap_told: Any,
-) -> int:
-    """Send `frame`, wait for SYNC, take what the tap has heard, wait for the last input, take the cycle's frames."""
-    if _send(np.int32(c[MAIN]), frame.ctypes.data, 16, np.int32(0)) != 16:
+def cycle(c: Any, memory: Any, block: Any) -> int:
+    """Send the targets, wait for the last input of the next SYNC, take every frame up to it: as rows, and as inputs.
+
+    The heartbeat goes behind the targets where it is due; one that finds the queue full is left to the next cycle.
+    `c`: `NUMBERS`; `memory`: `MEMORY`, of the socket; `block`: rows, as `rows` goes on with them.
+    """
+    headers, slots = memory[:SLOTS].reshape(BATCH, HEADER), memory[SLOTS:KNOWN].reshape(BATCH, SLOT)
+    heard = memory[KNOWN:].view(np.int64)
+    to_front(block, heard)
+    if heard[TAKEN] + BATCH > len(block):
         return NOT_SENT
+    if _send(np.int32(c[MAIN]), c.ctypes.data + 8 * FRAME, 16, np.int32(0)) != 16:
+        return NOT_SENT
+    if c[ALIVE] and _send(np.int32(c[MAIN]), c.ctypes.data + 8 * BEAT_FRAME, 16, np.int32(0)) == 16:
+        c[ALIVE] = 0
+    told = c[HEED:]
     told[MISSING], told[DROPPED], told[BEATS] = -1, -1, 0
-    woke = woken(c, c[PATIENCE])
-    if woke != SYNC_COB_ID:
-        return FAILED if woke < 0 else BY_HAND
-    sync_ns = now(c)
-    if c[TAP] >= 0:
-        to_front(block, tap_told)
-        count = fetch(c, TAP, tap_headers)
-        if count < 0:
-            return FAILED
-        rows(tap_slots, tap_headers, count, block, c[TARGETS], tap_told)
-        sync_ns = tap_told[SYNC_NS]
-        if sync_ns < 0:
-            return BY_HAND
-    woke = woken(c, sync_ns + c[BUDGET] - now(c))
+    woke = woken(c, c[AFTER] + c[PATIENCE] - now(c))
     if woke < 0:
         return FAILED
-    c[COUNT] = count = fetch(c, MAIN, headers)
+    c[COUNT] = count = fetch(c, headers)
     if count < 0:
         return FAILED
-    status = heed(slots, headers, count, ids, sizes, told)
+    rows(slots, headers, count, block, heard)
+    status = heed(slots, headers, count, c[IDS:SIZES], c[SIZES:HEED], told)
     if status != DONE or told[AT_NS] <= c[AFTER]:
         return FETCHED
+    mark(block, heard[SYNC_END], c[TARGETS], heard)
     c[WOKEN] = woke
     return WHOLE
 
@@ -216,11 +236,11 @@ def cycle(
 def prepare() -> None:
     """Compile everything, or load it from numba's cache, before time matters."""
     slots, headers = np.zeros((1, SLOT), np.uint64), np.zeros((1, HEADER), np.uint64)
-    told, tap_told = np.zeros(HEEDED, np.int64), np.zeros(TOLD, np.int64)
-    block, ids = np.zeros((1, ROW), np.uint64), np.zeros(INPUTS, np.int64)
-    rows(slots, headers, 0, block, 0, tap_told)
-    to_front(block, tap_told)
-    heed(slots, headers, 0, ids, ids, told)
-    c = np.full(SETTINGS, -1, np.int64)
-    if cycle(c, np.zeros(16, np.uint8), slots, headers, ids, ids, told, slots, headers, block, tap_told) != NOT_SENT:
+    block, heard = np.zeros((BATCH, ROW), np.uint64), np.zeros(TOLD, np.int64)
+    rows(slots, headers, 0, block, heard)
+    to_front(block, heard)
+    mark(block, 0, 0, heard)
+    c = np.full(NUMBERS, -1, np.int64)
+    heed(slots, headers, 0, c[IDS:SIZES], c[SIZES:HEED], c[HEED:])
+    if cycle(c, np.zeros(MEMORY, np.uint64), block) != NOT_SENT:
         raise RuntimeError("send() took a socket that there is not")

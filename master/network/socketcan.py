@@ -12,8 +12,9 @@ import os
 import select
 import socket
 import struct
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, Final, cast
 
 import can
@@ -21,19 +22,16 @@ import numpy as np
 from can.interfaces.socketcan import SocketcanBus
 
 from master.network import kernel_frames
-from master.network.kernel_cycles import KernelCycles
-from master.network.kernel_frames import FIRST, LAST_NS, LOST, MARKED_NS, TAKEN
-from trial.mcap_file.cdr import FRAME_STRUCT
+from master.network.kernel_frames import BATCH, HEADER, KNOWN, SLOT, SLOTS
 
 NS: Final = 1_000_000_000
 RECEIVE_BUFFER: Final = 8 << 20
 """Bytes that are asked for; the kernel charges about 770 for a waiting frame, so a second of a full bus fits."""
-BATCH: Final = 32
 
 _SO_TIMESTAMPNS, _SO_RCVBUFFORCE, _SO_RXQ_OVFL = 35, 33, 40
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
-_OWN, _NOW = int(socket.MSG_DONTROUTE), int(socket.MSG_DONTWAIT)
-"""As plain integers: an operation on `socket.MsgFlag` costs more than all else that is done with a frame."""
+_NOW: Final = int(socket.MSG_DONTWAIT)
+"""A plain integer: an operation on `socket.MsgFlag` costs more than all else that is done with a frame."""
 _EAGAIN: Final = 11
 _FRAME = struct.Struct("=IB3x8s")
 _SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
@@ -45,15 +43,8 @@ _HEADER_END = struct.Struct("=40xQi12x")
 """Of a header: how much ancillary data there is, flags."""
 _ANCILLARY = 64
 _PLAIN = kernel_frames.PLAIN
-_FILTER = struct.Struct("=II")
-_ALONE: Final = _EFF | _RTR | 0x7FF
-"""Mask of a filter that passes data frames of the base format with one identifier."""
-ROW: Final = FRAME_STRUCT.size
 
 _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
-
-
-Row = tuple[int, int, bytes, int, bool]
 
 
 class KernelMessage(can.Message):
@@ -75,17 +66,12 @@ class KernelBus(SocketcanBus):
         self._readers = [self.socket]
         self._number = self.socket.fileno()
         self.waiting: deque[KernelMessage] = deque()
-        self._triggers: list[socket.socket] = []
-        self._slots, self._vectors = bytearray(BATCH * _SLOT.size), bytearray(BATCH * _VECTOR.size)
-        self._headers = bytearray(BATCH * _HEADER.size)
+        self.memory: Any = np.zeros(kernel_frames.MEMORY, np.uint64)
+        self.headers, self.slots = (self.memory[:SLOTS].reshape(BATCH, HEADER),
+                                    self.memory[SLOTS:KNOWN].reshape(BATCH, SLOT))
+        self._headers, self._slots = (memoryview(cast(Any, part)).cast("B") for part in (self.headers, self.slots))
+        self._vectors = bytearray(BATCH * _VECTOR.size)
         self._template = self._laid_out()
-        self._seen, self._ends = memoryview(self._slots), memoryview(self._headers)
-        self.slots: Any = np.frombuffer(self._slots, np.uint64).reshape(BATCH, kernel_frames.SLOT)
-        self.headers: Any = np.frombuffer(self._headers, np.uint64).reshape(BATCH, kernel_frames.HEADER)
-        self._make_room(2 * BATCH)
-        self.numbers: Any = np.full(kernel_frames.TOLD, -1, np.int64)
-        self.told: Any = memoryview(cast(Any, self.numbers))
-        self.told[FIRST] = self.told[TAKEN] = 0
         self.socket.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
         try:
             self.socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
@@ -94,9 +80,8 @@ class KernelBus(SocketcanBus):
 
     def _laid_out(self) -> bytes:
         """Point every header at its own frame and ancillary bytes; what the kernel overwrites is copied back."""
-        slots, vectors, first = (
-            ctypes.addressof(ctypes.c_char.from_buffer(memory))
-            for memory in (self._slots, self._vectors, self._headers))
+        slots, first = self.slots.ctypes.data, self.headers.ctypes.data
+        vectors = ctypes.addressof(ctypes.c_char.from_buffer(self._vectors))
         for i in range(BATCH):
             slot = slots + i * _SLOT.size
             _VECTOR.pack_into(self._vectors, i * _VECTOR.size, slot, _FRAME.size)
@@ -118,72 +103,26 @@ class KernelBus(SocketcanBus):
         waiting = self.waiting
         if waiting:
             return waiting.popleft()
-        if timeout != 0.0:
-            try:
-                if not select.select(self._readers, (), (), timeout)[0]:
-                    return None
-            except OSError as error:
-                raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
-        self.keep(self.fetch())
-        return waiting.popleft() if waiting else None
+        until = None if timeout is None else time.monotonic() + timeout
+        while True:
+            if timeout != 0.0:
+                try:
+                    if not select.select(self._readers, (), (), timeout)[0]:
+                        return None
+                except OSError as error:
+                    raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
+            self.keep(self.fetch())
+            if waiting:
+                return waiting.popleft()
+            if timeout == 0.0:
+                return None
+            if until is not None:  # what came were this socket's own frames
+                timeout = max(0.0, until - time.monotonic())
 
     def keep(self, count: int) -> None:
-        """Let the frames that were fetched wait to be received, as messages."""
+        """Let the frames that were fetched wait to be received, as messages, but for those that this socket sent."""
         for frame in self._frames(count):
             self.waiting.append(self._message(*frame))
-
-    def rows(self) -> Iterator[Row]:
-        """Every frame that waits, as `master.cycle.log` wants them, without a message made of each."""
-        block, _, _, _ = self.block(0)
-        for time_ns, can_id, flags, size, _, sent, payload in FRAME_STRUCT.iter_unpack(bytes(block)):
-            yield time_ns, can_id, payload[:size], flags, sent
-
-    def block(self, marked_id: int) -> tuple[Any, int, int, int]:
-        """Every frame that waits: bytes of `cdr.FRAME_ROW`s, their number, time stamps of the last and of `marked_id`.
-
-        A time stamp is −1 where there was never such a frame.  The bytes hold until the next call.
-        """
-        told = self.told
-        kernel_frames.to_front(self.block_rows, self.numbers)
-        count = BATCH
-        while count == BATCH:
-            count = self.fetch()
-            if told[TAKEN] + count > len(self.block_rows):
-                self._make_room(2 * len(self.block_rows))
-            kernel_frames.rows(self.slots, self.headers, count, self.block_rows, marked_id, self.numbers)
-        if told[LOST] >= 0:
-            self.lost = told[LOST]
-        told[FIRST] = told[TAKEN]
-        return self.row_bytes[:ROW * told[TAKEN]], told[TAKEN], told[LAST_NS], told[MARKED_NS]
-
-    def _make_room(self, count: int) -> None:
-        """Have memory for so many rows, with the rows that are there."""
-        before = getattr(self, "block_rows", np.zeros((0, kernel_frames.ROW), np.uint64))
-        self.block_rows: Any = np.zeros((count, kernel_frames.ROW), np.uint64)
-        self.block_rows[:len(before)] = before
-        self.row_bytes = memoryview(cast(Any, self.block_rows)).cast("B")
-
-    def cycles(
-        self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
-        budget_ns: int, heartbeat: tuple[int, int, int],
-    ) -> KernelCycles | None:
-        """Offer whole control cycles to a master, see `KernelCycles`; None with a tap of another kind.
-
-        `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
-        that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC.
-        """
-        if tap is not None and not isinstance(tap, KernelBus):
-            return None
-        return KernelCycles(self, tap, targets, inputs, period_ns, budget_ns)
-
-    def trigger(self, can_ids: Sequence[int]) -> socket.socket:
-        """Open another socket on the same interface that hears these identifiers alone; it closes with this bus."""
-        opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        self._triggers.append(opened)
-        opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER,
-                          b"".join(_FILTER.pack(can_id, _ALONE) for can_id in can_ids))
-        opened.bind((self.channel,))
-        return opened
 
     def fetch(self) -> int:
         """Take what waits into memory, at most `BATCH` frames; returns how many."""
@@ -197,19 +136,20 @@ class KernelBus(SocketcanBus):
         return 0
 
     def _frames(self, count: int) -> Iterator[tuple[int, int, bytes, int, bool]]:
-        """The frames taken: identifier with the kernel's flags, size, eight bytes, time stamp, own."""
-        ends = _HEADER_END.iter_unpack(self._ends[:count * _HEADER.size])
-        for can_id, size, payload, seconds, nanoseconds, lost in _SLOT.iter_unpack(self._seen[:count * _SLOT.size]):
+        """Others' frames of those taken: identifier with the kernel's flags, size, 8 bytes, time stamp, from here."""
+        ends = _HEADER_END.iter_unpack(self._headers[:count * _HEADER.size])
+        for can_id, size, payload, seconds, nanoseconds, lost in _SLOT.iter_unpack(self._slots[:count * _SLOT.size]):
             told, flags = next(ends)
             if told > _PLAIN:
                 self.lost = lost
-            yield can_id, size, payload, seconds * NS + nanoseconds, flags & _OWN != 0
+            if not flags & kernel_frames.OWN:
+                yield can_id, size, payload, seconds * NS + nanoseconds, flags & kernel_frames.HERE != 0
 
-    def _message(self, can_id: int, size: int, payload: bytes, time_ns: int, own: bool) -> KernelMessage:
+    def _message(self, can_id: int, size: int, payload: bytes, time_ns: int, here: bool) -> KernelMessage:
         message = KernelMessage.__new__(KernelMessage)
         message.time_ns = time_ns
         message.timestamp = time_ns / NS
-        message.is_rx = not own
+        message.is_rx = not here
         message.channel = self.channel
         message.dlc = size
         message.is_fd = message.bitrate_switch = message.error_state_indicator = False
@@ -238,8 +178,6 @@ class KernelBus(SocketcanBus):
             raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
 
     def shutdown(self) -> None:
-        """Close every socket: the broadcast manager ends what it sends for one, if its interface has not done so."""
+        """Close the sockets: the broadcast manager ends what it sends for one, if its interface has not done so."""
         self._periodic_tasks.clear()
-        for opened in self._triggers:
-            opened.close()
         super().shutdown()

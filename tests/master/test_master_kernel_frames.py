@@ -20,8 +20,10 @@ SLOT = struct.Struct("=IB3x8s16xqq16xI12x")
 HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 """struct mmsghdr (recvmmsg(2))."""
 TIMES = st.integers(0, 4 * 10**9 * 10**9)
-Frame = tuple[int, bytes, int, bool, int]
-"""Identifier with the kernel's flags, data, time stamp, own, lost frames (0: not told)."""
+Frame = tuple[int, bytes, int, int, int]
+"""Identifier with the kernel's flags, data, time stamp, whence (`WHENCE`), lost frames (0: not told)."""
+WHENCE = {0: 0, 1: frames.HERE, 2: frames.HERE | frames.OWN}
+"""Flags of a message: from another computer, from this one, from the socket itself."""
 NODES = (SERVO, KNEE, START, END)
 WANTED = np.array([TPDO_BASE + node for node in NODES]), np.array([8, 6, 2, 2])
 
@@ -30,7 +32,7 @@ def kernel_frames(draw: Any) -> Frame:
     can_id = draw(st.sampled_from([SYNC_COB_ID, 0x201, 0x181]) | st.integers(0, 0x7FF)
                   | st.integers(0, 0x1FFFFFFF).map(lambda each: each | frames.EFF))
     flags = draw(st.sampled_from([0, 0, frames.RTR, frames.ERR]))
-    return (can_id | flags, draw(st.binary(max_size=8)), draw(TIMES), draw(st.booleans()),
+    return (can_id | flags, draw(st.binary(max_size=8)), draw(TIMES), draw(st.integers(0, 2)),
             draw(st.just(0) | st.integers(1, 2**32 - 1)))
 
 
@@ -40,18 +42,18 @@ def memory(batch: list[Frame]) -> tuple[Any, Any]:
         SLOT.pack(can_id, len(data), data + b"\xa5" * (8 - len(data)), *divmod(time_ns, 10**9), lost)
         for can_id, data, time_ns, _, lost in batch)
     headers = bytearray().join(
-        HEADER.pack(0, 0, 0, 1, 0, 56 if lost else 32, frames.OWN if own else 0, 16)
-        for _, _, _, own, lost in batch)
+        HEADER.pack(0, 0, 0, 1, 0, 56 if lost else 32, WHENCE[here], 16)
+        for _, _, _, here, lost in batch)
     return (np.frombuffer(slots, np.uint64).reshape(-1, frames.SLOT),
             np.frombuffer(headers, np.uint64).reshape(-1, frames.HEADER))
 
 
 def row(frame: Frame) -> tuple[Any, ...]:
-    can_id, data, time_ns, own, _ = frame
+    can_id, data, time_ns, here, _ = frame
     remote = can_id & frames.RTR != 0
     flags = REMOTE * remote | EXTENDED * (can_id & frames.EFF != 0) | ERROR * (can_id & frames.ERR != 0)
     payload = bytes(8) if remote else data.ljust(8, b"\0")
-    return time_ns, can_id & 0x1FFFFFFF, flags, len(data), 0, own, list(payload)
+    return time_ns, can_id & 0x1FFFFFFF, flags, len(data), 0, here > 0, list(payload)
 
 
 @settings(deadline=None)  # memory is mapped and a function loaded in the first example
@@ -60,15 +62,13 @@ def test_rows_are_what_the_structs_hold(batch: list[Frame], at: int) -> None:
     block = np.zeros((at + len(batch), frames.ROW), np.uint64)
     told = np.full(frames.TOLD, -1, np.int64)
     told[frames.TAKEN] = at
-    frames.rows(*memory(batch), len(batch), block, 0x201, told)
+    frames.rows(*memory(batch), len(batch), block, told)
+    frames.mark(block, at + len(batch), 0x201, told)
     found = block[at:].view(FRAME_ROW)[:, 0]
     assert [(*each.tolist()[:6], each["data"].tolist()) for each in found] == [row(frame) for frame in batch]
     last = {can_id: (time_ns, n) for n, (can_id, _, time_ns, _, _) in enumerate(batch)}
-    sync_ns, place = last.get(SYNC_COB_ID, (-1, -2 - at))
-    assert told[[frames.SYNC_NS, frames.SYNC_END]].tolist() == [sync_ns, at + place + 1]
+    assert told[frames.SYNC_END] == at + last.get(SYNC_COB_ID, (-1, -2 - at))[1] + 1
     assert told[frames.MARKED_NS] == last.get(0x201, (-1, 0))[0]
-    assert told[frames.LAST_NS] == batch[-1][2]
-    assert told[frames.LOST] == ([lost for *_, lost in batch if lost] or [-1])[-1]
     assert told[frames.TAKEN] == at + len(batch)
 
 
@@ -104,11 +104,20 @@ def test_a_cycle_is_whole_once_sync_and_every_input_have_come(
     assert heeded([each for each in batch if each is not inputs[0]])[0] == frames.WAITING
 
 
+@pytest.mark.parametrize("place", range(6))
+def test_what_the_socket_itself_has_sent_is_passed_over(place: int) -> None:
+    for frame in ((0x201, bytes(8), 1, 2, 0), (HEARTBEAT_BASE + 127, b"\5", 1, 2, 0)):
+        batch: list[Frame] = [SYNC, *INPUTS]
+        batch.insert(place, frame)
+        assert heeded(batch)[0] == frames.DONE
+
+
 STRANGE: list[tuple[str, Frame]] = [
     ("a second SYNC", SYNC), ("an input twice", INPUTS[2]), ("EMCY", (0x81, bytes(8), 1, False, 0)),
     ("boot-up", (HEARTBEAT_BASE + KNEE, b"\0", 1, False, 0)),
     ("another node", (HEARTBEAT_BASE + 9, b"\5", 1, False, 0)),
     ("another master", (HEARTBEAT_BASE + 127, b"\5", 1, False, 0)), ("targets", (0x201, bytes(8), 1, False, 0)),
+    ("targets from here", (0x201, bytes(8), 1, 1, 0)),
     ("an extended frame", (SYNC_COB_ID | frames.EFF, b"", 1, False, 0)),
     ("an error frame", (0x20000004, bytes(8), 1, False, 0)), ("SDO", (0x581, bytes(8), 1, False, 0)),
     ("a remote frame", (TPDO_BASE + END | frames.RTR, bytes(2), 1, False, 0)),

@@ -111,7 +111,9 @@ class Container:
             record(METADATA_INDEX, struct.pack("<QQ", self.position, len(whole)), string(name)))
         self._write(whole)
 
-    def chunk(self, content: bytes, index: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]) -> None:
+    def chunk(
+        self, content: bytes | memoryview, index: Mapping[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
+    ) -> None:
         """Write the message records `content`; `index` gives, by channel, their times and where each begins."""
         first = min(int(times.min()) for times, _ in index.values())
         last = max(int(times.max()) for times, _ in index.values())

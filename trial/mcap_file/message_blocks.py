@@ -6,7 +6,7 @@ The rule of this file: a block is flat memory of one topic, filled by one thread
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,9 @@ EVENTS_PER_CHUNK = 256
 
 
 class ChunkContent(NamedTuple):
-    """What a chunk holds: message records, the time of each (ns), and where in `data` each begins."""
+    """What a chunk holds: message records, bytes, the time of each (ns), and where in `data` each begins."""
 
-    data: bytes
+    data: bytes | memoryview
     times: NDArray[np.int64]
     offsets: NDArray[np.int64]
 
@@ -90,4 +90,4 @@ def cycles_per_chunk(width: int) -> int:
 
 def _fixed(records: NDArray[np.void], times: NDArray[np.int64]) -> ChunkContent:
     offsets = np.arange(len(records), dtype=np.int64) * records.dtype.itemsize
-    return ChunkContent(records.tobytes(), times.copy(), offsets)
+    return ChunkContent(memoryview(cast(Any, records.view(np.uint8))), times.copy(), offsets)
