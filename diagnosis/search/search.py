@@ -26,8 +26,8 @@ PARAMETER: Final = 0.01
 UNLIKELY: Final = 0.02
 """The same for a value outside the range where the catalogue expects it."""
 LATER_REFITS: Final = 4
-WORTH_CARRYING: Final = 2.0
-"""Cost of a fit, of the best one's of as many effects, from which it is no rival however it is carried on."""
+WORTH_POLISHING: Final = 2.0
+"""Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
 LEVEL: Final = 4.0
 """How much wider than among like benches the level of a law is when the law is an effect."""
 
@@ -265,7 +265,7 @@ class Search:
             self.grow(self.without(best, out), FIRST_REFITS)
         best = self._ordered(self._first(len(best.effects))) if best.effects else best
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
-                     and m.fit.cost < WORTH_CARRYING * best.fit.cost]:
+                     and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)
         return SearchResult(self.baseline, best, tuple(sorted(self.tried.values(), key=lambda m: m.fit_score)))
 
@@ -277,6 +277,5 @@ def _released(f: Free) -> Free:
 
 
 def _foremost(models: Iterable[FittedEffects]) -> list[FittedEffects]:
-    """Return the few of the best fit score, best first; none that is far behind the first."""
-    ordered = sorted(models, key=lambda m: m.fit_score)
-    return [m for m in ordered[:BEAM] if m.fit.cost < WORTH_CARRYING * ordered[0].fit.cost]
+    """Return the few of the best fit score, best first."""
+    return sorted(models, key=lambda m: m.fit_score)[:BEAM]
