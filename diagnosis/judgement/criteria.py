@@ -15,6 +15,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, Search
 from physics.effects.catalogue import CATALOGUE
+from physics.parameters import PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class SearchCriteria:
         if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
             return False
         if lesser.effects and any(c.unlikely(model.fit.values, verdict.STRETCHED) for c in added):
+            return False
+        if any(self._beyond(c, model) for c in added):
             return False
         kept = 1.0 - verdict.FURTHER_ELSEWHERE
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
@@ -109,13 +112,22 @@ class SearchCriteria:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
         return self._unlike(effect, model) and self.leads(effect, model)
 
+    def _beyond(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether an effect has moved a parameter by more than all that the catalogue expects of it."""
+        healthy = self.setting.reference.values
+        return any(abs(model.fit.values[n] - healthy[n]) > high - low for n, (low, high) in effect.likely.items()
+                   if n in effect.parameters and PARAMETERS[n].neutral is not None)
+
     def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
 
-        The band is about what is expected beside the other constants of the model.
+        The band is about what is expected beside the other constants of the model.  A law that is freed with its level
+        must say something beside that.
         """
-        if not any(abs(model.fit.values[f.name] - self.setting.reference.values[f.name])
-                   > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
+        at, healthy = model.fit.values, self.setting.reference.values
+        together = not self.setting.any_rig and not effect.level
+        if not together and not any(abs(at[f.name] - healthy[f.name])
+                                    > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
             return False
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         outside = [f.name for f in effect.frees if f.name not in bands
