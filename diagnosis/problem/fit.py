@@ -30,8 +30,8 @@ ENOUGH: Final = 1e-3
 """Relative fall of the cost below which a fit has arrived."""
 ROUGHLY: Final = 5e-3
 """The same of a fit that only says which others are worth carrying on."""
-ROUNDS: Final = 12
-"""Most rounds in which a step finds the bounds that hold it."""
+LEAST_PULL: Final = 1e-9
+"""Slope, of the steepest, below which nothing pulls a parameter off its bound."""
 SINGULAR: Final = 1e-9
 """What is added to a scaled curvature before it is inverted."""
 IDLE: Final = 1e-5
@@ -260,26 +260,37 @@ def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping
     # damped by what is known of each beside all others: of two that trade with each other, the sum is known far better
     alone = 1.0 / np.diag(np.linalg.inv(curvature / np.outer(scale, scale) + SINGULAR * np.eye(at.size)))
     damped = curvature + damping * np.diag(alone * scale**2)
-    low, high = (down >= 0.0) & (gradient > 0.0), (up <= 0.0) & (gradient < 0.0)
-    step = np.zeros(at.size)
-    for _ in range(ROUNDS):
-        free = np.flatnonzero(~(low | high))
-        step[low], step[high] = down[low], up[high]
-        if free.size:
-            held = damped[np.ix_(free, np.flatnonzero(low | high))] @ step[low | high]
-            step[free] = -_solved(damped[np.ix_(free, free)] / (scale[free, None] * scale[free]),
-                                  (gradient[free] + held) / scale[free]) / scale[free]
-        # a bound that one parameter was held by lets go where the others, moved, pull it back inside
-        slope = gradient + damped @ step
-        below, above = step < down, step > up
-        back = (low & (slope < 0.0)) | (high & (slope > 0.0))
-        if not (below | above | back).any():
-            break
-        low, high = (low | below) & ~back, (high | above) & ~back
-    step = np.clip(step, down, up)
+    step = _between(damped / np.outer(scale, scale), gradient / scale, down * scale, up * scale) / scale
     step[np.maximum(np.abs(gradient * step), (scale * step) ** 2) < IDLE * cost] = 0.0
     promised = -float(gradient @ step) - 0.5 * float(step @ curvature @ step)
     return np.clip(at + step, space.low, space.high), promised
+
+
+def _between(matrix: Array, gradient: Array, down: Array, up: Array) -> Array:
+    """Return the step between bounds (0 among them) that makes ½·xᵀ·matrix·x + gradient·x least: by active sets.
+
+    A parameter that would leave stops on its bound, and the worst one that the others pull back inside is let go
+    (Nocedal and Wright 2006, algorithm 16.3).
+    """
+    step, slope = np.zeros(gradient.size), gradient
+    held = ((down >= 0.0) & (slope > 0.0)) | ((up <= 0.0) & (slope < 0.0))
+    for _ in range(4 * gradient.size):
+        free = np.flatnonzero(~held)
+        way = np.zeros(step.size)
+        if free.size:
+            way[free] = -_solved(matrix[np.ix_(free, free)], slope[free])
+        room = np.where(way > 0.0, up - step, np.where(way < 0.0, down - step, np.inf)) / np.where(way == 0.0, 1.0, way)
+        share = min(1.0, float(room.min()))
+        step = np.clip(step + share * way, down, up)
+        slope = gradient + matrix @ step
+        if share < 1.0:
+            held |= room <= share
+            continue
+        back = np.where(held & (step <= down), -slope, np.where(held & (step >= up), slope, 0.0))
+        if back.max(initial=0.0) <= LEAST_PULL * float(np.abs(gradient).max(initial=0.0)):
+            break
+        held[np.argmax(back)] = False
+    return step
 
 
 def _solved(matrix: Array, right: Array) -> Array:
