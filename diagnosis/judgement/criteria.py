@@ -113,10 +113,15 @@ class SearchCriteria:
         return self._unlike(effect, model) and self.leads(effect, model)
 
     def _beyond(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether an effect has moved a parameter by more than all that the catalogue expects of it."""
+        """Whether an effect has moved a parameter by more than lies between the ends of what the catalogue expects."""
         healthy = self.setting.reference.values
-        return any(abs(model.fit.values[n] - healthy[n]) > high - low for n, (low, high) in effect.likely.items()
-                   if n in effect.parameters and PARAMETERS[n].neutral is not None)
+        for name, (low, high) in effect.likely.items():
+            absent = PARAMETERS[name].neutral
+            if name in effect.parameters and absent is not None:
+                most = 2.0 * max(abs(low - absent), abs(high - absent))
+                if abs(model.fit.values[name] - healthy[name]) > most:
+                    return True
+        return False
 
     def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
