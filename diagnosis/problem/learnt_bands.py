@@ -24,7 +24,7 @@ from diagnosis.problem.fit import Fit, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_residuals import HealthyResiduals, another, certainties, examine, noise_at
-from diagnosis.problem.prior import Free, Prior
+from diagnosis.problem.prior import NOTHING_TOGETHER, Free, Prior
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
@@ -238,7 +238,7 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
         free = (*wide, *_deviations(_like(reference, together.values), len(trials)))
         together = solve(Problem(counted, weights), together.values, free, thorough=last)
     values = {n: together.values[n] for n in reference.values}
-    unknown = covariance(together, _information(counted, together))
+    unknown = learnt_covariance(counted, together)
     moved = HealthyReference(reference.kind, {**values, **{discrepancy.slot(n): 1.0 for n in floors}},
                              _bands(reference, values, len(trials), floors, sigmas(unknown)), prior=unknown)
     near = [{f.name: values[f.name] + (together.values[f"{f.name}@{i}"] if rest and len(trials) > 1 else 0.0)
@@ -384,33 +384,34 @@ def _homed(values: Values) -> float:
     return abs(linear)
 
 
-def covariance(fit: Fit, information: Array | None = None) -> Prior:
-    """Return what a fit leaves open of every slot, what was known beforehand included.
+def covariance(fit: Fit) -> Prior:
+    """Return what a fit leaves open of every slot, from its curvature, what was known beforehand included."""
+    return _open(fit, fit.curvature, 1e-10)
 
-    `information`: the inverse of the covariance of all that is free, where it is not the fit's own curvature.
+
+def learnt_covariance(blocks: Sequence[Block], fit: Fit) -> Prior:
+    """Return what a fit leaves open, its residuals counted as what they are: one after another, cycle after cycle.
+
+    What the laws lack is left again in each cycle of a trial, and does not say more for being seen more often.
     """
-    precise = fit.curvature if information is None else information
-    scale = np.sqrt(np.maximum(np.diag(precise), 1e-300))
-    whole = np.linalg.pinv(precise / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-    names = [f.name for f in fit.free]
-    common = [j for j, name in enumerate(names) if "@" not in name]
-    return Prior(tuple(names[j] for j in common), whole[np.ix_(common, common)])
-
-
-def _information(blocks: Sequence[Block], fit: Fit) -> Array:
-    """Return the curvature of a fit with its residuals counted as what they are: one after another, cycle after cycle.
-
-    What the laws lack is left again in each cycle of a trial, and does not say less for being seen more often.
-    """
-    found = fit.curvature.copy()
+    information = NOTHING_TOGETHER.precision(fit.free)
     for name in {b.relation.name for b in blocks}:
         mine = [i for i, b in enumerate(blocks) if b.relation.name == name and b.keep.size]
         rests = [fit.residuals[i] for i in mine]
         length = max(correlated(rests), LEAST_CORRELATION_LENGTH) * repeated(rests, [blocks[i].cycle for i in mine])
         for i in mine:
-            reads, rows = fit.reads[i], fit.slopes[i]
-            found[np.ix_(reads, reads)] -= (1.0 - LEAST_CORRELATION_LENGTH / length) * (rows @ rows.T)
-    return found
+            reads, rows = fit.reads[i], fit.slopes[i].astype(float)
+            information[np.ix_(reads, reads)] += LEAST_CORRELATION_LENGTH / length * (rows @ rows.T)
+    return _open(fit, information, 0.0)
+
+
+def _open(fit: Fit, information: Array, singular: float) -> Prior:
+    """Return the covariance of all but each trial's own; what is less than `singular` of the most is not inverted."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    whole = np.linalg.pinv(information / np.outer(scale, scale), rcond=singular, hermitian=True)
+    common = [j for j, f in enumerate(fit.free) if "@" not in f.name]
+    found = (whole / np.outer(scale, scale))[np.ix_(common, common)]
+    return Prior(tuple(fit.free[j].name for j in common), found)
 
 
 def sigmas(unknown: Prior) -> dict[str, float]:

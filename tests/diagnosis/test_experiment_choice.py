@@ -45,8 +45,8 @@ def test_two_gains_are_split_by_a_weight_and_not_by_swapping(
 
 
 def test_two_frictions_are_split_by_an_experiment_that_tells_them() -> None:
-    rope = model("cable_friction", {"mu1": 1.3 * VALUES["mu1"]})
-    fabric = model("fabric_friction", {"mu2": 1.5 * VALUES["mu2"]})
+    rope = model("cable_friction", {"mu1": 1.4 * VALUES["mu1"]})
+    fabric = model("fabric_friction", {"mu2": 1.65 * VALUES["mu2"]})
     assert proposed(rope, fabric) == "known_bend"
 
 
