@@ -256,11 +256,14 @@ def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping
              ) -> tuple[Array, float]:
     """Return the next parameters and the gain that the slopes predict; those that would leave stop on their bound."""
     down, up = space.low - at, space.high - at
-    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    # what nothing is told of stays where it is
+    idle = np.diag(curvature) <= 0.0
+    scale = np.sqrt(np.where(idle, 1.0, np.diag(curvature)))
+    even = np.where(idle[:, None] | idle, np.eye(at.size), curvature / np.outer(scale, scale))
     # damped by what is known of each beside all others: of two that trade with each other, the sum is known far better
-    alone = 1.0 / np.diag(np.linalg.inv(curvature / np.outer(scale, scale) + SINGULAR * np.eye(at.size)))
-    damped = curvature + damping * np.diag(alone * scale**2)
-    step = _between(damped / np.outer(scale, scale), gradient / scale, down * scale, up * scale) / scale
+    alone = 1.0 / np.maximum(np.diag(_solved(even + SINGULAR * np.eye(at.size), np.eye(at.size))), 1.0)
+    slope = np.where(idle, 0.0, gradient / scale)
+    step = _between(even + damping * np.diag(alone), slope, down * scale, up * scale) / scale
     step[np.maximum(np.abs(gradient * step), (scale * step) ** 2) < IDLE * cost] = 0.0
     promised = -float(gradient @ step) - 0.5 * float(step @ curvature @ step)
     return np.clip(at + step, space.low, space.high), promised
@@ -294,8 +297,13 @@ def _between(matrix: Array, gradient: Array, down: Array, up: Array) -> Array:
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solve for a matrix that damping keeps definite; where rounding has left it singular, the shortest solution."""
+    """Solve for a matrix that damping keeps definite; where rounding has left it singular, the shortest solution.
+
+    Where laws that overflow have left no matrix at all, nothing moves.
+    """
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
+        if not np.isfinite(matrix).all():
+            return np.zeros_like(right)
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0])
