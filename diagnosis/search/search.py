@@ -137,11 +137,15 @@ class Search:
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
             own.values())
 
-    def model(self, effects: Sequence[Candidate], start: Values, near: FittedEffects | None = None,
-              thorough: bool = True
+    @cached_property
+    def origin(self) -> Fit:
+        """What the residuals do where the search starts, no effect at work."""
+        return solve(self.problem, self.start, self.nuisance, max_steps=0)
+
+    def model(self, effects: Sequence[Candidate], start: Values, near: Fit | None = None, thorough: bool = True
               ) -> FittedEffects:
-        """Fit `effects` from `start`, `near` a model; keep it when it beats the same effects from elsewhere."""
-        known_fit = near.fit if near is not None and self.near else None
+        """Fit `effects` from `start`, `near` a fit; keep it when it beats the same effects from elsewhere."""
+        known_fit = near if self.near else None
         fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=thorough,
                     enough=ENOUGH if thorough else ROUGHLY)
         names = tuple(sorted(c.name for c in effects))
@@ -154,7 +158,7 @@ class Search:
     def polished(self, model: FittedEffects) -> FittedEffects:
         """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""
         if model.names not in self.arrived:
-            self.model(model.effects, model.fit.values, model)
+            self.model(model.effects, model.fit.values, model.fit)
             self.arrived.add(model.names)
         return self.tried[model.names]
 
@@ -179,10 +183,10 @@ class Search:
             self.grown.add(step)
             begun = candidate.starts[start] if start >= 0 else {}
             effects = (*model.effects, candidate)
-            self.model(effects, {**model.fit.values, **begun}, model, not self.near)
+            self.model(effects, {**model.fit.values, **begun}, model.fit, not self.near)
             # what the nuisance did in the effect's place is a way into another minimum
             kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
-            self.model(effects, {**self.start, **kept, **begun}, model, not self.near)
+            self.model(effects, {**self.start, **kept, **begun}, self.origin if self.near else None, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def prune(self, model: FittedEffects) -> FittedEffects:
@@ -199,7 +203,7 @@ class Search:
         """Return `model` less one effect, fitted anew from there: in its place the rest may be in another minimum."""
         left = [c for c in model.effects if c is not out]
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
-        return self.model(left, {**model.fit.values, **back}, model)
+        return self.model(left, {**model.fit.values, **back}, model.fit)
 
     def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
         """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
