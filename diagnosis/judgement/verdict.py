@@ -24,7 +24,7 @@ LEAST_FURTHER: Final = 1.0 - math.sqrt(0.7)
 """The same of what the first effect left: three tenths of its χ² beyond noise.  A law that is not quite the bench's own
 leaves some of what it explains, and a second one bends to that."""
 LEAST_FALL: Final = 40.0
-"""χ² on unseen cycles that an effect must take away: on healthy benches of the family the best of all took up to 35."""
+"""χ² on unseen cycles that an effect must take away: the oracle of the family of plants counts from there."""
 STRUCTURE: Final = 0.04
 """The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
 MISMATCH: Final = 0.02
