@@ -130,8 +130,9 @@ class Fit:
 class Slopes:
     """∂residual/∂parameter by block, one row for each parameter that it reads, and their products (`grams`)."""
 
-    def __init__(self, problem: Problem, free: Sequence[Free], residuals: Sequence[Array], known: Fit | None) -> None:
-        self.problem, self.free, self.space = problem, free, Space(free, problem.prior)
+    def __init__(self, problem: Problem, free: Sequence[Free], space: Space, residuals: Sequence[Array],
+                 known: Fit | None) -> None:
+        self.problem, self.free, self.space = problem, free, space
         self.taken = np.full(len(free), np.nan)
         self.reads = [np.flatnonzero([f.name in b.uses for f in free]) for b in problem.blocks]
         self.row = [{int(j): i for i, j in enumerate(reads)} for reads in self.reads]
@@ -227,7 +228,7 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
     at = np.clip(space.of(start), space.low, space.high)
     values = space.put(start, at)
     residuals = problem.residuals(values)
-    cost, slopes = space.cost(residuals, at), Slopes(problem, free, residuals, known)
+    cost, slopes = space.cost(residuals, at), Slopes(problem, free, space, residuals, known)
     slopes.take(values, residuals, slopes.unknown())
     curvature, damping, steps = slopes.curvature(), 1e-3, 0
     while free and steps < max_steps and damping < 1e6:

@@ -31,7 +31,7 @@ class Screen:
         self.known = len(fit.free)
         self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
         self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
-        self.free, self.prior = fit.free, problem.prior
+        self.free, self.prior, self.precision = fit.free, problem.prior, problem.prior.precision(fit.free)
         self.off = np.array([fit.values[f.name] - f.mean for f in fit.free])
         self.names = sorted(problem.weights)
         size = self.known + count
@@ -68,7 +68,7 @@ class Screen:
         more = len(at) - self.known
         held = list(released)
         prior = np.zeros((at.size, at.size))
-        prior[:self.known, :self.known] = self.prior.precision([
+        prior[:self.known, :self.known] = self.precision if not held else self.prior.precision([
             replace(f, sigma=math.inf) if j in held else f for j, f in enumerate(self.free)])
         pull = np.append(prior[:self.known, :self.known] @ self.off, np.zeros(more))
         down, up = np.append(self.down, np.full(more, -np.inf)), np.append(self.up, np.full(more, np.inf))
