@@ -34,7 +34,7 @@ class SearchCriteria:
             return True
         healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
         added = [c for c in model.effects if c not in lesser.effects]
-        if not all(self.says(c, model) for c in added):
+        if not all(self.says(c, model, search) for c in added):
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
@@ -67,7 +67,7 @@ class SearchCriteria:
         What another one gains beside it (a servo's loop, fitted from elsewhere) is none of its doing.
         """
         own = frozenset().union(*(c.parameters for c in added))
-        reached = {b.relation.name for b in self.setting.blocks if not own or b.uses & own}
+        reached = dict.fromkeys(b.relation.name for b in self.setting.blocks if not own or b.uses & own)
         return lesser.prior_penalty - model.prior_penalty + sum(
             lesser.by_relation[n] - model.by_relation[n] for n in reached)
 
@@ -108,9 +108,9 @@ class SearchCriteria:
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
-    def says(self, effect: Candidate, model: FittedEffects) -> bool:
+    def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
-        return self._unlike(effect, model) and self.leads(effect, model)
+        return self._unlike(effect, model) and self.leads(effect, model, search)
 
     def _beyond(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether an effect has moved a parameter by more than lies between the ends of what the catalogue expects."""
@@ -146,16 +146,23 @@ class SearchCriteria:
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
                    for scale in (next(f.scale for f in effect.frees if f.name == n),))
 
-    def leads(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether a law moves its level by no more than it changes itself: more is a change of the level, by its name.
+    def leads(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
+        """Whether a law says something beside its level, which is freed with it: else the level has changed.
 
         A level is said at one load, bend or time; at another one within its range it is off by the law's own share.
+        Where it has moved further, the law must take more beside it than it takes by itself.
         """
         values, healthy = model.fit.values, self.setting.reference.values
         change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
         named = {f.name for c in model.effects for f in c.frees}
-        bands = {f.name: f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named}
-        return all(max(values[n] - f.high, f.low - values[n]) <= change * abs(healthy[n]) for n, f in bands.items())
+        bands = [f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named]
+        if all(max(values[f.name] - f.high, f.low - values[f.name]) <= change * abs(healthy[f.name]) for f in bands):
+            return True
+        if self.setting.any_rig:
+            return False
+        level, lesser = search.level_alone(model, effect), search.without(model, effect)
+        law = 2.0 * (level.fit.cost - model.fit.cost)
+        return law >= verdict.LEAST_FALL and law >= lesser.fit.cost - model.fit.cost
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known.
@@ -163,9 +170,8 @@ class SearchCriteria:
         An effect may be all in what a healthy bench may vary; a second one is looked for where the first leaves that
         further away than it is by chance.
         """
-        strained = verdict.STRAINED if not model.effects else _by_chance(sum(
-            math.isfinite(f.sigma) for f in model.fit.free))
-        if self.setting.floors is None or self.splits or model.prior_penalty > strained:
+        if self.setting.floors is None or self.splits or self._strained(model) or (
+                not model.effects and model.prior_penalty > verdict.STRAINED):
             return True
         return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
                    + self.noise(n, model) for n in self.setting.checked)
@@ -187,7 +193,7 @@ class SearchCriteria:
         if self.setting.floors is None or self.splits:
             return False
         return self.has_unexplained_residual(model, baseline) or (
-            not model.effects and self._rise(model) > verdict.WANTING - 1.0)
+            not model.effects and (self._rise(model) > verdict.WANTING - 1.0 or self._strained(model)))
 
     def needs_pairs(self, baseline: FittedEffects) -> bool:
         """Whether two effects may be at work that only pay together: more is left than on healthy trials.
@@ -195,6 +201,10 @@ class SearchCriteria:
         On a rig that nothing is known of, everything that a real one has is an effect, and any two may hide each other.
         """
         return not self.splits and (self.setting.any_rig or self.has_unexplained_residual(baseline, baseline))
+
+    def _strained(self, model: FittedEffects) -> bool:
+        """Whether a model leaves what is known beforehand further away than it is by chance."""
+        return model.prior_penalty > _by_chance(sum(math.isfinite(f.sigma) for f in model.fit.free))
 
     def _rise(self, model: FittedEffects) -> float:
         """Return by how many healthy floors the RMSE of some relation exceeds one."""

@@ -60,9 +60,10 @@ class Judge:
         if self._strange():
             return []
         if self.within is not None:
-            return list(verdict.rivals(self.found, self.criteria.says, verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+            return list(verdict.rivals(self.found, lambda c, m: self.criteria.says(c, m, self.search),
+                                       verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
         # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
-        return list(verdict.rivals(self.found, self.criteria.leads))
+        return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search)))
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class by calculation, None where nothing is to be split."""

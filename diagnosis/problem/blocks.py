@@ -212,12 +212,25 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
         # what friction remembers from before the trial is forgotten once the rope has gone half its way
         gone = np.cumsum(np.abs(np.diff(signals["rope_m"], prepend=signals["rope_m"][0])))
         keep &= gone >= 0.5 * float(np.ptp(signals["rope_m"]))
+    if relation.name == "drive_force" and taut_n is not None:
+        keep &= _resolved(signals["rope_m_s2"])
     if relation.unit == "rad" and taut_n is not None:
         for name in ("tension_end_n", "tension_start_n"):
             if signals.has(name):
                 keep &= signals[name] > taut_n
                 break
     return np.flatnonzero(keep)
+
+
+def _resolved(acceleration: Array) -> NDArray[np.bool_]:
+    """Return where the rate resolves an acceleration: it changes by less than its own RMS from a sample to the next.
+
+    A motor that is jerked pushes and brakes within one sample of a slow recording; the force of that instant says
+    nothing of the mass, and few such samples outweigh all others.
+    """
+    change = np.abs(np.diff(acceleration, prepend=acceleration[:1], append=acceleration[-1:]))
+    whole = float(np.sqrt(np.nanmean(acceleration**2)))
+    return np.asarray(~(np.maximum(change[:-1], change[1:]) > whole))
 
 
 def rmse(residuals: Iterable[Array]) -> float:

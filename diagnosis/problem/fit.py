@@ -79,8 +79,12 @@ class Problem:
 
     def __init__(self, blocks: Sequence[Block], weights: Mapping[str, float], prior: Prior = NOTHING_TOGETHER,
                  cycles: frozenset[int] | None = None):
-        self.blocks, self.weights, self.prior = blocks, weights, prior
+        self.blocks, self.weights, self.prior, self.cycles = blocks, weights, prior, cycles
         self.masks = [None if cycles is None else np.isin(b.cycle, list(cycles)) for b in blocks]
+
+    def only(self, relation: str) -> Problem:
+        """Return the part of one relation."""
+        return Problem([b for b in self.blocks if b.relation.name == relation], self.weights, self.prior, self.cycles)
 
     def residual(self, i: int, values: Values) -> Array:
         block, mask = self.blocks[i], self.masks[i]

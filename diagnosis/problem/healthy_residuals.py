@@ -112,7 +112,7 @@ def noise_at(at: Sequence[Array], rests: Sequence[Array]) -> list[Array]:
 def certainties(blocks: Sequence[Block], rests: Sequence[Array], values: Values) -> list[Array]:
     """Return, by block of any trials, how much each sample counts by how far its law is from holding about there."""
     found = [np.ones(b.keep.size) for b in blocks]
-    for name in {b.relation.name for b in blocks if b.keep.size}:
+    for name in dict.fromkeys(b.relation.name for b in blocks if b.keep.size):
         mine = [i for i, b in enumerate(blocks) if b.relation.name == name and b.keep.size]
         at = [discrepancy.features(blocks[i].signals, values)[blocks[i].keep] for i in mine]
         noise = noise_at(at, [rests[i] for i in mine])

@@ -24,6 +24,7 @@ from diagnosis.problem.fit import Fit, Problem, solve
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH, LEAST_FLOOR, MOST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_residuals import HealthyResiduals, another, certainties, examine, noise_at
+from diagnosis.problem.loops import settled
 from diagnosis.problem.prior import NOTHING_TOGETHER, Free, Prior
 from physics.parameters import RELATION_PARAMETERS
 from physics.plant.leg import KNEE_AT_FIT
@@ -36,8 +37,8 @@ Values = Mapping[str, float]
 
 WIDE: Final[Mapping[str, float]] = {
     "mu1": 0.05, "mu2": 0.15, "fabric_wrap": 1.0, "cable_bend": 0.1, "load_slope": 0.2, "viscous": 10.0,
-    "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "stribeck_memory": 15e-3, "presliding": 0.3e-3,
-    "presliding_shape": 0.3, "fabric_presliding_ratio": 1.0,
+    "viscous_tension": 10.0, "stribeck_ratio": 0.3, "stribeck_speed": 0.01, "stribeck_memory": 15e-3,
+    "presliding": 0.3e-3, "presliding_shape": 0.3, "fabric_presliding_ratio": 1.0,
     "stiffness_scale": 0.4, "stiffness_shape": 0.5, "toe": 1e-3, "cable_share": 0.15, "rope_zero": 50e-3,
     "rope_per_knee_quadratic": 5e-4, "timestamp_skew": 2e-3, "end_delay": 2e-3,
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
@@ -64,8 +65,12 @@ NOISE_LENGTH: Final = 1.25
 """Samples of white noise behind the low-pass of the working rate that count as one."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
 """Friction, of the nominal, and pre-sliding, m, that fits start from."""
-BREAKING_AWAY: Final[Mapping[str, float]] = {"stribeck_ratio": 1.5, "stribeck_memory": 35e-3}
-"""Where a fit starts again: friction that breaks away late is another minimum than friction that hardly does."""
+AGAIN: Final[tuple[Mapping[str, float], ...]] = (
+    {"stribeck_ratio": 1.5, "stribeck_memory": 35e-3},
+    {"stribeck_ratio": 1.5, "stribeck_speed": 4e-3, "stribeck_memory": 5e-3},
+    {"viscous": 10.0, "viscous_tension": 25.0})
+"""Where a fit starts again: friction that breaks away late, or at once, is another minimum than friction that hardly
+does, and so is a rope that drags only where it is pressed to its sheath."""
 COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
                  "rope_zero", "rope_per_knee")
 FULL: Final = 2
@@ -225,10 +230,13 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
                     key=lambda f: f.cost)
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     free = (*wide, *_deviations({f.name: f.sigma for f in _own(reference)}, len(trials)))
-    together = min((solve(Problem(blocks, weights), {**fit.values, **rest}, free)
+    loops = settled(Problem([b for trial in trials for b in trial], weights), coarse[0].values, wide)
+    loops = {n: v for n, v in loops.items() if v != coarse[0].values[n]}
+    together = min((solve(Problem(blocks, weights), {**fit.values, **loops, **rest}, free)
                     for fit in carried), key=lambda f: f.cost)
-    together = min(together, solve(Problem(blocks, weights), {**together.values, **BREAKING_AWAY}, free, known=together,
-                                   thorough=True), key=lambda f: f.cost)
+    for other in AGAIN:
+        together = min(together, solve(Problem(blocks, weights), {**together.values, **other}, free, known=together,
+                                       thorough=True), key=lambda f: f.cost)
     for last in (False, True):
         # few samples that no law meets (a loose rope that snaps tight) would lead the constants: each counts as its
         # place; and how much data count beside what is known beforehand, what the laws do leave says, not what they may
@@ -285,8 +293,8 @@ def bounds(name: str) -> tuple[float, float]:
 def _step(name: str) -> float:
     """Return the scale on which a slot's slopes are taken."""
     return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0,
-            "servo_bandwidth": 5.0,
-            "knee_bandwidth": 5.0, "knee_backlash": 1e-3, "creep_compliance": 5e-6}.get(name, math.inf)
+            "viscous_tension": 2.0, "servo_bandwidth": 5.0, "knee_bandwidth": 5.0,
+            "knee_backlash": 1e-3, "creep_compliance": 5e-6}.get(name, math.inf)
 
 
 def _short(trials: Sequence[Sequence[Block]], cycles: int = 3) -> list[Block]:
@@ -395,7 +403,7 @@ def learnt_covariance(blocks: Sequence[Block], fit: Fit) -> Prior:
     What the laws lack is left again in each cycle of a trial, and does not say more for being seen more often.
     """
     information = NOTHING_TOGETHER.precision(fit.free)
-    for name in {b.relation.name for b in blocks}:
+    for name in dict.fromkeys(b.relation.name for b in blocks):
         mine = [i for i, b in enumerate(blocks) if b.relation.name == name and b.keep.size]
         rests = [fit.residuals[i] for i in mine]
         length = max(correlated(rests), LEAST_CORRELATION_LENGTH) * repeated(rests, [blocks[i].cycle for i in mine])

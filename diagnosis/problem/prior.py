@@ -45,7 +45,10 @@ class Prior:
         here = [j for j, f in enumerate(free) if f.name in place]
         there = [place[free[j].name] for j in here]
         apart = self.covariance[np.ix_(there, there)]
-        found[np.ix_(here, here)] += apart - np.diag(np.diag(apart))
+        unlearnt = np.maximum(np.diag(apart), np.finfo(float).tiny)
+        # of a parameter that is known better than it was learnt, only so much hangs together with others
+        share = np.minimum(1.0, np.sqrt(np.diag(found)[here] / unlearnt))
+        found[np.ix_(here, here)] += np.outer(share, share) * (apart - np.diag(np.diag(apart)))
         return found
 
     def precision(self, free: Sequence[Free]) -> Array:

@@ -14,6 +14,7 @@ from typing import Final, Protocol
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import CycleSquares, unseen
 from diagnosis.problem.fit import ENOUGH, ROUGHLY, Fit, Problem, solve
+from diagnosis.problem.loops import settled
 from diagnosis.problem.prior import Free
 from diagnosis.problem.screen import promises
 from physics.parameters import RELATION_PARAMETERS
@@ -118,12 +119,12 @@ class Search:
                  folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.criteria, self.near = criteria, near
-        self.start = dict(start)
+        self.start = settled(problem, start, nuisance, corners=False) if near else dict(start)
         self.tried: dict[tuple[str, ...], FittedEffects] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.arrived: set[tuple[str, ...]] = set()
         self.lacks: dict[tuple[tuple[str, ...], str], FittedEffects] = {}
-        self.model((), start)
+        self.model((), self.start)
 
     @property
     def baseline(self) -> FittedEffects:
@@ -189,6 +190,14 @@ class Search:
             self.model(effects, {**self.start, **kept, **begun}, self.origin if self.near else None, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
+    def _from_all_starts(self, model: FittedEffects) -> FittedEffects:
+        """Return a grown model with its last effect fitted from each of its starts: a law may have several minima."""
+        *rest, last = model.effects
+        lesser = self.tried[tuple(sorted(c.name for c in rest))]
+        for start in range(len(last.starts) if self.near else 0):
+            self._grown(lesser, last, start)
+        return self.tried[model.names]
+
     def prune(self, model: FittedEffects) -> FittedEffects:
         """Take out, one by one, the effects that do not pay for themselves, the least first."""
         while model.effects:
@@ -205,6 +214,17 @@ class Search:
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
         return self.model(left, {**model.fit.values, **back}, model.fit)
 
+    def level_alone(self, model: FittedEffects, law: Candidate) -> FittedEffects:
+        """Return `model` with a law as it is on a healthy bench and its level free, fitted anew; it is no candidate."""
+        key = (model.names, law.name)
+        if key not in self.lacks:
+            own = law.parameters - set(law.level)
+            free = tuple(f for f in self.free_of(model.effects) if f.name not in own)
+            back = {name: self.start[name] for name in own}
+            fit = solve(self.problem, {**model.fit.values, **back}, free, known=model.fit, thorough=True)
+            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds)
+        return self.lacks[key]
+
     def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
         """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
         key = (model.names, constant)
@@ -217,8 +237,8 @@ class Search:
 
     def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
-        foremost = sorted((self.polished(m) for m in _foremost({m.names: m for m in grown}.values())),
-                          key=lambda m: m.rank)
+        foremost = sorted((self.polished(self._from_all_starts(m)) for m in _foremost(
+            {m.names: m for m in grown}.values())), key=lambda m: m.rank)
         return self._best_pruned(foremost) if foremost else best, foremost
 
     def _best_pruned(self, models: Iterable[FittedEffects]) -> FittedEffects:

@@ -120,8 +120,9 @@ EFFECTS: Final = (
             of_table("eccentricity_phase"),
         ),
         forward={"plant.eccentricity_m": takes("eccentricity"), "plant.eccentricity_rad": takes("eccentricity_phase")},
-        inverse=_eccentricity, relations=("elasticity", "kinematics"),
-        signature="rope and knee angle part periodically with the drum's angle",
+        inverse=_eccentricity, relations=("elasticity", "kinematics", "drive_force"),
+        signature="rope and knee angle part periodically with the drum's angle, servo force and START tension by "
+                  "its slope",
         words="The drum runs out of true.",
         rivals=("moment_arm",), experiment="full_turns",
     ),

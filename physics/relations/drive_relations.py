@@ -26,7 +26,7 @@ SUBSTEPS: Final = 8
 
 
 def drive_force(signals: Signals, p: Values) -> Array:
-    """Predict the servo's force, N: START tension, Coulomb by direction, viscous, inertia, offset."""
+    """Predict the servo's force, N: START tension on the drum's arm, Coulomb by direction, viscous, inertia, offset."""
     slip, square = signals.remember(_turned, p["drive_presliding"], p["drive_calm"], p["drive_stribeck_ratio"],
                                    p["drive_stribeck_speed"] if p["drive_stribeck_ratio"] != 1.0 else 1.0)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
@@ -34,8 +34,16 @@ def drive_force(signals: Signals, p: Values) -> Array:
     drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
     force = force + p["drive_viscous"] * drag + p["drive_inertia"] * signals["rope_m_s2"]
     if signals.has("tension_start_n"):
-        force = force + signals.later(start_tension(signals, p), p["timestamp_skew"])
+        force = force + arm(signals, p) * signals.later(start_tension(signals, p), p["timestamp_skew"])
     return np.asarray(force / p["demand_gain"])
+
+
+def arm(signals: Signals, p: Values) -> Array | float:
+    """Return the rope that an eccentric drum draws per metre at its mean radius: by virtual work, force per tension."""
+    if p["eccentricity"] == 0.0:
+        return 1.0
+    turned = signals["servo_position_m"] / p["drum_radius"] + p["eccentricity_phase"]
+    return np.asarray(1.0 + p["eccentricity"] / p["drum_radius"] * np.cos(turned))
 
 
 def _turned(signals: Signals, distance: float, calm: float, ratio: float, slow: float) -> tuple[Array, Array]:

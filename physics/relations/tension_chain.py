@@ -311,11 +311,12 @@ def from_motion(
 
 @njit(cache=True)
 def read_at_start(
-    start: Array, speed: Array, measured: Array, progress: Array, viscous: float, slack_n: float, gain: float,
-    offset: float, drift: float,
+    start: Array, speed: Array, measured: Array, progress: Array, viscous: float, pressed_n: float, slack_n: float,
+    gain: float, offset: float, drift: float,
 ) -> Array:
     """Return what the START sensor reads, N, of the tension `start` with the rope's viscous drag put on while taut.
 
+    `pressed_n` above 0: tension from which the rope is pressed to its sheath and drags in full; in proportion below.
     `slack_n` above 0: a rope that can be slack never pushes.  Its drag at the edge of slack is anything from none to
     all of it, and END cannot say which: below `UNSURE_N` it is what START itself (`measured`, N, empty where there is
     none) says in between.
@@ -334,7 +335,8 @@ def read_at_start(
                 said = (measured[k] - shift) / gain
                 force = min(max(said, min(force, taut)), max(force, taut))
             else:
-                force = max(force + drag * min(max(2.0 * force, 0.0), 1.0), least)
+                pressed = min(max(force, 0.0) / pressed_n, 1.0) if pressed_n > 0.0 else 1.0
+                force = max(force + drag * pressed * min(max(2.0 * force, 0.0), 1.0), least)
         out[k] = gain * force + shift
     return out
 

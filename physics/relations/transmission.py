@@ -115,8 +115,8 @@ def _read(signals: Signals, p: Values, start: Array) -> Array:
     """Return what START reads, N, of its tension without drag."""
     measured = signals["tension_start_n"] if signals.has("tension_start_n") else np.zeros(0)
     return np.asarray(chain.read_at_start(
-        start, signals["rope_m_s"], measured, signals.progress, p["viscous"], p["slack_below"], p["start_gain"],
-        p["start_offset"], p["start_drift"]))
+        start, signals["rope_m_s"], measured, signals.progress, p["viscous"], p["viscous_tension"], p["slack_below"],
+        p["start_gain"], p["start_offset"], p["start_drift"]))
 
 
 def _creep(signals: Signals, p: Values, force: Array) -> Array:

@@ -13,6 +13,7 @@ from physics.parameters import healthy
 from physics.path_laws import presliding_shaped
 from physics.plant.leg import KNEE_AT_FIT
 from physics.relations import transmission
+from physics.relations.drive_relations import arm
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS
 from physics.relations.tension_chain import from_motion, recalled
@@ -94,7 +95,7 @@ def test_the_shape_goes_from_a_stop_to_an_exponential() -> None:
 
 
 def test_drag_at_the_edge_of_slack_is_what_start_says_and_elsewhere_all_of_it() -> None:
-    values = {**healthy(), "viscous": 10.0}
+    values = {**healthy(), "viscous": 10.0, "viscous_tension": 5.0}
     signals = pulled(values)
     edge = signals["tension_end_n"] < 0.5
     predicted = transmission.friction(signals, values)
@@ -105,6 +106,28 @@ def test_drag_at_the_edge_of_slack_is_what_start_says_and_elsewhere_all_of_it() 
     assert np.abs((predicted - signals["tension_start_n"])[allowed]).max() < 0.05
     sliding = (signals["tension_end_n"] > 10.0) & (drag > 0.1)
     assert (predicted - signals["tension_start_n"])[sliding] == pytest.approx(drag[sliding], abs=0.05)
+
+
+def test_a_rope_drags_as_it_is_pressed_to_its_sheath() -> None:
+    values = {**healthy(), "viscous": 10.0, "viscous_tension": 30.0}
+    signals = pulled(values)
+    start = transmission.friction(signals, {**values, "viscous": 0.0})
+    taut = signals["tension_end_n"] > 10.0
+    assert start[taut].min() < 25.0 < 35.0 < start[taut].max()
+    drag = 10.0 * signals["rope_m_s"] * np.minimum(start / 30.0, 1.0)
+    assert (transmission.friction(signals, values) - start)[taut] == pytest.approx(drag[taut], abs=1e-9)
+
+
+def test_the_arm_of_an_eccentric_drum_is_the_rope_that_it_draws_per_metre_of_its_turn() -> None:
+    values = {**healthy(), "eccentricity": 0.4e-3, "eccentricity_phase": 0.7}
+    signals = pulled(values)
+    turned = signals["servo_position_m"]
+    drawn = transmission.wound(signals, values, turned)
+    moving = np.abs(np.gradient(turned)) > 1e-6
+    assert np.ptp(arm(signals, values)) > 0.005
+    # the virtual work of START tension: differences of one sample's length
+    per_metre = np.gradient(drawn)[moving] / np.gradient(turned)[moving]
+    assert arm(signals, values)[moving] == pytest.approx(per_metre, abs=1e-4)
 
 
 def test_what_rates_of_one_side_would_judge_is_left_out() -> None:

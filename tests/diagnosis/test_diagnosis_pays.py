@@ -10,13 +10,14 @@ import pytest
 
 from diagnosis.data.table import table
 from diagnosis.judgement import verdict
+from diagnosis.judgement.criteria import SearchCriteria
 from diagnosis.judgement.judge import Judge
 from diagnosis.problem.blocks import signals_of
 from diagnosis.problem.deviations import chance
 from diagnosis.problem.fit import Space
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import build_problem
-from diagnosis.search.search import FittedEffects
+from diagnosis.search.search import FittedEffects, Search
 from physics.effects.catalogue import CATALOGUE
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
@@ -81,6 +82,19 @@ def test_a_value_on_its_bound_is_said_not_to_be_measured(judge: Judge) -> None:
     bound.found = dataclasses.replace(judge.found, best=moved(judge.found.best, values={"end_offset": high}))
     assert judge.on_bounds() == []
     assert bound.on_bounds() == [f"end_offset: end_offset stands on its bound, {high:.4g}; it is not measured."]
+
+
+@pytest.mark.parametrize(("changed", "says"), [({"load": 0.5, "cap": 0.22}, True), ({"cap": 0.28}, False)])
+def test_a_law_that_moves_its_level_far_must_say_more_than_the_level(changed: dict[str, float], says: bool) -> None:
+    shown = table("walk.csv", trial(Bench(**changed), seed=1, cycles=4))
+    setting = build_problem([shown], HealthyTrials([table("good.csv", trial(Bench(), seed=2, cycles=4))]), None)
+    criteria = SearchCriteria(setting)
+    search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, setting.offered,
+                    setting.folds, criteria)
+    law = next(c for c in setting.offered if c.name == "load_dependent_friction")
+    model = min((search.model([law], {**search.start, **start}) for start in law.starts), key=lambda m: m.fit.cost)
+    assert criteria.leads(law, model, search) == says
+    assert search.lacks, "the level has not moved far: the test asks nothing"
 
 
 def test_a_second_effect_must_take_three_tenths_of_what_the_first_left(judge: Judge) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from scipy.optimize import lsq_linear
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.deviations import repeated
 from diagnosis.problem.fit import Fit, Problem, solve
+from diagnosis.problem.loops import settled
 from diagnosis.problem.prior import NOTHING_TOGETHER, Free, Prior
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS
@@ -43,6 +45,12 @@ def test_of_a_parameter_that_is_free_nothing_is_said_of_the_others() -> None:
 def test_a_band_made_wider_than_what_was_learnt_is_so_by_itself() -> None:
     wide = Free("cable", -9.0, 9.0, 0.0, 2.0, 1.0)
     np.testing.assert_allclose(SHARED.together((wide, FABRIC)), [[4.0, -0.99], [-0.99, 1.0]])
+
+
+def test_a_band_narrower_than_what_was_learnt_leaves_a_penalty_that_no_step_makes_negative() -> None:
+    narrow = Free("cable", -9.0, 9.0, 0.0, 0.1, 1.0)
+    np.testing.assert_allclose(SHARED.together((narrow, FABRIC)), [[0.01, -0.099], [-0.099, 1.0]])
+    assert np.linalg.eigvalsh(SHARED.precision((narrow, FABRIC))).min() > 0.0
 
 
 def test_what_is_expected_of_one_beside_the_other_is_the_conditional() -> None:
@@ -96,6 +104,27 @@ def test_a_fit_moves_far_along_what_two_parameters_share() -> None:
     # the 1σ of one about zero, against 1 of the difference: 10/2 less a third
     assert found.values["cable"] == pytest.approx(10.0 / 3.0, rel=1e-3)
     assert found.values["fabric"] == pytest.approx(-10.0 / 3.0, rel=1e-3)
+
+
+class Hills(Plane):
+    """A loop with two minima: at 2 nothing is left, at −2 nearly nothing."""
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        at = values["bandwidth"]
+        return np.array([at**2 - 4.0, 0.1 * (at - 2.0), values["shared"]])
+
+
+def test_a_loop_that_one_relation_alone_reads_is_learnt_in_its_better_minimum() -> None:
+    rows = np.arange(3)
+    signals = Signals({}, np.zeros(3, dtype=bool), rows / 3.0)
+    loop = Hills(RELATIONS["servo"], signals, rows, rows, frozenset({"bandwidth", "shared"}), np.eye(3), rows, ())
+    other = dataclasses.replace(loop, relation=RELATIONS["drive_force"], uses=frozenset({"shared"}))
+    problem = Problem([loop, other], {"servo": 1e-3, "drive_force": 1.0})
+    free = (Free("bandwidth", -5.0, 5.0, -2.0, 2.0, 0.1), Free("shared", -5.0, 5.0, 1.0, 1.0, 0.1))
+    start = {"bandwidth": -2.0, "shared": 1.0}
+    assert settled(problem, start, free) == {"bandwidth": pytest.approx(2.0, abs=1e-3), "shared": 1.0}
+    # in a search it stays in the minimum that it was learnt in
+    assert settled(problem, start, free, corners=False) == {"bandwidth": pytest.approx(-2.0, abs=0.1), "shared": 1.0}
 
 
 def test_what_comes_again_in_each_cycle_counts_once() -> None:

@@ -44,6 +44,7 @@ class Case:
     values: dict[str, float]
     motion: imposed.Motion
     noise_n: float
+    rate_hz: int
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def case(job: Job) -> Case:
             like(own, rng), s, PEAKS_N[i % 2], period * (1.0 + 0.1 * i), job.cycles, rate_hz=rate,
             preload_n=preload).columns, job.left_out) for i, s in enumerate(seeds[1:]))
     return Case(_table("trial.csv", shown.columns, job.left_out), rest, bench, changed, values, motion,
-                shown.bench.noise)
+                shown.bench.noise, rate)
 
 
 def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...]) -> Table:
@@ -158,6 +159,6 @@ def separation(made: Case, job: Job) -> float:
     n = int(np.searchsorted(motion.cycle, 2.0))
     short = imposed.Motion(*(values[:n] for values in motion))
     rest = [tuple(h for h in job.hidden if h != name) for name in job.hidden]
-    return min(oracle.separation(effects.hide(made.bench, others, job.seed)[0], made.changed, short, made.noise_n)
-               for others in rest) * motion.time.size / n
+    return min(oracle.separation(effects.hide(made.bench, others, job.seed)[0], made.changed, short, made.noise_n,
+                                 made.rate_hz) for others in rest) * motion.time.size / n
 

@@ -47,7 +47,8 @@ def steps(count, s, servo_nm, knee_nm, m, p, span, old, new, z, z_new, widths, w
     for _ in range(count):
         x, v, q, w = s[0], s[1], s[2], s[3]
         rub = math.tanh(v / STILL_M_S)
-        force = servo_nm / DRUM_M - s[6] - m[0] * rub * (1.0 + m[1] * rub) - m[2] * v - m[3]
+        pull = s[6] * (1.0 + m[7] / DRUM_M * math.cos(x / DRUM_M + m[8]))
+        force = servo_nm / DRUM_M - pull - m[0] * rub * (1.0 + m[1] * rub) - m[2] * v - m[3]
         v += dt * force / m[4]
         x += dt * v
         arm = K2 + 2.0 * m[6] * (s[4] - THETA_13)

@@ -51,12 +51,13 @@ def columns(bench: Bench, rng: np.random.Generator, time: np.ndarray, x: np.ndar
 
 def drive_force(bench: Bench, rng: np.random.Generator, time: np.ndarray, x: np.ndarray, start: np.ndarray
                 ) -> np.ndarray:
-    """The servo's force, N: tension, friction by direction and speed, inertia, ripple."""
+    """The servo's force, N: tension on the drum's arm, friction by direction and speed, inertia, ripple."""
     v = np.gradient(x, time)
     a = np.gradient(v, time)
     s = np.tanh(v / 1.5e-3)
     coulomb = bench.drive_coulomb * s * (1.0 + bench.drive_asymmetry * s)
-    return (start + coulomb + bench.drive_viscous * v + bench.drive_inertia * a + bench.drive_offset
+    pull = start * (1.0 + bench.ecc / 0.020 * np.cos(x / 0.020 + bench.ecc_phase))
+    return (pull + coulomb + bench.drive_viscous * v + bench.drive_inertia * a + bench.drive_offset
             + rng.normal(0.0, 0.3, x.size))
 
 
