@@ -38,7 +38,9 @@ class SearchCriteria:
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
-        if self._fall(lesser, model, added) < max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy):
+        # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
+        least_fall = max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy)
+        if min(self._fall(lesser, model, added), 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
         if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
             return False
@@ -127,14 +129,14 @@ class SearchCriteria:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
 
         The band is about what is expected beside the other constants of the model.  A law that is freed with its level
-        must say something beside that.
+        must say something beside that, and one that no healthy bench has a band of must be told from nothing.
         """
         at, healthy = model.fit.values, self.setting.reference.values
-        together = not self.setting.any_rig and not effect.level
+        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
+        together = not self.setting.any_rig and not effect.level and any(f.name in bands for f in effect.frees)
         if not together and not any(abs(at[f.name] - healthy[f.name])
                                     > verdict.CERTAIN * verdict.curvature_sigma(model, f.name) for f in effect.frees):
             return False
-        bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
         outside = [f.name for f in effect.frees if f.name not in bands
                    or not self.setting.reference.within(bands[f.name], model.fit.free, model.fit.values)]
         if self.setting.any_rig:

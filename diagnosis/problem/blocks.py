@@ -222,15 +222,20 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
     return np.flatnonzero(keep)
 
 
+JERKED: Final = 0.5
+"""Change of the acceleration from one sample to the next, of its RMS, that a rate does not resolve."""
+
+
 def _resolved(acceleration: Array) -> NDArray[np.bool_]:
-    """Return where the rate resolves an acceleration: it changes by less than its own RMS from a sample to the next.
+    """Return where the rate resolves an acceleration: it hardly changes between samples, nor beside its neighbours.
 
     A motor that is jerked pushes and brakes within one sample of a slow recording; the force of that instant says
-    nothing of the mass, and few such samples outweigh all others.
+    nothing of the mass, and few such samples outweigh all others.  An acceleration is a difference over its neighbours:
+    what they do not resolve is in it as well.
     """
-    change = np.abs(np.diff(acceleration, prepend=acceleration[:1], append=acceleration[-1:]))
     whole = float(np.sqrt(np.nanmean(acceleration**2)))
-    return np.asarray(~(np.maximum(change[:-1], change[1:]) > whole))
+    jump = np.pad(np.abs(np.diff(acceleration)) > JERKED * whole, 2)
+    return np.asarray(~(jump[:-3] | jump[1:-2] | jump[2:-1] | jump[3:]))
 
 
 def rmse(residuals: Iterable[Array]) -> float:

@@ -6,6 +6,7 @@ models are carried on together, each is offered every effect again, and what no 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,9 +25,9 @@ Values = Mapping[str, float]
 BEAM: Final = 4
 FIRST_REFITS: Final = 8
 PARAMETER: Final = 0.01
-"""Share of the score that a parameter must take away to come before a simpler model."""
+"""Share of the score that a parameter must take away to come before a simpler model, where nothing says its scatter."""
 UNLIKELY: Final = 0.02
-"""The same for a value outside the range where the catalogue expects it."""
+"""The same for a value outside the range where the catalogue expects it; elsewhere twice a parameter's price."""
 LATER_REFITS: Final = 4
 WORTH_POLISHING: Final = 2.0
 """Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
@@ -36,12 +37,16 @@ LEVEL: Final = 4.0
 
 @dataclass(frozen=True)
 class FittedEffects:
-    """A set of effects fitted together, to `problem`, and what it leaves on the cycles of `folds` when refitted."""
+    """A set of effects fitted together, to `problem`, and what it leaves on the cycles of `folds` when refitted.
+
+    `price`: χ² that a parameter costs; None: a share of the score, on a rig of which no scatter is known.
+    """
 
     effects: tuple[Candidate, ...]
     fit: Fit
     problem: Problem = field(repr=False)
     folds: Sequence[frozenset[int]] = field(repr=False)
+    price: float | None = None
 
     @cached_property
     def unseen(self) -> CycleSquares:
@@ -63,19 +68,18 @@ class FittedEffects:
         return self.fit.penalty
 
     @property
-    def complexity_penalty(self) -> float:
-        """Return what a model costs for every parameter that it took and for each where it is not expected."""
-        cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
-        return 1.0 + cost
-
-    @property
     def rank(self) -> float:
-        return self.score * self.complexity_penalty
+        return self._priced(self.score)
 
     @property
     def fit_score(self) -> float:
         """Return the rank as far as the fit alone says it."""
-        return self.fit.cost * self.complexity_penalty
+        return self._priced(2.0 * self.fit.cost)
+
+    def _priced(self, score: float) -> float:
+        """Return a score with what each parameter costs that the model took, and each where it is not expected."""
+        cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
+        return score * (1.0 + cost) if self.price is None else score + self.price / PARAMETER * cost
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -119,6 +123,8 @@ class Search:
                  folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.criteria, self.near = criteria, near
+        # Schwarz 1978: half the logarithm of the samples in the logarithm of the likelihood
+        self.price = math.log(max(sum(b.keep.size for b in problem.blocks), 2)) if near else None
         self.start = settled(problem, start, nuisance, corners=False) if near else dict(start)
         self.tried: dict[tuple[str, ...], FittedEffects] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
@@ -152,7 +158,7 @@ class Search:
         names = tuple(sorted(c.name for c in effects))
         known = self.tried.get(names)
         if known is None or fit.cost < known.fit.cost:
-            self.tried[names] = FittedEffects(tuple(effects), fit, self.problem, self.folds)
+            self.tried[names] = FittedEffects(tuple(effects), fit, self.problem, self.folds, self.price)
             (self.arrived.add if thorough else self.arrived.discard)(names)
         return self.tried[names]
 
@@ -222,7 +228,7 @@ class Search:
             free = tuple(f for f in self.free_of(model.effects) if f.name not in own)
             back = {name: self.start[name] for name in own}
             fit = solve(self.problem, {**model.fit.values, **back}, free, known=model.fit, thorough=True)
-            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds)
+            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds, self.price)
         return self.lacks[key]
 
     def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
@@ -232,7 +238,7 @@ class Search:
             free = tuple(f for f in self.free_of(model.effects) if f.name != constant)
             fit = solve(self.problem, {**model.fit.values, constant: RELATION_PARAMETERS[constant].in_ideal}, free,
                         thorough=True)
-            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds)
+            self.lacks[key] = FittedEffects(model.effects, fit, self.problem, self.folds, self.price)
         return self.lacks[key]
 
     def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:

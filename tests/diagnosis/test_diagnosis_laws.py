@@ -136,3 +136,20 @@ def test_what_rates_of_one_side_would_judge_is_left_out() -> None:
         kept = time[block.keep]
         assert kept[0] >= time[0] + SETTLE_S
         assert kept[-1] <= time[-1] - SETTLE_S
+
+
+def test_of_the_servo_force_is_left_out_what_the_rate_does_not_resolve() -> None:
+    time = np.arange(0.0, 6.0, 0.01)
+    smooth = 0.02 * np.sin(2.0 * np.pi * time)
+    jerked = smooth + 0.1 * np.maximum(time - 3.0, 0.0)
+    zeros = np.zeros(time.size)
+
+    def kept(position: np.ndarray) -> np.ndarray:
+        columns = {"time_s": time, "servo_position_m": position, "servo_force_n": zeros, "tension_start_n": zeros}
+        block, = blocks_of([table("drive.csv", columns)], ["drive_force"], taut_n=5.0, rate_hz=100.0)
+        return np.asarray(block.signals["time_s"][block.keep])
+
+    lost = np.setdiff1d(kept(smooth), kept(jerked))
+    assert lost.size > 0
+    # two samples of the velocity's and of the acceleration's difference each, and one of the neighbours'
+    assert np.abs(lost - 3.0).max() < 0.06

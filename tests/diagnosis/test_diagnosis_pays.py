@@ -36,11 +36,12 @@ def judge() -> Judge:
 
 def moved(model: FittedEffects, by_relation: dict[str, float] | None = None,
           values: dict[str, float] | None = None) -> FittedEffects:
-    """Return `model` as if its fit had left other χ² on unseen cycles, or arrived at other values."""
+    """Return `model` as if its fit had left other χ² on all cycles and unseen ones, or arrived at other values."""
     there = {**model.fit.values, **(values or {})}
+    more = sum(left - model.by_relation[name] for name, left in (by_relation or {}).items())
     space = Space(model.fit.free, model.problem.prior)
     other = dataclasses.replace(model, fit=dataclasses.replace(
-        model.fit, values=there, penalty=space.penalty(space.of(there))))
+        model.fit, values=there, penalty=space.penalty(space.of(there)), cost=model.fit.cost + 0.5 * more))
     other.__dict__["by_relation"] = {**model.by_relation, **(by_relation or {})}
     return other
 
@@ -95,6 +96,14 @@ def test_a_law_that_moves_its_level_far_must_say_more_than_the_level(changed: di
     model = min((search.model([law], {**search.start, **start}) for start in law.starts), key=lambda m: m.fit.cost)
     assert criteria.leads(law, model, search) == says
     assert search.lacks, "the level has not moved far: the test asks nothing"
+
+
+def test_what_pays_on_unseen_cycles_alone_is_the_ill_luck_of_a_fold(judge: Judge) -> None:
+    base, best = judge.found.baseline, judge.found.best
+    level = dataclasses.replace(best, fit=dataclasses.replace(best.fit, cost=base.fit.cost))
+    level.__dict__["by_relation"] = best.by_relation
+    assert judge.criteria.pays(base, best, judge.search)
+    assert not judge.criteria.pays(base, level, judge.search)
 
 
 def test_a_second_effect_must_take_three_tenths_of_what_the_first_left(judge: Judge) -> None:

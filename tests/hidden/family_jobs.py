@@ -48,11 +48,14 @@ def hidden(kind: str) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     return [(names, ()) for names in whole] + [(names, NO_END) for names in blind]
 
 
-def jobs(kind: str, aside: bool, every: int = 1) -> Iterator[Job]:
-    """Yield the cases of one implementation; `every`: only each so many, from another one on for each."""
+def jobs(kind: str, aside: bool, every: int = 1, rest: bool = False) -> Iterator[Job]:
+    """Yield the cases of one implementation.
+
+    `every`: only each so many, from another one on for each; `rest`: all but those.
+    """
     own, first = serials(kind, aside), KINDS.index(kind) % every
     for i, (names, left_out) in enumerate(hidden(kind)):
-        if i % every == first:
+        if (i % every == first) != rest:
             yield Job(own[int(len(own) * (i * GOLDEN % 1.0))], names, i, left_out=left_out)
 
 

@@ -1,7 +1,7 @@
 """The finder on the family, by structure: each effect once on each implementation, healthy benches, pairs, no END.
 
-    python -m tests.hidden.family_run [--aside] [--kinds maxwell,lugre] [--every N] [--most N] [--workers N]
-                                      [--no-oracle] [--answers FILE] [--hash | --page]
+    python -m tests.hidden.family_run [--aside] [--kinds maxwell,lugre] [--every N] [--rest] [--most N]
+                                      [--workers N] [--no-oracle] [--answers FILE] [--hash | --page]
 
 The rule of this file: `--aside` are the serials that nothing was tuned on; run them once, at the end.  What is asked is
 known beforehand by its hash (`--hash`), which is committed before the run.  A run that was broken off goes on from
@@ -42,13 +42,17 @@ def options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--aside", action="store_true")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--every", type=int, default=1, metavar="N")
+    parser.add_argument("--rest", action="store_true", help="all but each so many")
     parser.add_argument("--most", type=int, help="only so many, from the first on, the structures in turns")
     parser.add_argument("--workers", type=int, help="processes (default: one a processor)")
     parser.add_argument("--no-oracle", action="store_true")
     parser.add_argument("--answers", type=Path, help="where answers are kept (default: out/family-COMMIT.jsonl)")
     parser.add_argument("--hash", action="store_true", help="print the hash of what would be asked, and ask nothing")
     parser.add_argument("--page", action="store_true", help=f"write the table into {DOCS.name}")
-    return parser.parse_args(arguments)
+    given = parser.parse_args(arguments)
+    if given.rest and given.every < 2:
+        parser.error("--rest: all but each single case are none; give --every 2 or more.")
+    return given
 
 
 def page(options: str, commits: list[str], key: str, whole: int, kinds: list[str], by_kind: list[list[Answer]]) -> str:
@@ -68,7 +72,7 @@ def main(arguments: list[str]) -> None:
     """Print every answer and the table."""
     given = options(arguments)
     kinds = given.kinds.split(",")
-    asked = {kind: list(jobs(kind, given.aside, given.every)) for kind in kinds}
+    asked = {kind: list(jobs(kind, given.aside, given.every, given.rest)) for kind in kinds}
     key = digest([job for kind in kinds for job in asked[kind]])
     # the structures in turns, so that a run that is broken off has asked of each
     every = [job for turn in itertools.zip_longest(*asked.values()) for job in turn if job is not None]
