@@ -44,6 +44,8 @@ FEWEST_TURNS: Final = 2
 SETTLE_S: Final = 0.1
 """What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
 of one side only."""
+JERKED: Final = 0.5
+"""Change of the acceleration from one sample to the next, of its RMS, that a rate does not resolve."""
 
 
 @dataclass(frozen=True)
@@ -220,10 +222,6 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
                 keep &= signals[name] > taut_n
                 break
     return np.flatnonzero(keep)
-
-
-JERKED: Final = 0.5
-"""Change of the acceleration from one sample to the next, of its RMS, that a rate does not resolve."""
 
 
 def _resolved(acceleration: Array) -> NDArray[np.bool_]:

@@ -231,7 +231,6 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
     carried = [fit for fit in coarse[:FULL] if fit.cost < CLOSE * coarse[0].cost]
     free = (*wide, *_deviations({f.name: f.sigma for f in _own(reference)}, len(trials)))
     loops = settled(Problem([b for trial in trials for b in trial], weights), coarse[0].values, wide)
-    loops = {n: v for n, v in loops.items() if v != coarse[0].values[n]}
     together = min((solve(Problem(blocks, weights), {**fit.values, **loops, **rest}, free)
                     for fit in carried), key=lambda f: f.cost)
     for other in AGAIN:

@@ -24,11 +24,11 @@ CORNER: Final = 2.0
 
 
 def settled(problem: Problem, values: Values, free: Sequence[Free], corners: bool = True) -> dict[str, float]:
-    """Return `values` with the constants of `free` that one relation alone reads where they fit it best.
+    """Return those constants of `free` that one relation alone reads, where they fit it best; the rest is at `values`.
 
     Without `corners` in the minimum that they are in: where the bench is known, that it is another one says nothing.
     """
-    found = dict(values)
+    found: dict[str, float] = {}
     names = dict.fromkeys(b.relation.name for b in problem.blocks)
     reads = {n: frozenset().union(*(b.uses for b in problem.blocks if b.relation.name == n)) for n in names}
     for name in names:
@@ -36,9 +36,9 @@ def settled(problem: Problem, values: Values, free: Sequence[Free], corners: boo
         own = [f for f in free if f.name in reads[name] - others and math.isfinite(f.sigma)]
         if 0 < len(own) <= MOST:
             alone = problem.only(name)
-            ends = [(found[f.name], *((max(f.low, f.mean - CORNER * f.sigma), min(f.high, f.mean + CORNER * f.sigma))
+            ends = [(values[f.name], *((max(f.low, f.mean - CORNER * f.sigma), min(f.high, f.mean + CORNER * f.sigma))
                                       if corners else ())) for f in own]
-            best = min((solve(alone, {**found, **dict(zip([f.name for f in own], at, strict=True))}, own)
+            best = min((solve(alone, {**values, **dict(zip([f.name for f in own], at, strict=True))}, own)
                         for at in itertools.product(*ends)), key=lambda fit: fit.cost)
             found |= {f.name: best.values[f.name] for f in own}
     return found

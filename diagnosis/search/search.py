@@ -125,7 +125,7 @@ class Search:
         self.criteria, self.near = criteria, near
         # Schwarz 1978: half the logarithm of the samples in the logarithm of the likelihood
         self.price = math.log(max(sum(b.keep.size for b in problem.blocks), 2)) if near else None
-        self.start = settled(problem, start, nuisance, corners=False) if near else dict(start)
+        self.start = {**start, **(settled(problem, start, nuisance, corners=False) if near else {})}
         self.tried: dict[tuple[str, ...], FittedEffects] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
         self.arrived: set[tuple[str, ...]] = set()
