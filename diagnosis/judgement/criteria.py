@@ -110,6 +110,10 @@ class SearchCriteria:
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
+    def speaks(self, model: FittedEffects) -> bool:
+        """Whether each effect of a model has a value that is not the healthy one."""
+        return all(self._unlike(c, model) for c in model.effects)
+
     def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
         return self._unlike(effect, model) and self.leads(effect, model, search)
@@ -195,7 +199,7 @@ class SearchCriteria:
         if self.setting.floors is None or self.splits:
             return False
         return self.has_unexplained_residual(model, baseline) or (
-            not model.effects and (self._rise(model) > verdict.WANTING - 1.0 or self._strained(model)))
+            not model.effects and (self._rise(model) > verdict.WANTING - 1.0 or self._strained(model, verdict.TWICE)))
 
     def needs_pairs(self, baseline: FittedEffects) -> bool:
         """Whether two effects may be at work that only pay together: more is left than on healthy trials.
@@ -204,9 +208,10 @@ class SearchCriteria:
         """
         return not self.splits and (self.setting.any_rig or self.has_unexplained_residual(baseline, baseline))
 
-    def _strained(self, model: FittedEffects) -> bool:
-        """Whether a model leaves what is known beforehand further away than it is by chance."""
-        return model.prior_penalty > _by_chance(sum(math.isfinite(f.sigma) for f in model.fit.free))
+    def _strained(self, model: FittedEffects, deviations: float = verdict.THRICE) -> bool:
+        """Whether a model leaves what is known beforehand further away than it is by chance, by so many deviations."""
+        count = sum(math.isfinite(f.sigma) for f in model.fit.free)
+        return model.prior_penalty > count + deviations * math.sqrt(2.0 * count)
 
     def _rise(self, model: FittedEffects) -> float:
         """Return by how many healthy floors the RMSE of some relation exceeds one."""
@@ -220,8 +225,3 @@ class SearchCriteria:
 
     def _excess(self, model: FittedEffects, relation: str) -> float:
         return max(model.by_relation[relation] - self._expected(relation), 0.0)
-
-
-def _by_chance(count: int) -> float:
-    """Return what χ² of so many exceeds once in a thousand, nearly: three standard deviations above its mean."""
-    return count + 3.0 * math.sqrt(2.0 * count)

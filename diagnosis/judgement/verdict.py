@@ -64,6 +64,10 @@ OPEN: Final = 0.1
 STRAINED: Final = 15.0
 """What the nuisance pays for standing away from what is known of it, from which an effect may be behind that; and by
 which an effect may not raise it: a true cause relaxes the rest, a false one bends it."""
+TWICE: Final = 2.0
+THRICE: Final = 3.0
+"""Standard deviations of χ² above its mean from which what the nuisance pays is no chance: one trial in twenty, where
+that only costs a search of all effects, one in a thousand, where it opens the door to a second name."""
 CERTAIN: Final = 2.0
 """Departure from the healthy value, in 1σ of the fit, below which a value says nothing."""
 MATERIAL: Final = 0.5

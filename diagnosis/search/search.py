@@ -95,6 +95,9 @@ class Criteria(Protocol):
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves something that a further effect could take away."""
 
+    def speaks(self, model: FittedEffects) -> bool:
+        """Whether each effect of a model has a value that is not the healthy one."""
+
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects left so much that all have to be fitted."""
 
@@ -243,8 +246,11 @@ class Search:
 
     def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
-        foremost = sorted((self.polished(self._from_all_starts(m)) for m in _foremost(
-            {m.names: m for m in grown}.values())), key=lambda m: m.rank)
+        every = {m.names: m for m in grown}.values()
+        # a law that stands for its level alone takes no place of one that has a name for it
+        able = [m for m in every if not self.near or self.criteria.speaks(m)]
+        foremost = sorted((self.polished(self._from_all_starts(m)) for m in _foremost(able or every)),
+                          key=lambda m: m.rank)
         return self._best_pruned(foremost) if foremost else best, foremost
 
     def _best_pruned(self, models: Iterable[FittedEffects]) -> FittedEffects:
