@@ -110,10 +110,6 @@ class SearchCriteria:
         expected = self._expected(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
-    def speaks(self, model: FittedEffects) -> bool:
-        """Whether each effect of a model has a value that is not the healthy one."""
-        return all(self._unlike(c, model) for c in model.effects)
-
     def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
         return self._unlike(effect, model) and self.leads(effect, model, search)

@@ -7,7 +7,7 @@ models are carried on together, each is offered every effect again, and what no 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Protocol
@@ -94,9 +94,6 @@ class Criteria(Protocol):
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves something that a further effect could take away."""
-
-    def speaks(self, model: FittedEffects) -> bool:
-        """Whether each effect of a model has a value that is not the healthy one."""
 
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
         """Whether the foremost effects left so much that all have to be fitted."""
@@ -246,7 +243,7 @@ class Search:
 
     def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:
         """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
-        foremost = sorted((self.polished(self._from_all_starts(m)) for m in self._foremost(
+        foremost = sorted((self.polished(self._from_all_starts(m)) for m in _foremost(
             {m.names: m for m in grown}.values())), key=lambda m: m.rank)
         return self._best_pruned(foremost) if foremost else best, foremost
 
@@ -269,16 +266,8 @@ class Search:
     def _first(self, most: int) -> FittedEffects:
         """Return the best, pruned, of all models of at most so many effects that were fitted on the way."""
         lengths = range(most + 1)
-        return self._best_pruned(m for k in lengths for m in self._foremost(
-            [m for m in self.tried.values() if len(m.effects) == k]))
-
-    def _foremost(self, models: Collection[FittedEffects]) -> list[FittedEffects]:
-        """Return the few of the best fit score, best first.
-
-        A law that stands for its level alone takes no place of one that has a name for it.
-        """
-        able = [m for m in models if not self.near or self.criteria.speaks(m)]
-        return sorted(able or models, key=lambda m: m.fit_score)[:BEAM]
+        return self._best_pruned(m for k in lengths for m in _foremost(
+            m for m in self.tried.values() if len(m.effects) == k))
 
     def run(self, most: int) -> SearchResult:
         """Search to `most` effects; a level is opened only while something is left and the one before has paid.
@@ -320,3 +309,8 @@ def _released(f: Free) -> Free:
     """Return a band made wide for the level of a law that is said about another load, bend or time."""
     wide = LEVEL * f.sigma
     return replace(f, low=max(min(f.low, 0.0), f.mean - 3.0 * wide), high=f.mean + 3.0 * wide, sigma=wide)
+
+
+def _foremost(models: Iterable[FittedEffects]) -> list[FittedEffects]:
+    """Return the few of the best fit score, best first."""
+    return sorted(models, key=lambda m: m.fit_score)[:BEAM]
