@@ -117,14 +117,19 @@ class SearchResult:
 
 
 class Search:
-    """One search over one problem; `near`: effects are small enough for slopes to outlive one more of them."""
+    """One search over one problem.
+
+    `near`: effects are small enough for slopes to outlive one more of them.  `scatter`: the laws' scatter is known on
+    these data, so that χ² is one.
+    """
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
-                 folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True) -> None:
+                 folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True,
+                 scatter: bool = True) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
         self.criteria, self.near = criteria, near
         # Schwarz 1978: half the logarithm of the samples in the logarithm of the likelihood
-        self.price = math.log(max(sum(b.keep.size for b in problem.blocks), 2)) if near else None
+        self.price = math.log(max(sum(b.keep.size for b in problem.blocks), 2)) if near and scatter else None
         self.start = {**start, **(settled(problem, start, nuisance, corners=False) if near else {})}
         self.tried: dict[tuple[str, ...], FittedEffects] = {}
         self.grown: set[tuple[tuple[str, ...], str, int]] = set()
