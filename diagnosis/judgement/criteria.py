@@ -39,7 +39,7 @@ class SearchCriteria:
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
         # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
-        least_fall = max(verdict.LEAST_FALL, verdict.STRUCTURE * healthy)
+        least_fall = verdict.least_fall(healthy, lesser.prior_penalty - model.prior_penalty)
         if min(self._fall(lesser, model, added), 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
         if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
@@ -54,7 +54,7 @@ class SearchCriteria:
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
                                           for n in self.setting.checked):
             return False
-        if not lesser.effects and lesser.prior_penalty - model.prior_penalty >= verdict.LEAST_FALL:
+        if lesser.prior_penalty - model.prior_penalty >= verdict.LEAST_FALL:
             # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
             return True
         noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}

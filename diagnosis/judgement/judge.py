@@ -40,7 +40,8 @@ class Judge:
         offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
         self.criteria = SearchCriteria(setting, splits=within is not None)
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
-                             setting.folds, self.criteria, near=not setting.any_rig, scatter=within is None)
+                             setting.folds, self.criteria, near=not setting.any_rig, scatter=within is None,
+                             blind=setting.blind if within is None else ())
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: SearchResult = self.search.run(most if within is None else len(within.found.best.effects))
 

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity
 from diagnosis.data.table import Table
-from diagnosis.judgement.verdict import LEAST_FALL, LEAST_GAIN, RIVAL_GAIN, STRUCTURE
+from diagnosis.judgement.verdict import LEAST_GAIN, RIVAL_GAIN, least_fall
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.fit import Fit, solve
 from diagnosis.problem.floors import FLOORS
@@ -142,7 +142,7 @@ class _Sight:
                        for i, name in enumerate(self.names)]
         if fall <= 0.0 or max(by_relation) <= 0.0:
             return change, math.inf
-        least = max(LEAST_FALL, STRUCTURE * sum(self._independent(n) for n in dict.fromkeys(self.names)))
+        least = least_fall(sum(self._independent(n) - self.setting.noise_squares(n) for n in dict.fromkeys(self.names)))
         return change, max(math.sqrt(least / fall), math.sqrt(RISE / max(by_relation)))
 
     def _limit(self, candidate: Candidate, start: Mapping[str, float], change: NDArray[np.float32], share: float,

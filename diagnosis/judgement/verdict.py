@@ -24,9 +24,12 @@ LEAST_FURTHER: Final = 1.0 - math.sqrt(0.7)
 """The same of what the first effect left: three tenths of its χ² beyond noise.  A law that is not quite the bench's own
 leaves some of what it explains, and a second one bends to that."""
 LEAST_FALL: Final = 40.0
-"""χ² on unseen cycles that an effect must take away: the oracle of the family of plants counts from there."""
-STRUCTURE: Final = 0.04
-"""The same, of the healthy χ²: what the laws' own shortcomings gave the best candidate on healthy benches."""
+"""χ² that says something at all: the oracle of the family of plants counts from there."""
+BENT: Final = 100.0
+"""χ² on unseen cycles that an effect must take away which leaves the healthy constants as strained as they were: on
+healthy benches some law of the catalogue bends to what the laws leave there and takes up to 96."""
+STRUCTURE: Final = 0.12
+"""The same, of the χ² that the laws leave on a healthy bench beyond noise."""
 MISMATCH: Final = 0.02
 """Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
 LEAST_RATIO: Final = 80.0
@@ -74,6 +77,15 @@ MATERIAL: Final = 0.5
 """Departure from absence that is a find, of the least that the catalogue expects (of a tenth of its largest, where
 absence lies among what is expected)."""
 DRAWS: Final = 400
+
+
+def least_fall(structure: float, relief: float = 0.0) -> float:
+    """Return the χ² that an effect must take away on unseen cycles.
+
+    `structure`: χ² that the laws leave on a healthy bench beyond noise, some law of the catalogue may bend to it.
+    `relief`: by how much the effect lets the nuisance return to what is known of it; no bending does that.
+    """
+    return LEAST_FALL if relief >= LEAST_FALL else max(BENT, STRUCTURE * structure)
 
 
 @dataclass(frozen=True)

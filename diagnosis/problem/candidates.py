@@ -45,11 +45,12 @@ class Candidate:
 
 
 def candidates(
-    checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False
+    checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False,
+    blind: bool = False
 ) -> list[Candidate]:
     """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
 
-    An effect is offered where the relation that shows it first can be checked.
+    An effect is offered where the relation that shows it first can be checked; `blind`: those where it cannot.
     `any_rig`: bounds are those for rigs of any size, and what reads this bench's geometry is left out.
     """
     checked = tuple(checked)
@@ -61,7 +62,7 @@ def candidates(
             continue
         frees = [_free(p, reference, any_rig) for p in effect.parameters
                  if p.name in visible and p.name not in swallowed]
-        if effect.relations[0] not in checked and not any_rig and not _drives_alone(effect, checked):
+        if not any_rig and blind == (effect.relations[0] in checked or _drives_alone(effect, checked)):
             continue
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
             likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}

@@ -37,7 +37,8 @@ UNEXPLAINED_SHARE = 0.3
 @dataclass(frozen=True)
 class ProblemSetting:
     """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench;
-    `rate_hz`: the rate at which trials are looked at; `noise`: RMS by relation that is noise of these trials."""
+    `rate_hz`: the rate at which trials are looked at; `noise`: RMS by relation that is noise of these trials; `blind`:
+    effects whose own relation lacks a column, which may be rivals and are never chosen."""
 
     any_rig: bool
     missing: Mapping[str, tuple[str, ...]]
@@ -52,6 +53,7 @@ class ProblemSetting:
     learnt: Learnt | None = None
     rate_hz: float | None = None
     noise: Mapping[str, float] | None = None
+    blind: Sequence[Candidate] = ()
 
     @property
     def problem(self) -> Problem:
@@ -126,7 +128,8 @@ def _learnt(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], bl
     weights = {n: max(weighed.weights.get(n, FLOORS[n] * math.sqrt(CORRELATION_LENGTH[n])),
                       LEAST_FLOOR[n] * math.sqrt(LEAST_CORRELATION_LENGTH)) for n in checked}
     return ProblemSetting(False, missing, checked, weighed.blocks, folds, learnt.reference, values, weights, floors,
-                          candidates(checked, values, nuisance), learnt, rate, noise)
+                          candidates(checked, values, nuisance), learnt, rate, noise,
+                          candidates(checked, values, nuisance, blind=True))
 
 
 def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], blocks: list[Block],

@@ -6,6 +6,7 @@ models are carried on together, each is offered every effect again, and what no 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -120,13 +121,14 @@ class Search:
     """One search over one problem.
 
     `near`: effects are small enough for slopes to outlive one more of them.  `scatter`: the laws' scatter is known on
-    these data, so that χ² is one.
+    these data, so that χ² is one.  `blind`: effects that are fitted in a chosen one's place, and never chosen.
     """
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
                  folds: Sequence[frozenset[int]], criteria: Criteria, near: bool = True,
-                 scatter: bool = True) -> None:
+                 scatter: bool = True, blind: Sequence[Candidate] = ()) -> None:
         self.problem, self.nuisance, self.offered, self.folds = problem, tuple(nuisance), offered, folds
+        self.blind = blind
         self.criteria, self.near = criteria, near
         # Schwarz 1978: half the logarithm of the samples in the logarithm of the likelihood
         self.price = math.log(max(sum(b.keep.size for b in problem.blocks), 2)) if near and scatter else None
@@ -175,14 +177,27 @@ class Search:
         return self.tried[model.names]
 
     def grow(self, model: FittedEffects, most: int) -> list[FittedEffects]:
-        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model."""
+        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model.
+
+        Screened in turns by slopes at the model's fit and at the healthy constants: where what is lacking has bent
+        the fit, slopes there point elsewhere.
+        """
         offered = [c for c in self.offered if c.name not in model.names]
+        screened = [promises(self.problem, fit, self.folds, offered) for fit in (
+            model.fit, *([self._unbent(model)] if self.near else []))]
         chosen: dict[int, int] = {}
-        for _, c, s in promises(self.problem, model.fit, self.folds, offered):
+        for _, c, s in itertools.chain.from_iterable(zip(*screened, strict=True)):
             if len(chosen) == most:
                 break
             chosen.setdefault(c, s)
         return [self._grown(model, offered[c], s) for c, s in chosen.items()]
+
+    def _unbent(self, model: FittedEffects) -> Fit:
+        """Return what the residuals do with a model's effects at work and the nuisance where the search started."""
+        if not model.effects:
+            return self.origin
+        kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
+        return solve(self.problem, {**self.start, **kept}, self.free_of(model.effects), max_steps=0)
 
     def grow_all(self, model: FittedEffects) -> list[FittedEffects]:
         """Fit `model` with each effect it lacks, from every start."""
@@ -304,6 +319,8 @@ class Search:
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)
         best = self._ordered(self._first(len(best.effects))) if best.effects else self.baseline
+        for out, blind in itertools.product(best.effects, self.blind):
+            self._from_all_starts(self._grown(self.without(best, out), blind, 0))
         for near in [m for m in self.tried.values() if len(m.effects) == len(best.effects) > 0
                      and m.fit.cost < WORTH_POLISHING * best.fit.cost]:
             self.polished(near)
