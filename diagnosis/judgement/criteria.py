@@ -182,7 +182,8 @@ class SearchCriteria:
         """Whether structure remains that a model does not explain; only healthy trials can say."""
         if self.setting.floors is None or self.splits:
             return False
-        checked, rise = self.setting.checked, self._rise(model)
+        checked = self.setting.checked
+        rise = self._rise(model, [n for n in checked if self._excess(model, n) >= verdict.STRANGE_FALL])
         left, whole = (sum(self._excess(m, n) for n in checked) for m in (model, baseline))
         if rise <= verdict.STRANGE - 1.0:
             return False
@@ -194,8 +195,8 @@ class SearchCriteria:
         """Whether the foremost effects are not enough to go by; only healthy trials can say."""
         if self.setting.floors is None or self.splits:
             return False
-        return self.has_unexplained_residual(model, baseline) or (
-            not model.effects and (self._rise(model) > verdict.WANTING - 1.0 or self._strained(model, verdict.TWICE)))
+        return self.has_unexplained_residual(model, baseline) or (not model.effects and (
+            self._rise(model, self.setting.checked) > verdict.WANTING - 1.0 or self._strained(model, verdict.TWICE)))
 
     def needs_pairs(self, baseline: FittedEffects) -> bool:
         """Whether two effects may be at work that only pay together: more is left than on healthy trials.
@@ -209,10 +210,10 @@ class SearchCriteria:
         count = sum(math.isfinite(f.sigma) for f in model.fit.free)
         return model.prior_penalty > count + deviations * math.sqrt(2.0 * count)
 
-    def _rise(self, model: FittedEffects) -> float:
-        """Return by how many healthy floors the RMSE of some relation exceeds one."""
+    def _rise(self, model: FittedEffects, relations: Sequence[str]) -> float:
+        """Return by how many healthy floors the RMSE of one of the `relations` exceeds one; −1 of none."""
         floors = self.setting.floors or {}
-        return max(self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in self.setting.checked) - 1.0
+        return max((self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in relations), default=0.0) - 1.0
 
     def _expected(self, relation: str) -> float:
         """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""

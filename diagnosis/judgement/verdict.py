@@ -58,6 +58,8 @@ STRANGE: Final = 1.33
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
 WANTING: Final = 1.2
 """The same from which, where none of the foremost effects pays, all are fitted."""
+STRANGE_FALL: Final = 2.0 * BENT
+"""χ² above a healthy trial's that a relation must have, too: a small one's floor is soon exceeded by a third."""
 STRANGE_NAMED: Final = 0.225
 """The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
 STRANGE_SHARE: Final = 0.15
@@ -146,7 +148,9 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
                 continue
             if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
                 continue
-            share = (left.score - model.score) / max(left.score - best.score, 1e-9)
+            # what either all cycles or unseen ones do not tell apart
+            share = max((left.score - model.score) / max(left.score - best.score, 1e-9),
+                        (left.fit.cost - model.fit.cost) / max(left.fit.cost - best.fit.cost, 1e-9))
             rival = next(c for c in model.effects if c.name in strange)
             if not says(rival, model):
                 continue

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, median_filter
 from scipy.signal import butter, sosfiltfilt
 
 from diagnosis.data.table import Table
@@ -46,6 +47,12 @@ SETTLE_S: Final = 0.1
 of one side only."""
 JERKED: Final = 0.5
 """Change of the acceleration from one sample to the next, of its RMS, that a rate does not resolve."""
+
+SPIKE_SAMPLES: Final = 5
+SPIKE_SIGMA: Final = 6.0
+SPIKE_SHARE: Final = 0.5
+"""A spike of a motor's force: away from the median of so many samples by so many deviations of what is away from it
+everywhere, and by this share of its RMS."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +222,8 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
         gone = np.cumsum(np.abs(np.diff(signals["rope_m"], prepend=signals["rope_m"][0])))
         keep &= gone >= 0.5 * float(np.ptp(signals["rope_m"]))
     if relation.name == "drive_force" and taut_n is not None:
-        keep &= _resolved(signals["rope_m_s2"])
+        pulls = signals["tension_start_n"] if signals.has("tension_start_n") else 0.0
+        keep &= _resolved(signals["rope_m_s2"]) & ~_spiked(signals["servo_force_n"] - pulls)
     if relation.unit == "rad" and taut_n is not None:
         for name in ("tension_end_n", "tension_start_n"):
             if signals.has(name):
@@ -234,6 +242,16 @@ def _resolved(acceleration: Array) -> NDArray[np.bool_]:
     whole = float(np.sqrt(np.nanmean(acceleration**2)))
     jump = np.pad(np.abs(np.diff(acceleration)) > JERKED * whole, 2)
     return np.asarray(~(jump[:-3] | jump[1:-2] | jump[2:-1] | jump[3:]))
+
+
+def _spiked(force: Array) -> NDArray[np.bool_]:
+    """Return where a motor's own force leaves its neighbours' for a sample or two, and beside it.
+
+    A jerk too short for the recorded position shows in the force alone: no law on that position can follow it.
+    """
+    apart = np.abs(force - median_filter(force, SPIKE_SAMPLES))
+    least = SPIKE_SHARE * float(np.sqrt(np.nanmean(force**2)))
+    return np.asarray(binary_dilation(apart > max(SPIKE_SIGMA * 1.4826 * float(np.nanmedian(apart)), least)))
 
 
 def rmse(residuals: Iterable[Array]) -> float:

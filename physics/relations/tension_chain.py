@@ -319,7 +319,7 @@ def read_at_start(
     `pressed_n` above 0: tension from which the rope is pressed to its sheath and drags in full; in proportion below.
     `slack_n` above 0: a rope that can be slack never pushes.  Its drag at the edge of slack is anything from none to
     all of it, and END cannot say which: below `UNSURE_N` it is what START itself (`measured`, N, empty where there is
-    none) says in between.
+    none) says in between.  Up to twice that what is open narrows to the law: a step there would follow each constant.
     """
     out = np.empty(start.size)
     for k in range(start.size):
@@ -330,13 +330,15 @@ def read_at_start(
             force += drag
         elif drag != 0.0:
             least = min(force, 0.0)
-            if force < UNSURE_N and measured.size > 0:
+            pressed = min(max(force, 0.0) / pressed_n, 1.0) if pressed_n > 0.0 else 1.0
+            dragged = max(force + drag * pressed * min(max(2.0 * force, 0.0), 1.0), least)
+            unsure = min(max(2.0 - force / UNSURE_N, 0.0), 1.0) if measured.size > 0 else 0.0
+            if unsure > 0.0:
                 taut = max(force + drag, least)
                 said = (measured[k] - shift) / gain
-                force = min(max(said, min(force, taut)), max(force, taut))
-            else:
-                pressed = min(max(force, 0.0) / pressed_n, 1.0) if pressed_n > 0.0 else 1.0
-                force = max(force + drag * pressed * min(max(2.0 * force, 0.0), 1.0), least)
+                low, high = min(force, taut), max(force, taut)
+                dragged = min(max(said, dragged + unsure * (low - dragged)), dragged + unsure * (high - dragged))
+            force = dragged
         out[k] = gain * force + shift
     return out
 

@@ -16,7 +16,7 @@ from physics.relations import transmission
 from physics.relations.drive_relations import arm
 from physics.relations.measured import Signals
 from physics.relations.relation import RELATIONS
-from physics.relations.tension_chain import from_motion, recalled
+from physics.relations.tension_chain import UNSURE_N, from_motion, read_at_start, recalled
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 
@@ -153,3 +153,35 @@ def test_of_the_servo_force_is_left_out_what_the_rate_does_not_resolve() -> None
     assert lost.size > 0
     # two samples of the velocity's and of the acceleration's difference each, and one of the neighbours'
     assert np.abs(lost - 3.0).max() < 0.06
+
+
+def test_of_the_servo_force_a_spike_is_left_out_that_the_position_does_not_show_and_a_reversal_is_not() -> None:
+    time = np.arange(0.0, 6.0, 0.01)
+    position = 0.02 * np.sin(2.0 * np.pi * time)
+    friction = 5.0 * np.sign(np.cos(2.0 * np.pi * time))
+    spiked = friction.copy()
+    spiked[[330, 331]] += 8.0
+
+    def kept(force: np.ndarray) -> np.ndarray:
+        columns = {"time_s": time, "servo_position_m": position, "servo_force_n": force,
+                   "tension_start_n": np.zeros(time.size)}
+        block, = blocks_of([table("drive.csv", columns)], ["drive_force"], taut_n=5.0, rate_hz=100.0)
+        return np.asarray(block.keep)
+
+    lost = np.setdiff1d(kept(friction), kept(spiked))
+    assert set(lost) == {329, 330, 331, 332}
+    # a force that steps with the motion is friction
+    assert np.isin([24, 25, 26, 74, 75, 76], kept(friction)).all()
+
+
+@pytest.mark.parametrize("speed", [-0.12, 0.12])
+@pytest.mark.parametrize("measured", [-0.1, 0.6, 3.0])
+@pytest.mark.parametrize("pressed_n", [0.0, 20.0])
+def test_what_start_reads_at_the_edge_of_slack_has_no_step(speed: float, measured: float, pressed_n: float) -> None:
+    tension = np.linspace(-1.0, 4.0 * UNSURE_N, 50_001)
+    viscous, gain = 20.0, 1.1
+    read = read_at_start(tension, np.full(tension.size, speed), np.full(tension.size, measured),
+                         np.zeros(tension.size), viscous, pressed_n, 0.3, gain, 0.2, 0.0)
+    # the steepest parts: the tension itself, drag put on over half a newton, what is open closed over `UNSURE_N`
+    steepest = gain * (1.0 + abs(viscous * speed) * (2.0 + 1.0 / UNSURE_N))
+    assert np.abs(np.diff(read)).max() <= steepest * (tension[1] - tension[0]) * (1.0 + 1e-6)

@@ -117,6 +117,33 @@ def test_a_second_effect_must_take_three_tenths_of_what_the_first_left(judge: Ju
     assert judge.criteria.pays(bare, seconds[0], judge.search)
 
 
+def test_what_leaves_the_bench_strained_must_take_what_some_law_takes_of_a_healthy_one(judge: Judge) -> None:
+    best = judge.found.best
+    own = {f.name for c in best.effects for f in c.frees}
+    calm = {f.name: f.mean for f in best.fit.free if np.isfinite(f.sigma) and f.name not in own}
+    named = moved(best, values=calm)
+    left = {n: judge.criteria._expected(n) for n in best.by_relation}
+    lesser, *models = (moved(named, {**left, "friction": left["friction"] + more * verdict.BENT})
+                       for more in (2.0, 1.5, 0.5))
+    lesser = dataclasses.replace(lesser, effects=())
+    lesser.__dict__["by_relation"] = {**left, "friction": left["friction"] + 2.0 * verdict.BENT}
+    search = copy.copy(judge.search)
+    search.tried = {**search.tried, (): lesser}
+    assert [judge.criteria.pays(lesser, model, search) for model in models] == [False, True]
+    assert verdict.least_fall(0.0) == verdict.BENT
+    assert verdict.least_fall(20.0 * verdict.BENT) > verdict.BENT
+    assert verdict.least_fall(0.0, verdict.LEAST_FALL) == verdict.LEAST_FALL
+
+
+def test_a_small_relation_is_not_strange_by_its_share_alone(judge: Judge) -> None:
+    base = judge.found.baseline
+    calm = moved(base, {n: judge.criteria._expected(n) for n in base.by_relation})
+    twice = {n: 2.0 * judge.criteria._expected(n) for n in ("friction", "knee")}
+    assert twice["knee"] < verdict.STRANGE_FALL < 0.5 * twice["friction"]
+    strange = [judge.criteria.has_unexplained_residual(moved(calm, {n: left}), calm) for n, left in twice.items()]
+    assert strange == [True, False]
+
+
 def test_a_value_near_absence_is_no_find() -> None:
     effect = CATALOGUE["end_delay"]
     assert not verdict.material(effect, "end_delay", 1e-3)

@@ -24,9 +24,10 @@ NO_END = ("tension_end_n",)
 HEALTHY_NO_END = 2
 
 
-def serials(kind: str, aside: bool) -> list[int]:
-    """The serials of an implementation, set aside for the last run or not."""
-    return [s for s in range(SERIALS) if draws.structure(s).implementation == kind and draws.set_aside(s) == aside]
+def serials(kind: str, aside: bool, first: int = 0) -> list[int]:
+    """The serials of an implementation from `first` on, set aside for the last run or not."""
+    return [s for s in range(first, first + SERIALS)
+            if draws.structure(s).implementation == kind and draws.set_aside(s) == aside]
 
 
 def pairs(kind: str) -> list[tuple[str, str]]:
@@ -48,14 +49,14 @@ def hidden(kind: str) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     return [(names, ()) for names in whole] + [(names, NO_END) for names in blind]
 
 
-def jobs(kind: str, aside: bool, every: int = 1, rest: bool = False) -> Iterator[Job]:
-    """Yield the cases of one implementation.
+def jobs(kind: str, aside: bool, every: int = 1, rest: bool = False, first: int = 0) -> Iterator[Job]:
+    """Yield the cases of one implementation, on the `SERIALS` from `first` on.
 
     `every`: only each so many, from another one on for each; `rest`: all but those.
     """
-    own, first = serials(kind, aside), KINDS.index(kind) % every
+    own, each = serials(kind, aside, first), KINDS.index(kind) % every
     for i, (names, left_out) in enumerate(hidden(kind)):
-        if (i % every == first) != rest:
+        if (i % every == each) != rest:
             yield Job(own[int(len(own) * (i * GOLDEN % 1.0))], names, i, left_out=left_out)
 
 

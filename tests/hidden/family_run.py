@@ -1,7 +1,7 @@
 """The finder on the family, by structure: each effect once on each implementation, healthy benches, pairs, no END.
 
-    python -m tests.hidden.family_run [--aside] [--kinds maxwell,lugre] [--every N] [--rest] [--most N]
-                                      [--workers N] [--no-oracle] [--answers FILE] [--hash | --page]
+    python -m tests.hidden.family_run [--aside] [--first N] [--kinds maxwell,lugre] [--every N] [--rest]
+                                      [--most N] [--workers N] [--no-oracle] [--answers FILE] [--hash | --page]
 
 The rule of this file: `--aside` are the serials that nothing was tuned on; run them once, at the end.  What is asked is
 known beforehand by its hash (`--hash`), which is committed before the run.  A run that was broken off goes on from
@@ -21,7 +21,7 @@ from bowden import provenance
 from bowden.sweep import run as sweep
 from tests.hidden import family_bars, run
 from tests.hidden.family import Answer, answer, from_json
-from tests.hidden.family_jobs import KINDS, digest, jobs
+from tests.hidden.family_jobs import KINDS, SERIALS, digest, jobs
 
 OUT = Path("out")
 DOCS = Path(__file__).parents[2] / "docs" / "diagnosis.md"
@@ -40,6 +40,7 @@ def options(arguments: list[str]) -> argparse.Namespace:
     """Return what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--aside", action="store_true")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help=f"of {SERIALS} serials (default: 0)")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--every", type=int, default=1, metavar="N")
     parser.add_argument("--rest", action="store_true", help="all but each so many")
@@ -72,7 +73,7 @@ def main(arguments: list[str]) -> None:
     """Print every answer and the table."""
     given = options(arguments)
     kinds = given.kinds.split(",")
-    asked = {kind: list(jobs(kind, given.aside, given.every, given.rest)) for kind in kinds}
+    asked = {kind: list(jobs(kind, given.aside, given.every, given.rest, given.first)) for kind in kinds}
     key = digest([job for kind in kinds for job in asked[kind]])
     # the structures in turns, so that a run that is broken off has asked of each
     every = [job for turn in itertools.zip_longest(*asked.values()) for job in turn if job is not None]
