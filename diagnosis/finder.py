@@ -171,7 +171,8 @@ class Finder:
         if all(t.turning for t in trials):
             figures, causes = _turned(figures, causes)
         return Findings(judge.word(), causes, judge.rivals(), judge.experiment(), figures,
-                        warnings + _said(settled, bool(healthy)) + judge.on_bounds(), judge.limits(),
+                        warnings + _said(settled, bool(healthy)) + judge.blind_rivals() + judge.on_bounds(),
+                        judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
                         bench=_bench(settled, known))

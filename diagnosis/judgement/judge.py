@@ -67,8 +67,16 @@ class Judge:
         return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search)))
 
     def experiment(self) -> str | None:
-        """Return the experiment that splits the class by calculation, None where nothing is to be split."""
-        return experiment_choice.choose(self.rivals(), self.found, self.setting)
+        """Return the experiment that splits the class by calculation, None where nothing is to be split by one."""
+        blind = {c.name for c in self.setting.blind}
+        return experiment_choice.choose([n for n in self.rivals() if n not in blind], self.found, self.setting)
+
+    def blind_rivals(self) -> list[str]:
+        """Return, as sentences, the rivals that only a column tells from the chosen effects that is not there."""
+        shows = {c.name: CATALOGUE[c.name].relations[0] for c in self.setting.blind}
+        lacks = {name: ", ".join(columns) for name, columns in self.setting.missing.items()}
+        return [f"{name} shows first in {shows[name]}: record {lacks[shows[name]]} to tell it from what is named."
+                for name in self.rivals() if name in shows]
 
     def causes(self) -> list[dict[str, Any]]:
         """Return the chosen effects with their parameters and what each one gains."""

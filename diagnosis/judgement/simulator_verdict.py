@@ -26,18 +26,20 @@ Values = Mapping[str, float]
 
 def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials
            ) -> dict[str, Any] | None:
-    """Return `before_rms_n`, `after_rms_n` and what they are `on`; None where nothing can be simulated."""
+    """Return `before_rms_n`, `after_rms_n`, of which `signals` and `on` what; None where nothing can be simulated."""
     setting = judge.setting
-    if setting.any_rig or setting.elsewhere or not any(simulated_blocks.can(t) for t in (holdout or trials)):
+    able = [t for t in (holdout or trials) if simulated_blocks.can(t)]
+    if setting.any_rig or setting.elsewhere or not able:
         return None
+    signals = [n for n in simulation.SIGNALS if any(n in t for t in able)]
     base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
     before, after = judge.found.baseline, judge.found.best
     if holdout:
-        ahead = [t for t in holdout if simulated_blocks.can(t)]
-        told = [simulation.rms(ahead, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
-        return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "holdout"}
+        told = [simulation.rms(able, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
+        return {"before_rms_n": told[0], "after_rms_n": told[1], "signals": signals, "on": "holdout"}
     told = [_unseen(judge, m, trials, base) for m in (before, after if after.effects else before)]
-    return {"before_rms_n": told[0], "after_rms_n": told[1], "on": "cycles that the fit has not seen"}
+    return {"before_rms_n": told[0], "after_rms_n": told[1], "signals": signals,
+            "on": "cycles that the fit has not seen"}
 
 
 def _moved(base: Values, learnt: Values, fitted: Values) -> dict[str, float]:

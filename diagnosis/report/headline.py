@@ -18,6 +18,7 @@ from trial.report.page import number
 
 AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nominal bench",
                   "healthy": "its healthy trials", "none": "an ideal transmission"}
+TENSIONS: Final = {"tension_start_n": "START", "tension_end_n": "END"}
 UNSEEN: Final = "on cycles that the fit has not seen"
 
 
@@ -103,7 +104,8 @@ def _cost(found: Findings) -> str:
     lines = []
     if simulated is not None:
         after = f", {number(simulated['after_rms_n'], 3)} N with what was found" if found.causes else ""
-        lines.append(f"The simulation of this bench misses START and END by {number(simulated['before_rms_n'], 3)} N "
+        missed = " and ".join(TENSIONS[name] for name in simulated["signals"])
+        lines.append(f"The simulation of this bench misses {missed} by {number(simulated['before_rms_n'], 3)} N "
                      f"RMS{after}.")
     one = strongest(found, "N")
     if one is None:

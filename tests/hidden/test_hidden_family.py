@@ -40,6 +40,7 @@ def test_without_end_a_sensor_that_could_stand_for_the_drive_is_in_the_class() -
                    judged=False)
     assert {"demand_gain", "start_gain"} <= set(blind.rivals)
     assert blind.named == ("demand_gain",)
+    assert "start_gain shows first in friction: record tension_end_n to tell it from what is named." in blind.warnings
 
 
 def test_the_quick_set_has_every_implementation_and_nothing_set_aside() -> None:
