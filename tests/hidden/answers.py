@@ -82,6 +82,7 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
     """
     from diagnosis.data import table
     from diagnosis.finder import diagnose
+    from diagnosis.problem.healthy_trials import HealthyTrials
 
     case = cases.case(job, healthy, cycles)
     trial, holdout = table.table("trial", case.trial), table.table("holdout", case.holdout)
@@ -95,12 +96,13 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
         second = table.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
         told = diagnose([trial, second], healthy=taught)
         after = After(said.experiment, told.verdict, tuple(told.rivals))
-    alone = [_before(table.table("alone", columns), taught) for columns in case.alone if again]
+    learnt = HealthyTrials(taught)
+    alone = [_before(table.table("alone", columns), learnt) for columns in case.alone if again]
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
                   said.causes, ratio, share, seconds, said.experiment, after, tuple(alone))
 
 
-def _before(trial: Any, taught: list[Any]) -> float:
+def _before(trial: Any, taught: Any) -> float:
     """Return the largest residual of a trial in healthy floors, as `_risen`, without a search."""
     from threadpoolctl import threadpool_limits
 

@@ -18,7 +18,7 @@ from benchmarks import marked
 from bowden.sweep.run import Workers
 from master.motion.scripted_experiments import SCRIPTS, laps
 from tests.hidden import bars, cases, moves, page, run
-from tests.hidden.answers import After, Answer, from_json
+from tests.hidden.answers import After, Answer, answer, from_json
 from tests.hidden.cases import Job
 
 
@@ -102,6 +102,14 @@ def test_the_matrix_counts_every_case_once() -> None:
     rows = [line.split("|") for line in page.confusion(told) if line.startswith("| ") and "`" in line]
     numbers = {row[2].strip(" `"): [int(cell) for cell in row[3:-1] if cell.strip()] for row in rows}
     assert {name: sum(row) for name, row in numbers.items()} == {"slack": 2, "lost_pdo": 1, "thump": 1, "nothing": 1}
+
+
+@pytest.mark.hidden
+def test_of_a_pair_each_effect_is_measured_by_itself() -> None:
+    job = next(job for job in run.jobs(False, 1000) if job.kind == "two")
+    told = answer(job, cycles=5, healthy=1)
+    assert len(told.alone) == len(told.hidden) == 2
+    assert all(ratio > 0.0 for ratio in told.alone)
 
 
 def test_a_part_of_the_jobs_is_like_the_whole() -> None:
