@@ -46,6 +46,8 @@ EVERY = 1
 Q1, Q2, V1, V2, Z1, Z2, U1, U2 = range(OWN, OWN + 8)
 """State: rope at the sheath, fabric at the knee, their speeds, Dahl states, remembered sliding speeds."""
 MID, LAST = FIRST, FIRST + TABLE + 1
+MOST, WHOLE = 320, 40
+"""Newton's steps at most, and how many are taken whole, halved, halved again: what goes to and fro over a kink ends."""
 STILL_M_S = 2e-3
 """Speed about which the loose rope's own friction turns over."""
 
@@ -110,7 +112,8 @@ def step(z, p, x, w, theta, dt):
     surface = (w - z[OLD_W]) / dt
     v1, v2 = z[V1], z[V2]
     t0 = t1 = t2 = s1 = s2 = 0.0
-    for _ in range(40):
+    for k in range(MOST):
+        share = 0.5 ** (k // WHOLE)
         q1, q2 = z[Q1] + v1 * dt, z[Q2] + v2 * dt
         k_0 = k0 if x > q1 else 0.0
         t0 = k_0 * (x - q1)
@@ -129,7 +132,7 @@ def step(z, p, x, w, theta, dt):
         j12, j21 = a12 * dt, a21 * dt
         det = j11 * j22 - j12 * j21
         dv1, dv2 = (r1 * j22 - r2 * j12) / det, (r2 * j11 - r1 * j21) / det
-        v1, v2 = v1 - dv1, v2 - dv2
+        v1, v2 = v1 - share * dv1, v2 - share * dv2
         if abs(dv1) + abs(dv2) < 1e-9:
             break
     z[Q1], z[Q2], z[V1], z[V2], z[Z1], z[Z2] = z[Q1] + v1 * dt, z[Q2] + v2 * dt, v1, v2, s1, s2

@@ -47,6 +47,8 @@ EVERY = 2
 """Steps of the mechanics for one of the path."""
 TABLES = FIRST, FIRST + TABLE + 1, FIRST + 2 * (TABLE + 1)
 CLOSE_M = 1e-9
+MOST, WHOLE = 480, 60
+"""Newton's steps at most, and how many are taken whole, halved, halved again: what goes to and fro over a kink ends."""
 ROWS = 10
 """Numbers kept for each node: position, stick state, remembered speed, grip, new stick state, force, three diagonals,
 new position."""
@@ -123,8 +125,8 @@ def unbalanced(z, p, moved_w, nodes, dt):
 
 
 @njit
-def correct(z, nodes):
-    """Solve the tridiagonal system (Thomas) and move the tried positions; return the largest move, m."""
+def correct(z, nodes, share):
+    """Solve the tridiagonal system (Thomas), move the tried positions by a share of that; return the largest move, m."""
     r, a, d, c, q = OWN + 5 * nodes, OWN + 6 * nodes, OWN + 7 * nodes, OWN + 8 * nodes, OWN + 9 * nodes
     for i in range(1, nodes):
         f = z[a + i] / z[d + i - 1]
@@ -133,7 +135,7 @@ def correct(z, nodes):
     far, move = 0.0, 0.0
     for i in range(nodes - 1, -1, -1):
         move = (z[r + i] - (z[c + i] * move if i < nodes - 1 else 0.0)) / z[d + i]
-        z[q + i] -= move
+        z[q + i] -= share * move
         far = max(far, abs(move))
     return far
 
@@ -159,10 +161,10 @@ def step(z, p, x, w, theta, dt):
     grip(z, p, theta, nodes)
     for i in range(nodes):
         z[OWN + 9 * nodes + i] = z[OWN + i]
-    for _ in range(60):
+    for k in range(MOST):
         pull(z, p, x, w, nodes, torn)
         unbalanced(z, p, moved_w, nodes, dt)
-        if correct(z, nodes) < CLOSE_M:
+        if correct(z, nodes, 0.5 ** (k // WHOLE)) < CLOSE_M:
             break
     pull(z, p, x, w, nodes, torn)
     unbalanced(z, p, moved_w, nodes, dt)
