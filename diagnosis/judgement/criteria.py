@@ -40,9 +40,11 @@ class SearchCriteria:
             return self._likelier(lesser, model, search)
         # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
         least_fall = verdict.least_fall(healthy, lesser.prior_penalty - model.prior_penalty)
-        if min(self._fall(lesser, model, added), 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
+        fall = self._fall(lesser, model, added)
+        if min(fall, 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
-        if any(model.by_relation[n] - lesser.by_relation[n] > self.noise(n, lesser) for n in self.setting.checked):
+        if any(model.by_relation[n] - lesser.by_relation[n] > max(self.noise(n, lesser), verdict.MISMATCH * fall)
+               for n in self.setting.checked):
             return False
         if model.prior_penalty > lesser.prior_penalty + verdict.STRAINED:
             return False

@@ -31,7 +31,8 @@ healthy benches some law of the catalogue bends to what the laws leave there and
 STRUCTURE: Final = 0.12
 """The same, of the χ² that the laws leave on a healthy bench beyond noise."""
 MISMATCH: Final = 0.02
-"""Share of a relation's whole excess below which a further effect mends only what the first one's law lacks."""
+"""Share of a relation's whole excess below which a further effect mends only what the first one's law lacks; and of
+what an effect takes away, which another relation may lose to it: its law is not quite the bench's own."""
 LEAST_RATIO: Final = 80.0
 """n·ln(χ²₀/χ²₁) on unseen cycles that an effect must reach on a rig that nothing is known of."""
 STRETCHED: Final = 0.5

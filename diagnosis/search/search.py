@@ -313,8 +313,7 @@ class Search:
                 continue
             if not more:
                 break
-            if not best.effects and not self.criteria.pays(best, ahead, self):
-                break
+            # it pays: what did not was taken out, beside what fits on the way had made of the lesser models
             best = ahead
         for out in best.effects if len(best.effects) > 1 else ():
             self.grow(self.without(best, out), FIRST_REFITS)

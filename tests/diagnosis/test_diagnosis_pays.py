@@ -53,10 +53,14 @@ def test_the_offset_is_named_with_its_size_and_passes_every_gate(judge: Judge) -
     assert judge.criteria.pays(judge.found.baseline, judge.found.best, judge.search)
 
 
-def test_an_effect_that_makes_a_relation_worse_by_more_than_chance_is_no_cause(judge: Judge) -> None:
+def test_an_effect_that_makes_a_relation_worse_by_more_than_its_law_may_is_no_cause(judge: Judge) -> None:
     base, best = judge.found.baseline, judge.found.best
-    worse = base.by_relation["knee"] + 1.5 * judge.criteria.noise("knee", base)
-    assert not judge.criteria.pays(base, moved(best, {"knee": worse}), judge.search)
+    chance, taken = judge.criteria.noise("knee", base), base.score - best.score
+    law = verdict.MISMATCH * taken
+    assert 1.2 * chance < 0.8 * law
+    for more, pays in ((1.2 * chance, True), (0.8 * law, True), (1.2 * law, False)):
+        worse = base.by_relation["knee"] + more
+        assert judge.criteria.pays(base, moved(best, {"knee": worse}), judge.search) == pays
 
 
 def test_an_effect_that_bends_the_rest_away_from_what_is_known_of_it_is_no_cause(judge: Judge) -> None:

@@ -126,7 +126,7 @@ def unbalanced(z, p, moved_w, nodes, dt):
 
 @njit
 def correct(z, nodes, share):
-    """Solve the tridiagonal system (Thomas), move the tried positions by a share of that; return the largest move, m."""
+    """Solve the tridiagonal system (Thomas), move the tried positions by a share of it; return the largest move, m."""
     r, a, d, c, q = OWN + 5 * nodes, OWN + 6 * nodes, OWN + 7 * nodes, OWN + 8 * nodes, OWN + 9 * nodes
     for i in range(1, nodes):
         f = z[a + i] / z[d + i - 1]
