@@ -45,8 +45,9 @@ cable drive, a tribometer 27 %, after its true causes)."""
 LEAST_GAIN_ELSEWHERE: Final = 0.03
 MISMATCH_ELSEWHERE: Final = 0.0
 """Shares of RMSE, and of the baseline's whole χ², that it must take away there."""
-LAW: Final = 0.06
-"""1σ of a parameter that another bench's laws cost, of its change: measured on structures of tests/hidden."""
+LAW: Final = 0.10
+"""1σ of a parameter that another bench's laws cost, of its change: with it intervals cover 93.6 % of the 110 parameters
+that the family's serials below 800 have (with 0.06, from another structure of tests/hidden, 90.9 %)."""
 RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
 WORTH_A_LOOK: Final = 1.5
