@@ -109,14 +109,30 @@ def like(bench: Bench, rng: np.random.Generator) -> Bench:
                               "wrap_slope": max(changes["wrap_slope"], 0.0)})
 
 
+@dataclass(frozen=True)
+class Session:
+    """How a job is recorded: healthy trials, the trial's period, s, its peak and what is never let go of, N, Hz."""
+
+    healthy: int
+    period_s: float
+    peak_n: float
+    preload_n: float
+    rate_hz: int
+
+
+def session(job: Job, rng: np.random.Generator | None = None) -> Session:
+    """Draw how a job is recorded; `rng`: the job's own stream, which goes on from there."""
+    rng = np.random.default_rng((job.serial, job.seed, 3)) if rng is None else rng
+    healthy, period, peak = int(rng.integers(1, 4)), float(rng.uniform(1.2, 1.5)), float(rng.choice(PEAKS_N))
+    return Session(healthy, period, peak, float(rng.choice([0.0, 0.0, rng.uniform(2.0, 20.0)])),
+                   int(rng.choice(imposed.RATES_HZ)))
+
+
 def case(job: Job) -> Case:
     """Record the trials of a job: one with what is hidden, one to three healthy ones at other peaks and cadences."""
     rng = np.random.default_rng((job.serial, job.seed, 3))
     own = draws.draw(job.serial)
-    healthy, period = int(rng.integers(1, 4)), float(rng.uniform(1.2, 1.5))
-    peak = float(rng.choice(PEAKS_N))
-    preload = float(rng.choice([0.0, 0.0, rng.uniform(2.0, 20.0)]))
-    rate = int(rng.choice(imposed.RATES_HZ))
+    healthy, period, peak, preload, rate = dataclasses.astuple(session(job, rng))
     bench = like(own, rng)
     changed, values = effects.hide(bench, job.hidden, job.seed)
     motion = imposed.gait(changed, peak, period, job.cycles, preload)

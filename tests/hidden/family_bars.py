@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from statistics import median
 
 from tests.hidden.bars import IDENTIFIABLE, Error
-from tests.hidden.family import Answer
-from tests.plants import effects
+from tests.hidden.family import Answer, session
+from tests.plants import draws, effects
 
 Part = Callable[[Answer], bool]
 
@@ -132,6 +132,28 @@ def table(kinds: Sequence[str], by_kind: Sequence[Sequence[Answer]]) -> str:
     """Return the table as Markdown."""
     heads = ["bar", *kinds, "all", "bound", "met"]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, ["---"] * len(heads), *rows(by_kind)))
+
+
+FAR_M = 25e-3
+"""Encoder's zero from which a bench is far from the packaged one's: half of the family is."""
+RIGS: tuple[tuple[str, Part], ...] = (
+    *((f"{n} healthy trial{'s' if n > 1 else ''}", lambda a, n=n: session(a.job).healthy == n) for n in (1, 2, 3)),
+    ("rope let go of in each cycle", lambda a: session(a.job).preload_n == 0.0),
+    ("rope always taut", lambda a: session(a.job).preload_n > 0.0),
+    ("encoder's zero within 25 mm", lambda a: abs(draws.draw(a.job.serial).zero) <= FAR_M),
+    ("encoder's zero farther away", lambda a: abs(draws.draw(a.job.serial).zero) > FAR_M),
+)
+BY_RIG = ("right class", "wrong name", "false alarms", "pairs: class")
+
+
+def by_rig(told: Sequence[Answer]) -> str:
+    """Return, as Markdown, what some of the bars come to on a part of the rigs and recordings."""
+    bars = [bar for name in BY_RIG for bar in SHARES if bar.name == name]
+    lines = [["rig", *BY_RIG], ["---"] * (1 + len(bars))]
+    for name, of in RIGS:
+        found = [_cell(bar, [a for a in told if of(a)]) for bar in bars]
+        lines.append([name, *(count if math.isnan(share) else f"{count} = {share:.1f} %" for count, share in found)])
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
 def against(a: Answer) -> bool:

@@ -66,7 +66,7 @@ def page(options: str, commits: list[str], key: str, whole: int, kinds: list[str
     return "\n".join((
         f"Printed by `python -m tests.hidden.family_run {options}` at commit {', '.join(commits)}:",
         f"{len(told)} of {whole} cases; SHA-256 of all: {key}.", "", family_bars.table(kinds, by_kind), "",
-        "Not right:", "", *missed))
+        family_bars.by_rig(told), "", "Not right:", "", *missed))
 
 
 def main(arguments: list[str]) -> None:

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.hidden import family_bars
-from tests.hidden.family import Answer, Job, answer, from_json
+from tests.hidden.family import Answer, Job, answer, case, from_json, session
 from tests.hidden.family_jobs import KINDS, digest, jobs
 from tests.hidden.family_run import DOCS, said
 from tests.hidden.run import Kept
@@ -111,6 +111,18 @@ def test_a_value_is_off_by_a_share_of_what_was_hidden() -> None:
     told = [of("end_offset", "end_offset", found=1.05), of("end_offset", "end_offset", found=1.5, low=1.4, high=1.6)]
     assert cells(told, "parameter error, median")[:2] == ["27.5 %", "27.5 % of 2"]
     assert cells(told, "interval covers")[0] == "1/2"
+
+
+def test_the_bars_are_told_by_rig_as_it_was_recorded() -> None:
+    told = [of("end_offset", "end_offset"), of("end_offset", "slack"), of("", "", None)]
+    made = case(told[0].job)
+    said_of = session(told[0].job)
+    assert (len(made.healthy), made.rate_hz) == (said_of.healthy, said_of.rate_hz)
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in family_bars.by_rig(told).split("\n")]
+    named = "healthy trial" if said_of.healthy == 1 else "healthy trials"
+    mine = next(row for row in rows if row[0] == f"{said_of.healthy} {named}")
+    assert mine[1:] == ["1/2 = 50.0 %", "1/2 = 50.0 %", "0/1 = 0.0 %", "–"]
+    assert all(len(row) == 5 for row in rows)
 
 
 def test_a_run_goes_on_where_it_was_broken_off(tmp_path) -> None:
