@@ -25,6 +25,7 @@ class Candidate:
     """One effect: the parameters it frees, and the points its fits start from (at each the effect is at work).
 
     `likely`: by parameter, where its value is expected on such a bench; empty where nothing is known of the rig.
+    `rivals`: the effects that the catalogue says look like it, of either.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Candidate:
     starts: tuple[Mapping[str, float], ...]
     likely: Mapping[str, tuple[float, float]]
     level: tuple[str, ...] = ()
+    rivals: frozenset[str] = frozenset()
 
     def unlikely(self, values: Mapping[str, float], margin: float = 0.0) -> int:
         """Return how many of its parameters are outside of where they are expected, by a `margin` of that range."""
@@ -67,8 +69,12 @@ def candidates(
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):
             likely = {} if any_rig else {p.name: p.likely for p in effect.parameters}
             found.append(Candidate(effect.name, effect.site, tuple(frees), _starts(effect, frees, reference), likely,
-                                   effect.level))
+                                   effect.level, _rivals(effect)))
     return found
+
+
+def _rivals(effect: Any) -> frozenset[str]:
+    return frozenset(effect.rivals) | {e.name for e in CATALOGUE.values() if effect.name in e.rivals}
 
 
 def _drives_alone(effect: Any, checked: Iterable[str]) -> bool:

@@ -296,7 +296,8 @@ class Search:
 
         Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
 
-        At the end each chosen effect's place is offered to all others, so that its rivals are known.
+        At the end the place of each chosen effect is offered to those that look like it, of two also to the foremost
+        of the others, so that its rivals are known.
         """
         level, best, paired = [self.baseline], self.baseline, False
         for depth in range(most):
@@ -315,8 +316,13 @@ class Search:
                 break
             # it pays: what did not was taken out, beside what fits on the way had made of the lesser models
             best = ahead
-        for out in best.effects if len(best.effects) > 1 else ():
-            self.grow(self.without(best, out), FIRST_REFITS)
+        for out in best.effects:
+            left = self.without(best, out)
+            if len(best.effects) > 1:
+                self.grow(left, FIRST_REFITS)
+            for c in self.offered if self.near else ():
+                if c.name in out.rivals and c.name not in best.names:
+                    self._from_all_starts(self._grown(left, c, 0))
         best = self._ordered(self._first(len(best.effects))) if best.effects else self.baseline
         for out, blind in itertools.product(best.effects, self.blind):
             self._from_all_starts(self._grown(self.without(best, out), blind, 0))

@@ -53,6 +53,13 @@ def test_the_offset_is_named_with_its_size_and_passes_every_gate(judge: Judge) -
     assert judge.criteria.pays(judge.found.baseline, judge.found.best, judge.search)
 
 
+def test_what_looks_like_a_find_was_fitted_in_its_place_from_every_start(judge: Judge) -> None:
+    chosen, = judge.found.best.effects
+    alike = [c for c in judge.search.offered if c.name in chosen.rivals]
+    assert {c.name for c in alike} >= {"slack", "end_mass"}
+    assert all(((), c.name, s) in judge.search.grown for c in alike for s in range(len(c.starts)))
+
+
 def test_an_effect_that_makes_a_relation_worse_by_more_than_its_law_may_is_no_cause(judge: Judge) -> None:
     base, best = judge.found.baseline, judge.found.best
     chance, taken = judge.criteria.noise("knee", base), base.score - best.score
