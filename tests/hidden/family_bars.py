@@ -13,6 +13,7 @@ from statistics import median
 from tests.hidden.bars import IDENTIFIABLE, Error
 from tests.hidden.family import Answer, session
 from tests.plants import draws, effects
+from tests.plants.bench import KNEES
 
 Part = Callable[[Answer], bool]
 
@@ -142,6 +143,7 @@ RIGS: tuple[tuple[str, Part], ...] = (
     ("rope always taut", lambda a: session(a.job).preload_n > 0.0),
     ("encoder's zero within 25 mm", lambda a: abs(draws.draw(a.job.serial).zero) <= FAR_M),
     ("encoder's zero farther away", lambda a: abs(draws.draw(a.job.serial).zero) > FAR_M),
+    *((f"knee: {knee}", lambda a, knee=knee: draws.structure(a.job.serial).knee == knee) for knee in KNEES),
 )
 BY_RIG = ("right class", "wrong name", "false alarms", "pairs: class")
 
