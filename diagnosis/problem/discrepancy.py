@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from diagnosis.problem.blocks import Block
 from physics import memory_laws
+from physics.plant.leg import KNEE_AT_FIT
 from physics.relations.measured import Signals
 
 Array = NDArray[np.float64]
@@ -50,14 +51,16 @@ def slot(relation: str) -> str:
 
 
 def features(signals: Signals, values: Values) -> Array:
-    """Return the features, (samples, n): speed, slip, knee angle, tension, its rate, two memories of it."""
+    """Return the features, (samples, n): speed, slip, knee angle, tension, its rate, two memories of it.
+
+    A knee that is not recorded is a locked one: such a trial may lie beside others whose knee moved.
+    """
     time = signals["time_s"]
     found = []
     if signals.has("rope_m"):
         found += [np.tanh(signals["rope_m_s"] / 0.02), signals["rope_m_s"] / 0.1, memory_laws.slipped(
             signals["rope_m"], signals.fresh, max(values["presliding"], 5e-5))]
-    if signals.has("knee_angle_rad"):
-        found.append(signals["knee_angle_rad"])
+    found.append(signals["knee_angle_rad"] if signals.has("knee_angle_rad") else np.full(time.size, KNEE_AT_FIT))
     tension = next((signals[n] for n in ("tension_end_n", "tension_start_n") if signals.has(n)), None)
     if tension is not None:
         filled = np.nan_to_num(tension)
