@@ -21,8 +21,8 @@ JITTER_NS = 100_000
 SETTLED = 50
 """Cycles until the exchange runs: the first ones are waited through, as `run_safely` does."""
 STALLED = 4
-"""Cycles late of 800 or 1700 that pass: a page first touched is read from outside the guest, and a cycle or two wait
-for as long as the machine outside takes."""
+"""Cycles of 800 or 1700 that may be late, or their SYNC: a page first touched is read from outside the guest, and a
+cycle or two wait for as long as the machine outside takes."""
 WIRINGS = [("vcan0", "vcan0"), ("can0", "can1")]
 
 
@@ -43,7 +43,9 @@ def test_500_hz_is_kept_with_the_bench_on_the_same_processor(tmp_path: Path, mas
     assert (recorded.columns["step_duration_ns"] > 0).all(), "the wall clock runs while the controller steps"
     frames = recorded.frames
     sync_ns = frames["time_ns"][frames["can_id"] == SYNC_COB_ID]
-    assert np.ptp(np.diff(sync_ns[SETTLED:])) < 2 * JITTER_NS
+    periods_ns = np.diff(sync_ns[SETTLED:])
+    uneven = periods_ns[np.abs(periods_ns - np.median(periods_ns)) > JITTER_NS]
+    assert len(uneven) <= 2 * STALLED, f"a SYNC held up lengthens one period and shortens the next: {uneven}"
 
 
 @pytest.mark.parametrize(("master", "nodes"), WIRINGS)
