@@ -5,6 +5,7 @@ The rule of this file: a figure is computed from answers alone; the oracle decid
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from statistics import median
 
 from tests.hidden.bars import IDENTIFIABLE, Error
 from tests.hidden.family import Answer, session
-from tests.plants import draws, effects
+from tests.plants import draws, effects, oracle
 from tests.plants.bench import KNEES
 
 Part = Callable[[Answer], bool]
@@ -146,13 +147,31 @@ RIGS: tuple[tuple[str, Part], ...] = (
     *((f"knee: {knee}", lambda a, knee=knee: draws.structure(a.job.serial).knee == knee) for knee in KNEES),
 )
 BY_RIG = ("right class", "wrong name", "false alarms", "pairs: class")
+SEPARATIONS = (oracle.COUNTS_FROM, 200.0, 1000.0, 5000.0, math.inf)
+"""χ² of the oracle between which the bars are told by how plain an effect is; from the first on a case counts."""
+BY_SEPARATION = ("right class", "first name", "wrong name", "pairs: class", "pairs: one right")
 
 
 def by_rig(told: Sequence[Answer]) -> str:
     """Return, as Markdown, what some of the bars come to on a part of the rigs and recordings."""
-    bars = [bar for name in BY_RIG for bar in SHARES if bar.name == name]
-    lines = [["rig", *BY_RIG], ["---"] * (1 + len(bars))]
-    for name, of in RIGS:
+    return _by("rig", RIGS, BY_RIG, told)
+
+
+def by_separation(told: Sequence[Answer]) -> str:
+    """Return, as Markdown, what some of the bars come to by the χ² that an effect (of two: the lesser) is told by.
+
+    That of the oracle, which has the bench's own laws and constants: what an ideal finder has to go by.
+    """
+    parts = [(f"{low:g} to {high:g}" if math.isfinite(high) else f"{low:g} and more",
+              lambda a, low=low, high=high: a.separation is not None and low <= a.separation < high)
+             for low, high in itertools.pairwise(SEPARATIONS)]
+    return _by("χ² of the oracle", parts, BY_SEPARATION, told)
+
+
+def _by(head: str, parts: Iterable[tuple[str, Part]], names: Sequence[str], told: Sequence[Answer]) -> str:
+    bars = [bar for name in names for bar in SHARES if bar.name == name]
+    lines = [[head, *names], ["---"] * (1 + len(bars))]
+    for name, of in parts:
         found = [_cell(bar, [a for a in told if of(a)]) for bar in bars]
         lines.append([name, *(count if math.isnan(share) else f"{count} = {share:.1f} %" for count, share in found)])
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)

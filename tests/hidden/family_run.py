@@ -66,7 +66,7 @@ def page(options: str, commits: list[str], key: str, whole: int, kinds: list[str
     return "\n".join((
         f"Printed by `python -m tests.hidden.family_run {options}` at commit {', '.join(commits)}:",
         f"{len(told)} of {whole} cases; SHA-256 of all: {key}.", "", family_bars.table(kinds, by_kind), "",
-        family_bars.by_rig(told), "", "Not right:", "", *missed))
+        family_bars.by_rig(told), "", family_bars.by_separation(told), "", "Not right:", "", *missed))
 
 
 def main(arguments: list[str]) -> None:
@@ -88,8 +88,7 @@ def main(arguments: list[str]) -> None:
     by_kind = [[kept.answers[job] for job in asked[kind] if job in every] for kind in kinds]
     for told in by_kind:
         print("\n".join(said(a) for a in told))
-    shown = " ".join(argument for argument in arguments if argument != "--page")
-    text = page(shown, sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
+    text = page(run.asking(arguments), sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
     print(text)
     if given.page:
         marked.put(DOCS, "family", text)

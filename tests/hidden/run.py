@@ -124,8 +124,14 @@ def options(arguments: Sequence[str]) -> argparse.Namespace:
 
 def command(arguments: Sequence[str]) -> str:
     """Return what prints the same again."""
-    given = " ".join(argument for argument in arguments if argument != "--page")
+    given = asking(arguments)
     return f"python -m tests.hidden.run {given}" if given else "make hidden"
+
+
+def asking(arguments: Sequence[str]) -> str:
+    """Return what of the arguments says what is asked, not where the answers are kept and shown."""
+    left = [a for before, a in zip(["", *arguments], arguments, strict=False) if "--answers" not in (before, a)]
+    return " ".join(a for a in left if a != "--page" and not a.startswith("--answers="))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -10,7 +10,7 @@ from tests.hidden import family_bars
 from tests.hidden.family import Answer, Job, answer, case, from_json, session
 from tests.hidden.family_jobs import KINDS, digest, jobs
 from tests.hidden.family_run import DOCS, said
-from tests.hidden.run import Kept
+from tests.hidden.run import Kept, asking
 from tests.plants.draws import set_aside, structure
 
 QUICK = (Job(39, (), 9), Job(241, ("load_dependent_friction",), 14), Job(60, ("friction_drift",), 18),
@@ -123,6 +123,20 @@ def test_the_bars_are_told_by_rig_as_it_was_recorded() -> None:
     mine = next(row for row in rows if row[0] == f"{said_of.healthy} {named}")
     assert mine[1:] == ["1/2 = 50.0 %", "1/2 = 50.0 %", "0/1 = 0.0 %", "–"]
     assert all(len(row) == 5 for row in rows)
+
+
+def test_the_bars_are_told_by_how_plainly_the_oracle_sees_an_effect() -> None:
+    told = [of("end_offset", "end_offset", 40.0), of("end_offset", "slack", 199.0), of("end_offset", "slack", 30.0),
+            of("end_offset slack", "slack", 6000.0), of("", "", None)]
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in family_bars.by_separation(told).split("\n")]
+    assert [row[0] for row in rows[2:]] == ["40 to 200", "200 to 1000", "1000 to 5000", "5000 and more"]
+    assert rows[2][1:] == ["1/2 = 50.0 %", "1/2 = 50.0 %", "1/2 = 50.0 %", "–", "–"]
+    assert rows[5][1:] == ["–", "–", "–", "0/1 = 0.0 %", "1/1 = 100.0 %"]
+
+
+def test_a_page_says_what_was_asked_not_where_the_answers_are() -> None:
+    assert asking(["--aside", "--answers", "out/a.jsonl", "--first", "800", "--page"]) == "--aside --first 800"
+    assert asking(["--answers=out/a.jsonl", "--most", "3"]) == "--most 3"
 
 
 def test_a_run_goes_on_where_it_was_broken_off(tmp_path) -> None:
