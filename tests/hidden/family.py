@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from diagnosis.data.table import Table, table
 from diagnosis.finder import Findings, diagnose
+from tests.hidden import family_moves, moves
 from tests.plants import draws, effects, imposed, oracle
 from tests.plants.bench import Bench, replaced
 
@@ -48,10 +49,20 @@ class Case:
 
 
 @dataclass(frozen=True)
+class After:
+    """What was said when the trial of the proposed experiment lay beside the first."""
+
+    experiment: str
+    verdict: str
+    rivals: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Answer:
     """What was said, beside what was hidden; `separation`: χ² of the oracle, None where it was not asked.
 
-    `found`: by effect and parameter its `value` and the ends of its interval, `low` and `high`; `values`: the truth.
+    `found`: by effect and parameter its `value` and the ends of its interval, `low` and `high`; `values`: the truth;
+    `after`: where the class was left open and the bench runs the experiment by itself.
     """
 
     job: Job
@@ -63,6 +74,7 @@ class Answer:
     values: dict[str, float]
     separation: float | None
     warnings: tuple[str, ...] = ()
+    after: After | None = None
 
     @property
     def counts(self) -> bool:
@@ -93,9 +105,10 @@ class Answer:
 
 def from_json(given: Mapping[str, Any]) -> Answer:
     """Return the answer that `as_json` made."""
-    job = given["job"]
+    job, after = given["job"], given.get("after")
     return Answer(**{
         **given, "job": Job(**{**job, "hidden": tuple(job["hidden"]), "left_out": tuple(job["left_out"])}),
+        "after": None if after is None else After(**{**after, "rivals": tuple(after["rivals"])}),
         **{name: tuple(given[name]) for name in ("named", "rivals", "warnings")}})
 
 
@@ -151,10 +164,20 @@ def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...])
 
 
 def answer(job: Job, judged: bool = True) -> Answer:
-    """Ask the finder; `judged`: the oracle, too."""
+    """Ask the finder, and once more with the experiment that it proposes; `judged`: the oracle, too."""
     made = case(job)
     told = diagnose([made.trial], healthy=list(made.healthy))
-    return answered(job, made, told, judged)
+    return replace(answered(job, made, told, judged), after=_again(job, made, told))
+
+
+def _again(job: Job, made: Case, told: Findings) -> After | None:
+    """Run the proposed experiment on the changed bench where that needs no hands, and ask with both trials."""
+    if told.verdict != "ambiguous" or told.experiment not in moves.EXPERIMENTS:
+        return None
+    seed = int(np.random.default_rng((job.serial, job.seed, 4)).integers(1 << 30))
+    second = _table("experiment.csv", family_moves.run(told.experiment, made.changed, seed, made.rate_hz), job.left_out)
+    said = diagnose([made.trial, second], healthy=list(made.healthy))
+    return After(told.experiment, said.verdict, tuple(said.rivals))
 
 
 def answered(job: Job, made: Case, told: Findings, judged: bool) -> Answer:

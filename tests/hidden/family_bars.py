@@ -47,6 +47,11 @@ def _outside(a: Answer) -> bool:
     return _seen(a) and len(a.job.hidden) == 1 and a.job.hidden[0] in effects.OUTSIDE
 
 
+def _again(a: Answer) -> bool:
+    """Whether a class that holds the truth was to be split, by an experiment that the bench runs by itself."""
+    return _one(a) and a.right and a.after is not None
+
+
 def _faint(a: Answer) -> bool:
     return not a.counts and not a.job.left_out
 
@@ -62,6 +67,9 @@ SHARES = (
     Share("outside: unexplained", _outside, lambda a: a.verdict == "unexplained", 90.0),
     Share("pairs: class", _two, lambda a: a.right, 80.0),
     Share("pairs: one right", _two, lambda a: bool(set(a.job.hidden) & set(a.rivals)), 95.0),
+    Share("after the experiment: truth in the class", _again,
+          lambda a: a.after is not None and a.job.hidden[0] in a.after.rivals, 95.0),
+    Share("… alone", _again, lambda a: a.after is not None and a.after.rivals == a.job.hidden),
     Share("no END: wrong name or alarm", lambda a: bool(a.job.left_out),
           lambda a: a.wrong or (not a.job.hidden and bool(a.rivals)), 2.0, None, False),
     Share("… in the class", lambda a: bool(a.job.left_out and a.job.hidden), lambda a: a.right),
