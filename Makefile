@@ -37,7 +37,7 @@ reproduce: $(VENV)/.installed-test
 
 hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.run --page
-	$(BIN)/python -m tests.hidden.family_run --aside --first 800 --page
+	$(BIN)/python -m tests.hidden.family_run --aside --first 1200 --page
 
 faults: $(VENV)/.installed-test
 	$(BIN)/python -m tests.faults.run --page docs/faults.md

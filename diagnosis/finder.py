@@ -18,7 +18,7 @@ from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.judgement import simulator_verdict as judgement
 from diagnosis.judgement import wire_faults
-from diagnosis.judgement.judge import Judge
+from diagnosis.judgement.judge import Judge, of_experiment
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire_faults import WireFindings
 from diagnosis.problem import candidates, problem, rig
@@ -165,13 +165,13 @@ class Finder:
             return Findings("refused", warnings=[*(f"{named}: {t}" for t in unfit), *warnings])
         if carried.told and not settled.any_rig and not settled.elsewhere:
             return _of_wire(carried, warnings + _said(settled, bool(healthy)))
-        judge = _judge(settled, trials, holdout, healthy, known)
+        judge, said = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
         causes = judge.causes()
         if all(t.turning for t in trials):
             figures, causes = _turned(figures, causes)
         return Findings(judge.word(), causes, judge.rivals(), judge.experiment(), figures,
-                        warnings + _said(settled, bool(healthy)) + judge.blind_rivals() + judge.on_bounds(),
+                        warnings + _said(settled, bool(healthy)) + said + judge.blind_rivals() + judge.on_bounds(),
                         judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
@@ -208,19 +208,29 @@ def diagnose(
 
 
 def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,
-           known: Mapping[str, Any] | None) -> Judge:
+           known: Mapping[str, Any] | None) -> tuple[Judge, list[str]]:
     """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
 
-    No healthy trial says how far the laws are from holding in another motion than its own.
+    No healthy trial says how far the laws are from holding in another motion than its own: a relation that no effect
+    of the class meets there says nothing of them.  Returned beside the judgement is what has to be said of that.
     """
     walked = [t for t in trials if "gait_percent" in t]
     if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
-        return Judge(settled, holdout)
+        return Judge(settled, holdout), []
     first = Judge(problem.build_problem(walked, healthy, known), holdout)
     if len(first.rivals()) <= len(first.found.best.effects):
-        return first
+        return first, []
     split = Judge(settled, holdout, first)
-    return split if split.found.best.effects else first
+    kept = split.holding()
+    run, held = ({b.relation.name for b in there if of_experiment(b)} for there in (settled.blocks, kept))
+    broken = sorted(run - held)
+    said = [f"the experiment says nothing of {', '.join(broken)}: nothing of the class meets that there as healthy "
+            "trials are met; record it healthy, too."] if broken else []
+    if not split.told_by(kept):
+        return first, said
+    if broken:
+        split = Judge(replace(settled, blocks=kept), holdout, first)
+    return (split if split.found.best.effects else first), said
 
 
 UNFIT: Final = 0.2

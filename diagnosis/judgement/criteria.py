@@ -114,7 +114,7 @@ class SearchCriteria:
 
     def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
         """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
-        return self._unlike(effect, model) and self.leads(effect, model, search)
+        return self.differs(effect, model) and self.leads(effect, model, search)
 
     def _beyond(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether an effect has moved a parameter by more than lies between the ends of what the catalogue expects."""
@@ -127,7 +127,7 @@ class SearchCriteria:
                     return True
         return False
 
-    def _unlike(self, effect: Candidate, model: FittedEffects) -> bool:
+    def differs(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
 
         The band is about what is expected beside the other constants of the model.  A law that is freed with its level

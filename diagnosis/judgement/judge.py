@@ -18,7 +18,7 @@ from diagnosis.problem import blocks
 from diagnosis.problem.blocks import Block
 from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import ProblemSetting
-from diagnosis.search.search import Search, SearchResult
+from diagnosis.search.search import FittedEffects, Search, SearchResult
 from physics.effects.catalogue import CATALOGUE
 from physics.parameters import PARAMETERS
 from physics.relations.relation import RELATIONS
@@ -42,6 +42,11 @@ class Judge:
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
                              setting.folds, self.criteria, near=not setting.any_rig, scatter=within is None,
                              blind=setting.blind if within is None else ())
+        for model in within.found.models if within is not None else ():
+            own = [c for c in offered if c.name in model.names]
+            if len(own) == len(model.effects) > 0:
+                # what the gait alone has led to is where an effect starts beside the experiment, too
+                self.search.model(own, {**self.search.start, **model.fit.values})
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: SearchResult = self.search.run(most if within is None else len(within.found.best.effects))
 
@@ -61,10 +66,46 @@ class Judge:
         if self._strange():
             return []
         if self.within is not None:
-            return list(verdict.rivals(self.found, lambda c, m: self.criteria.says(c, m, self.search),
-                                       verdict.SPLIT_GAIN, verdict.SPLIT_RMSE))
+            return list(verdict.unsplit(self.found, self._structure(), self.criteria.differs))
         # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
         return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search)))
+
+    def holding(self) -> list[Block]:
+        """Return the blocks less those of an experiment in relations that no model of the class meets there.
+
+        What healthy trials leave is known of their own motion; in another one a law may not hold, and what the class
+        leaves then says nothing of which of them is at work.
+        """
+        class_of = [m for m in self.found.models if len(m.effects) == len(self.found.best.effects)]
+        kept = set[int]()
+        for name in self.setting.checked:
+            there = self._of_experiment(name)
+            expected = self._expected(sum(self.setting.blocks[i].keep.size for i in there), name)
+            if min(self._left(m, there) for m in class_of) <= verdict.STRANGE**2 * expected:
+                kept.update(there)
+        return [b for i, b in enumerate(self.setting.blocks) if i in kept or not of_experiment(b)]
+
+    def told_by(self, kept: Sequence[Block]) -> bool:
+        """Whether an experiment, of which `kept` blocks are left, shows anything that an effect of the class moves."""
+        return any(of_experiment(b) and b.uses & c.parameters for b in kept for c in self.search.offered)
+
+    def _structure(self) -> float:
+        """Return the χ² that the laws leave on a healthy bench beyond noise, of as many samples."""
+        return sum(self._expected(self.setting.samples(n), n) - self.setting.noise_squares(n)
+                   for n in self.setting.checked)
+
+    def _of_experiment(self, relation: str) -> list[int]:
+        """Return the places of the blocks of a relation that an experiment has recorded."""
+        return [i for i, b in enumerate(self.setting.blocks) if b.relation.name == relation and of_experiment(b)]
+
+    def _expected(self, samples: int, relation: str) -> float:
+        """Return the χ² of so many samples of a relation on a healthy trial."""
+        return samples * (self.setting.floors[relation] / self.setting.weights[relation]) ** 2 if (
+            self.setting.floors) else 0.0
+
+    @staticmethod
+    def _left(model: FittedEffects, places: Sequence[int]) -> float:
+        return sum(float(model.fit.residuals[i] @ model.fit.residuals[i]) for i in places)
 
     def experiment(self) -> str | None:
         """Return the experiment that splits the class by calculation, None where nothing is to be split by one."""
@@ -159,6 +200,11 @@ class Judge:
         return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}; it is not measured."
                 for c in self.found.best.effects for f in c.frees
                 if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * (f.high - f.low)]
+
+
+def of_experiment(block: Block) -> bool:
+    """Whether a block is of a trial that is no gait."""
+    return not block.signals.has("gait_percent")
 
 
 def _inside(value: float, low: float, high: float) -> float:

@@ -52,10 +52,6 @@ RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
 WORTH_A_LOOK: Final = 1.5
 """Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
-SPLIT_RMSE: Final = 0.015
-SPLIT_GAIN: Final = 0.50
-"""The same two where an experiment lies beside the gait: both rivals err by the same laws, so less decides.
-Below it the wrong rival of a hidden class can be the better one."""
 STRANGE: Final = 1.33
 """RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
 WANTING: Final = 1.2
@@ -158,6 +154,23 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
                 continue
             if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
                 others[strange.pop()] = model.rank
+    return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
+
+
+def unsplit(found: SearchResult, structure: float, differs: Callable[[Candidate, FittedEffects], bool]
+            ) -> tuple[str, ...]:
+    """Return what an experiment leaves of a class, the chosen effects first.
+
+    A rival goes when it leaves more of χ² than the chosen effects, on unseen cycles and on all, by what an effect has
+    to take to be one (`least_fall`, of the `structure` that the laws leave of healthy trials), or where its value does
+    not differ from the healthy one.
+    """
+    best, least, others = found.best, least_fall(structure), dict[str, float]()
+    for model in found.models:
+        strange = [c for c in model.effects if c.name not in best.names]
+        if len(model.names) == len(best.names) and len(strange) == 1 and differs(strange[0], model) and min(
+                model.score - best.score, 2.0 * (model.fit.cost - best.fit.cost)) < least:
+            others[strange[0].name] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from diagnosis.finder import Findings
-from diagnosis.judgement.verdict import RIVAL_GAIN, RIVAL_RMSE, SPLIT_GAIN, SPLIT_RMSE
+from diagnosis.judgement.verdict import BENT, RIVAL_GAIN, RIVAL_RMSE
 from diagnosis.report.headline import healthy_value
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
@@ -57,10 +57,10 @@ def ranking(page: Page, found: Findings) -> None:
         return
     tried, base, best = found.found.models, found.found.baseline, found.found.best
     whole = base.score - best.score
-    gain, rmse = (SPLIT_GAIN, SPLIT_RMSE) if found.split else (RIVAL_GAIN, RIVAL_RMSE)
+    near = f"is a rival from {100.0 * RIVAL_GAIN:g} % on and within {100.0 * RIVAL_RMSE:g} % of its unseen RMSE"
+    stays = f"stays a rival while it leaves less than {BENT:g} of χ² more" if found.split else near
     page.text(f"{len(tried)} models were fitted in full, each judged on cycles it was not fitted on. 100 % is what the "
-              f"chosen model gains over the simulation as it was; a model of as many effects is a rival from "
-              f"{100.0 * gain:g} % on and within {100.0 * rmse:g} % of its unseen RMSE.", "note")
+              f"chosen model gains over the simulation as it was; a model of as many effects {stays}.", "note")
     rows: list[tuple[Cell, ...]] = []
     for model in sorted(tried[:MODELS_SHOWN], key=lambda m: m.rank):
         share = 100.0 * (base.score - model.score) / whole if whole > 0.0 else None
