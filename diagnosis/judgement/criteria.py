@@ -144,7 +144,10 @@ class SearchCriteria:
         if self.setting.any_rig:
             return bool(outside)
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
-        changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside}
+        # how an effect goes (the speed of a breakaway, the phase of a drum) is no find where how much there is stays
+        shapes = {n for n, absent in absences.items() if absent is None and not PARAMETERS[n].like_benches
+                  } if any(absent is not None for absent in absences.values()) else set()
+        changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside if n not in shapes}
         # what has no absence (friction, stiffness) is judged by its band, or by the scale on which the catalogue has it
         return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()

@@ -68,7 +68,8 @@ class Judge:
         if self.within is not None:
             return list(verdict.unsplit(self.found, self._structure(), self.criteria.differs))
         # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
-        return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search)))
+        return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search),
+                                   lambda lesser, m: self.criteria.pays(lesser, m, self.search)))
 
     def holding(self) -> list[Block]:
         """Return the blocks less those of an experiment in relations that no model of the class meets there.

@@ -127,13 +127,14 @@ def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] 
     return shares
 
 
-def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool], least_gain: float = RIVAL_GAIN,
-           most_rmse: float = RIVAL_RMSE) -> tuple[str, ...]:
+def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool],
+           pays: Callable[[FittedEffects, FittedEffects], bool]) -> tuple[str, ...]:
     """Return the effects that could stand in the chosen model, the chosen ones first.
 
-    A rival takes the place of one chosen effect, with at least `least_gain` of what that one gains and within
-    `most_rmse` of the chosen model's RMSE.  `says`: whether an effect is one in a model; a law that is freed with its
-    level, at a value that says nothing, stands for the level alone.
+    A rival takes the place of one chosen effect, with at least `RIVAL_GAIN` of what that one gains and within
+    `RIVAL_RMSE` of the chosen model's RMSE; or, of a faint one, where it pays in that place and leaves less than
+    `LEAST_FALL` more.  `says`: whether an effect is one in a model; a law that is freed with its level, at a value that
+    says nothing, stands for the level alone.  `pays`: whether a model is worth what it has more than a lesser one.
     """
     best, others = found.best, dict[str, float]()
     for out in best.effects:
@@ -152,7 +153,9 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
             rival = next(c for c in model.effects if c.name in strange)
             if not says(rival, model):
                 continue
-            if share >= least_gain and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= most_rmse:
+            near = share >= RIVAL_GAIN and math.sqrt(max(model.score, 0.0) / best.score) - 1.0 <= RIVAL_RMSE
+            apart = min(model.score - best.score, 2.0 * (model.fit.cost - best.fit.cost))
+            if near or (apart < LEAST_FALL and pays(left, model)):
                 others[strange.pop()] = model.rank
     return (*(c.name for c in best.effects), *sorted(others, key=lambda n: others[n]))
 
