@@ -15,6 +15,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, Search
 from physics.effects.catalogue import CATALOGUE
+from physics.effects.effect import Effect
 from physics.parameters import PARAMETERS
 
 
@@ -32,14 +33,13 @@ class SearchCriteria:
         """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
         if self.splits:
             return True
-        healthy = sum(self._expected(n) - self.setting.noise_squares(n) for n in self.setting.checked)
         added = [c for c in model.effects if c not in lesser.effects]
         if not all(self.says(c, model, search) for c in added):
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
         # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
-        least_fall = verdict.least_fall(healthy, lesser.prior_penalty - model.prior_penalty)
+        least_fall = verdict.least_fall(self.setting.structure, lesser.prior_penalty - model.prior_penalty)
         fall = self._fall(lesser, model, added)
         if min(fall, 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
@@ -109,7 +109,7 @@ class SearchCriteria:
 
     def noise(self, relation: str, model: FittedEffects) -> float:
         """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
-        expected = self._expected(relation) or model.by_relation[relation]
+        expected = self.setting.healthy_squares(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
     def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
@@ -144,9 +144,7 @@ class SearchCriteria:
         if self.setting.any_rig:
             return bool(outside)
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
-        # how an effect goes (the speed of a breakaway, the phase of a drum) is no find where how much there is stays
-        shapes = {n for n, absent in absences.items() if absent is None and not PARAMETERS[n].like_benches
-                  } if any(absent is not None for absent in absences.values()) else set()
+        shapes = _shapes(CATALOGUE[effect.name])
         changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside if n not in shapes}
         # what has no absence (friction, stiffness) is judged by its band, or by the scale on which the catalogue has it
         return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
@@ -180,7 +178,7 @@ class SearchCriteria:
         if self.setting.floors is None or self.splits or self._strained(model) or (
                 not model.effects and model.prior_penalty > verdict.STRAINED):
             return True
-        return any(self._excess(model, n) > verdict.OPEN * (self._expected(n) - self.setting.noise_squares(n))
+        return any(self._excess(model, n) > verdict.OPEN * self.setting.structure_squares(n)
                    + self.noise(n, model) for n in self.setting.checked)
 
     def has_unexplained_residual(self, model: FittedEffects, baseline: FittedEffects) -> bool:
@@ -220,10 +218,15 @@ class SearchCriteria:
         floors = self.setting.floors or {}
         return max((self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in relations), default=0.0) - 1.0
 
-    def _expected(self, relation: str) -> float:
-        """Return the χ² that a healthy trial would have; 0 where no healthy trial says."""
-        floors, weights = self.setting.floors, self.setting.weights
-        return self.setting.samples(relation) * (floors[relation] / weights[relation]) ** 2 if floors else 0.0
-
     def _excess(self, model: FittedEffects, relation: str) -> float:
-        return max(model.by_relation[relation] - self._expected(relation), 0.0)
+        return max(model.by_relation[relation] - self.setting.healthy_squares(relation), 0.0)
+
+
+def _shapes(effect: Effect) -> set[str]:
+    """Return the parameters that say how an effect goes, where another one says how much of it there is.
+
+    The speed of a breakaway, the phase of a drum: no absence, and no like bench differs in them.
+    """
+    if all(p.neutral is None for p in effect.parameters):
+        return set()
+    return {p.name for p in effect.parameters if p.neutral is None and not PARAMETERS[p.name].like_benches}

@@ -37,7 +37,8 @@ class Judge:
 
     def __init__(self, setting: ProblemSetting, holdout: Sequence[Table], within: Judge | None = None) -> None:
         self.setting, self.holdout, self.within = setting, holdout, within
-        offered = [c for c in setting.offered if within is None or c.name in within.rivals()]
+        names = None if within is None else within.rivals()
+        offered = [c for c in setting.offered if names is None or c.name in names]
         self.criteria = SearchCriteria(setting, splits=within is not None)
         self.search = Search(setting.problem, setting.reference.values, setting.reference.nuisance, offered,
                              setting.folds, self.criteria, near=not setting.any_rig, scatter=within is None,
@@ -66,7 +67,7 @@ class Judge:
         if self._strange():
             return []
         if self.within is not None:
-            return list(verdict.unsplit(self.found, self._structure(), self.criteria.differs))
+            return list(verdict.unsplit(self.found, self.setting.structure, self.criteria.differs))
         # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
         return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search),
                                    lambda lesser, m: self.criteria.pays(lesser, m, self.search)))
@@ -81,7 +82,7 @@ class Judge:
         kept = set[int]()
         for name in self.setting.checked:
             there = self._of_experiment(name)
-            expected = self._expected(sum(self.setting.blocks[i].keep.size for i in there), name)
+            expected = self.setting.healthy_squares(name, sum(self.setting.blocks[i].keep.size for i in there))
             if min(self._left(m, there) for m in class_of) <= verdict.STRANGE**2 * expected:
                 kept.update(there)
         return [b for i, b in enumerate(self.setting.blocks) if i in kept or not of_experiment(b)]
@@ -90,19 +91,9 @@ class Judge:
         """Whether an experiment, of which `kept` blocks are left, shows anything that an effect of the class moves."""
         return any(of_experiment(b) and b.uses & c.parameters for b in kept for c in self.search.offered)
 
-    def _structure(self) -> float:
-        """Return the χ² that the laws leave on a healthy bench beyond noise, of as many samples."""
-        return sum(self._expected(self.setting.samples(n), n) - self.setting.noise_squares(n)
-                   for n in self.setting.checked)
-
     def _of_experiment(self, relation: str) -> list[int]:
         """Return the places of the blocks of a relation that an experiment has recorded."""
         return [i for i, b in enumerate(self.setting.blocks) if b.relation.name == relation and of_experiment(b)]
-
-    def _expected(self, samples: int, relation: str) -> float:
-        """Return the χ² of so many samples of a relation on a healthy trial."""
-        return samples * (self.setting.floors[relation] / self.setting.weights[relation]) ** 2 if (
-            self.setting.floors) else 0.0
 
     @staticmethod
     def _left(model: FittedEffects, places: Sequence[int]) -> float:

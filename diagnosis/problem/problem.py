@@ -86,6 +86,20 @@ class ProblemSetting:
         """Return the χ² of a relation that is the trials' own noise; 0 where nothing says it."""
         return self.samples(relation) * (self.noise[relation] / self.weights[relation]) ** 2 if self.noise else 0.0
 
+    def healthy_squares(self, relation: str, samples: int | None = None) -> float:
+        """Return the χ² that a healthy trial has of a relation, or of so many `samples` of it; 0 where none says."""
+        count = self.samples(relation) if samples is None else samples
+        return count * (self.floors[relation] / self.weights[relation]) ** 2 if self.floors else 0.0
+
+    def structure_squares(self, relation: str) -> float:
+        """Return the χ² that the law of a relation leaves on a healthy trial beyond noise."""
+        return self.healthy_squares(relation) - self.noise_squares(relation)
+
+    @property
+    def structure(self) -> float:
+        """Return the same over all relations."""
+        return sum(self.structure_squares(n) for n in self.checked)
+
     def rmse(self, relation: str, chi_square: float) -> float:
         """Turn a relation's χ² into its RMSE."""
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from diagnosis.finder import Findings
-from diagnosis.judgement.verdict import BENT, RIVAL_GAIN, RIVAL_RMSE
+from diagnosis.judgement.verdict import BENT, LEAST_FALL, RIVAL_GAIN, RIVAL_RMSE, STRUCTURE
 from diagnosis.report.headline import healthy_value
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
@@ -57,8 +57,12 @@ def ranking(page: Page, found: Findings) -> None:
         return
     tried, base, best = found.found.models, found.found.baseline, found.found.best
     whole = base.score - best.score
-    near = f"is a rival from {100.0 * RIVAL_GAIN:g} % on and within {100.0 * RIVAL_RMSE:g} % of its unseen RMSE"
-    stays = f"stays a rival while it leaves less than {BENT:g} of χ² more" if found.split else near
+    if found.split:
+        stays = (f"stays a rival while it leaves less than {BENT:g} of χ² more, or than {100.0 * STRUCTURE:g} % of "
+                 "what the laws leave of healthy trials beyond noise")
+    else:
+        stays = (f"is a rival from {100.0 * RIVAL_GAIN:g} % on and within {100.0 * RIVAL_RMSE:g} % of its unseen RMSE, "
+                 f"or where it pays and leaves less than {LEAST_FALL:g} of χ² more")
     page.text(f"{len(tried)} models were fitted in full, each judged on cycles it was not fitted on. 100 % is what the "
               f"chosen model gains over the simulation as it was; a model of as many effects {stays}.", "note")
     rows: list[tuple[Cell, ...]] = []

@@ -133,7 +133,7 @@ def test_what_leaves_the_bench_strained_must_take_what_some_law_takes_of_a_healt
     own = {f.name for c in best.effects for f in c.frees}
     calm = {f.name: f.mean for f in best.fit.free if np.isfinite(f.sigma) and f.name not in own}
     named = moved(best, values=calm)
-    left = {n: judge.criteria._expected(n) for n in best.by_relation}
+    left = {n: judge.setting.healthy_squares(n) for n in best.by_relation}
     lesser, *models = (moved(named, {**left, "friction": left["friction"] + more * verdict.BENT})
                        for more in (2.0, 1.5, 0.5))
     lesser = dataclasses.replace(lesser, effects=())
@@ -148,8 +148,8 @@ def test_what_leaves_the_bench_strained_must_take_what_some_law_takes_of_a_healt
 
 def test_a_small_relation_is_not_strange_by_its_share_alone(judge: Judge) -> None:
     base = judge.found.baseline
-    calm = moved(base, {n: judge.criteria._expected(n) for n in base.by_relation})
-    twice = {n: 2.0 * judge.criteria._expected(n) for n in ("friction", "knee")}
+    calm = moved(base, {n: judge.setting.healthy_squares(n) for n in base.by_relation})
+    twice = {n: 2.0 * judge.setting.healthy_squares(n) for n in ("friction", "knee")}
     assert twice["knee"] < verdict.STRANGE_FALL < 0.5 * twice["friction"]
     strange = [judge.criteria.has_unexplained_residual(moved(calm, {n: left}), calm) for n, left in twice.items()]
     assert strange == [True, False]

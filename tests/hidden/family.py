@@ -16,6 +16,7 @@ import numpy as np
 from diagnosis.data.table import Table, table
 from diagnosis.finder import Findings, diagnose
 from tests.hidden import family_moves, moves
+from tests.hidden.answers import After
 from tests.plants import draws, effects, imposed, oracle
 from tests.plants.bench import Bench, replaced
 
@@ -46,15 +47,6 @@ class Case:
     motion: imposed.Motion
     noise_n: float
     rate_hz: int
-
-
-@dataclass(frozen=True)
-class After:
-    """What was said when the trial of the proposed experiment lay beside the first."""
-
-    experiment: str
-    verdict: str
-    rivals: tuple[str, ...]
 
 
 @dataclass(frozen=True)

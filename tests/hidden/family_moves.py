@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 
@@ -59,6 +60,10 @@ class _FamilyRig(Rig):
         self.rows.append((self.x, self.knee, target, theta, float(self.number), self.start, float(self.z[MIDDLE]),
                           float(self.z[END]), self.leg))
 
+    @cached_property
+    def _motion(self) -> imposed.Motion:
+        """One cycle by the bench's own inverse."""
+        return imposed.gait(self.bench, PEAK_N, PERIOD_S, 1)
+
     def gait(self) -> Iterator[tuple[float, float]]:
-        motion = imposed.gait(self.bench, PEAK_N, PERIOD_S, 1)
-        yield from zip(motion.target.tolist(), motion.knee_target.tolist(), strict=True)
+        yield from zip(self._motion.target.tolist(), self._motion.knee_target.tolist(), strict=True)

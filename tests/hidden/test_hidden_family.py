@@ -11,7 +11,8 @@ import pytest
 
 from master.motion.scripted_experiments import laps
 from tests.hidden import family_bars, family_moves
-from tests.hidden.family import After, Answer, Job, answer, case, from_json, session
+from tests.hidden.answers import After
+from tests.hidden.family import Answer, Job, answer, case, from_json, session
 from tests.hidden.family_jobs import KINDS, digest, jobs
 from tests.hidden.family_run import DOCS, said
 from tests.hidden.run import Kept, asking
@@ -156,7 +157,7 @@ def test_a_bench_of_the_family_runs_an_experiment_that_it_was_not_made_for(kind:
 
 @pytest.mark.parametrize("job", [Job(863, ("cable_friction",), 10), Job(710, ("demand_gain",), 40)])
 def test_an_experiment_in_which_the_laws_do_not_hold_takes_no_truth_away(job: Job) -> None:
-    # a step, and a locked knee: there the bench's stretch is three and seven times as far from the laws as in its gait
+    # a step leaves three times the χ² of a healthy trial in friction, a locked knee seven times in elasticity
     told = answer(job, judged=False)
     assert told.after is not None
     assert told.verdict == "ambiguous"
