@@ -17,7 +17,7 @@ from diagnosis.problem.deviations import chance
 from diagnosis.problem.fit import Space
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import build_problem
-from diagnosis.search.search import FittedEffects, Search
+from diagnosis.search.search import FittedEffects, Search, SearchResult
 from physics.effects.catalogue import CATALOGUE
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
@@ -177,3 +177,43 @@ def test_behind_the_low_pass_the_noise_of_a_residual_is_what_is_left_of_it() -> 
     slow = signals_of(table("noise.csv", fast), 125.0)["tension_end_n"]
     # some 5000 samples of which 24 neighbours share a median
     assert chance(slow) == pytest.approx(float(np.std(slow)), rel=0.05)
+
+
+def test_another_speed_of_a_breakaway_is_no_find_where_the_breakaway_is_the_same(judge: Judge) -> None:
+    breakaway = next(c for c in judge.search.offered if c.name == "stribeck")
+    fitted = judge.search.model((breakaway,), judge.search.start)
+    healthy = {f.name: judge.setting.reference.values[f.name] for f in breakaway.frees}
+    shape = {**healthy, "stribeck_speed": 3.0 * healthy["stribeck_speed"], "stribeck_memory": 0.09}
+    assert not judge.criteria.differs(breakaway, moved(fitted, values=shape))
+    assert judge.criteria.differs(breakaway, moved(fitted, values={**shape, "stribeck_ratio": 2.0}))
+
+
+def placed(judge: Judge, baseline: float, rival: float) -> SearchResult:
+    """Return the search's result as if no effect left `baseline` of χ² more than the offset does, and slack `rival`."""
+    best = judge.found.best
+
+    def left(model: FittedEffects, more: float) -> FittedEffects:
+        other = dataclasses.replace(model, fit=dataclasses.replace(model.fit, cost=best.fit.cost + 0.5 * more))
+        friction = model.by_relation["friction"] + best.score + more - model.score
+        other.__dict__["by_relation"] = {**model.by_relation, "friction": friction}
+        return other
+
+    lesser = left(judge.found.baseline, baseline)
+    slack = left(next(m for m in judge.found.models if m.names == ("slack",)), rival)
+    return SearchResult(lesser, best, (best, slack, lesser))
+
+
+@pytest.mark.parametrize(("rival", "pays", "stays"), [(30.0, True, True), (30.0, False, False), (50.0, True, False)])
+def test_a_faint_find_has_rivals_that_pay_and_leave_less_than_what_says_something(
+        judge: Judge, rival: float, pays: bool, stays: bool) -> None:
+    found = placed(judge, 60.0, rival)
+    assert ("slack" in verdict.rivals(found, lambda c, m: True, lambda lesser, m: pays)) == stays
+
+
+@pytest.mark.parametrize(("rival", "differs", "stays"),
+                         [(90.0, True, True), (90.0, False, False), (110.0, True, False)])
+def test_an_experiment_takes_a_rival_away_by_what_an_effect_has_to_take(
+        judge: Judge, rival: float, differs: bool, stays: bool) -> None:
+    found = placed(judge, 500.0, rival)
+    assert ("slack" in verdict.unsplit(found, 0.0, lambda c, m: differs)) == stays
+    assert "slack" in verdict.unsplit(found, 2.0 * rival / verdict.STRUCTURE, lambda c, m: True)
