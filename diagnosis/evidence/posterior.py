@@ -1,0 +1,216 @@
+"""Mode and evidence of one trial under a Gaussian prior of constants and discrepancy: Gauss–Newton and Laplace.
+
+    cost(x) = Σ ρ((y − f(q0 + x) − Φc)/σ) + (x − μ)ᵀP⁻¹(x − μ)        ρ Huber's loss, x = (constants, c)
+    ln p(y) = −½ cost(x̂) − ½ ln det(I + LᵀHᵀWHL),  P = LLᵀ,  H = [∂f/∂q, Φ]      up to a constant of the trial
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from diagnosis.evidence.outputs import jacobian, predicted
+from diagnosis.evidence.recording import Recording
+from physics.effects.hypotheses import Variant, coordinate
+from physics.laws import Array
+from physics.path_constants import FREE, INDEX, STEP, TABLE
+
+HUBER: Final = 5.0
+"""Residual, σ, from which the loss grows linearly: 16 ms bins in which a loose rope snaps taut."""
+ROUNDS: Final = 14
+CLOSE: Final = 0.3
+"""Fall of the cost in a round at which the mode counts as reached: 0.15 nats."""
+STEEPER: Final = 6.0
+"""Factor of the Levenberg–Marquardt damping after a step that does not reduce the cost."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One trial as data: `features` Φ, shape (data, features); `weight`: 1/σ² of each datum."""
+
+    trial: Recording
+    features: Array
+    weight: Array
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Prior of a trial's constants and discrepancy about the bench constants `origin` (all of `TABLE`).
+
+    `mean`, `covariance`: of the free constants' departure from the origin, then of the feature weights.
+    """
+
+    origin: Array
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A mode: departures `x` of the constants `active` and of the feature weights, the coordinates `q` there.
+
+    `log_evidence` in nats; `factor` the Cholesky factor L of the prior; `inner` of I + LᵀHᵀWHL; `design` H;
+    `weight` W; `residual` y − f − Φc; `prior_mean` μ.
+    """
+
+    q: Array
+    x: Array
+    active: tuple[int, ...]
+    cost: float
+    log_evidence: float
+    factor: Array
+    inner: Any
+    design: Array
+    weight: Array
+    residual: Array
+    prior_mean: Array
+
+    @property
+    def constants(self) -> int:
+        return len(self.active)
+
+    def sd(self, gradient: Array) -> float:
+        """Return 1σ of a scalar whose gradient by `x` is given."""
+        along = self.factor.T @ gradient
+        return float(np.sqrt(along @ cho_solve(self.inner, along)))
+
+
+def extra_constants(variant: Variant | Sequence[Variant]) -> list[int]:
+    """Return the constants that variants free and that a bench in the reference condition does not have."""
+    several = [variant] if isinstance(variant, Variant) else variant
+    return sorted({INDEX[n] for v in several for d in v.directions for n in d.along} - set(FREE))
+
+
+def widened(prior: Gaussian, variants: Sequence[Variant]) -> tuple[Array, Array, Array, list[int]]:
+    """Return origin, mean, covariance and active constants of a prior that hypotheses widen."""
+    extra = extra_constants(variants)
+    active = [*FREE, *extra]
+    place = {i: k for k, i in enumerate(active)}
+    size = len(active) + prior.mean.size - len(FREE)
+    kept = [*range(len(FREE)), *range(len(active), size)]
+    covariance, mean = np.zeros((size, size)), np.zeros(size)
+    covariance[np.ix_(kept, kept)], mean[kept] = prior.covariance, prior.mean
+    for i in extra:
+        covariance[place[i], place[i]] = (1e-6 * STEP[i]) ** 2
+    origin = prior.origin.copy()
+    for variant in variants:
+        for name, value in variant.at.items():
+            origin[INDEX[name]] = coordinate(name, value)
+        for direction in variant.directions:
+            along = np.zeros(size)
+            for name, share in direction.along.items():
+                along[place[INDEX[name]]] = share
+            covariance += direction.sd**2 * np.outer(along, along)
+    return origin, mean, covariance, active
+
+
+def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
+         rounds: int = ROUNDS) -> Mode:
+    """Find the mode of one trial under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
+
+    Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
+    """
+    origin, mean, covariance, active = widened(prior, variants)
+    factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+    trial, features, weight = observed.trial, observed.features, observed.weight
+    count, root = len(active), np.sqrt(weight)
+
+    def at(x: Array) -> Array:
+        q = origin.copy()
+        q[active] += x[:count]
+        return q
+
+    def cost(x: Array) -> float:
+        scaled = np.abs(trial.data - predicted(at(x), trial) - features @ x[count:]) * root
+        loss = np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2)
+        off = solve_triangular(factor, x - mean, lower=True)
+        return float(loss.sum() + off @ off)
+
+    x = mean.copy() if start is None else start.copy()
+    now, damping = cost(x), 0.0
+    eye = np.eye(x.size)
+    for turn in range(rounds):
+        data, slopes = jacobian(at(x), trial, active)
+        design = np.concatenate([slopes, features], axis=1)
+        residual = trial.data - data - features @ x[count:]
+        scaled = np.abs(residual) * root
+        weights = np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight
+        inward = design @ factor
+        square = eye + inward.T @ (inward * weights[:, None])
+        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
+        inner = cho_factor(square)
+        state = (at(x), x, design, weights, residual, inner)
+        accepted = False
+        for _ in range(7):
+            step = factor @ cho_solve(inner if damping == 0.0 else cho_factor(square + damping * eye), pull)
+            then = cost(x + step)
+            if np.isfinite(then) and then < now:
+                accepted = True
+                break
+            damping = max(STEEPER * damping, 0.5)
+        if not accepted:
+            break
+        fall, now, x = now - then, then, x + step
+        damping = damping / 4.0 if damping > 0.3 else 0.0
+        if fall < CLOSE or turn == rounds - 1:
+            break
+    # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
+    _, _, design, weights, _, inner = state
+    residual = trial.data - predicted(at(x), trial) - features @ x[count:]
+    evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
+    return Mode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
+
+
+def screened(null: Mode, observed: Observed, variant: Variant) -> tuple[float, Array]:
+    """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
+
+    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), g = EᵀC⁻¹e, G = EᵀC⁻¹E, with E the effect's slopes times their σ and C the
+    covariance of the data under the null.
+    """
+    names = sorted({n for d in variant.directions for n in d.along})
+    q = null.q.copy()
+    for name, value in variant.at.items():
+        q[INDEX[name]] = coordinate(name, value)
+    if "creep_time" in names:
+        q[INDEX["creep"]] += 1.5e-5
+    _, slopes = jacobian(q, observed.trial, [INDEX[n] for n in names])
+    column = {name: slopes[:, k] for k, name in enumerate(names)}
+    effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
+    inward = null.design @ null.factor
+    error = null.residual + null.design @ (null.x - null.prior_mean)
+
+    def solved(given: Array) -> Array:
+        light = null.weight[:, None] * given
+        return np.asarray(light - (null.weight[:, None] * inward) @ cho_solve(null.inner, inward.T @ light))
+
+    applied = solved(np.concatenate([error[:, None], effect], axis=1))
+    pull, square = effect.T @ applied[:, 0], np.eye(effect.shape[1]) + effect.T @ applied[:, 1:]
+    size = np.linalg.solve(square, pull)
+    return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(square)[1]), size
+
+
+def begun(base: Mode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()) -> Array:
+    """Return where a fit with `kept` and `variant` starts: at `base`, moved along the variant's directions by `sizes`.
+
+    Constants that `base` does not have start at 0; sizes are in σ of the effect, bounded by 2.5.
+    """
+    variants = [*kept, variant] if variant is not None else list(kept)
+    active = [*FREE, *extra_constants(variants)]
+    old = {i: base.x[k] for k, i in enumerate(base.active)}
+    x = np.array([old.get(i, 0.0) for i in active])
+    if variant is not None and sizes is not None:
+        for direction, size in zip(variant.directions, sizes, strict=True):
+            for name, share in direction.along.items():
+                x[active.index(INDEX[name])] += float(np.clip(size, -2.5, 2.5)) * direction.sd * share
+    return np.concatenate([x, base.x[base.constants:]])
+
+
+def named_change(mode_of: Mode, prior: Gaussian) -> dict[str, tuple[float, float]]:
+    """Return, by constant, its departure in q from the prior's mean and that departure over the prior's 1σ."""
+    sd = np.sqrt(np.diag(prior.covariance)[:len(FREE)])
+    return {TABLE[i].name: (float(mode_of.x[k] - prior.mean[k]), float((mode_of.x[k] - prior.mean[k]) / sd[k]))
+            for k, i in enumerate(FREE)}

@@ -1,0 +1,106 @@
+"""A trial as the likelihood reads it: signals low-passed alike, on one time grid, outputs averaged over bins."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from diagnosis.data.table import Table
+from physics.laws import Array
+
+GRID_S: Final = 4e-3
+"""Step of the simulation, s: a tenth of the shortest transient that a 40 Hz low-pass leaves."""
+BIN: Final = 4
+"""Samples of the grid that are averaged to one datum: 16 ms, above the correlation time of the low-pass."""
+LOWPASS_HZ: Final = 40.0
+RATIO_HZ: Final = 20.0
+"""Low-pass of the measured ratio END/START, which only weights START within the first output."""
+START_S: Final = 0.4
+"""Time left out at the start, s: friction states are unknown there."""
+TAUT_N: Final = 3.0
+"""START tension, N, below which the ratio END/START is not formed."""
+COARSEST_N: Final = 0.01
+"""Least noise of a bin, N: the quantisation step of the sensors."""
+SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
+NEEDED: Final = ("servo_position_m", "knee_angle_rad", "tension_start_n")
+"""Columns without which no likelihood can be formed."""
+
+
+def lacking(table: Table) -> list[str]:
+    """Return the needed columns that a trial does not have."""
+    return [name for name in NEEDED if name not in table]
+
+
+class Recording:
+    """Signals of one trial: `rope_m`, `knee_rad` and the outputs, shape (samples,), every `GRID_S`.
+
+    `outputs`: names of the signals that form the data, in the order of `data`: END less the measured ratio times START,
+    START, servo force.  `data`: their bins, one after the other; `noise_n`: sensor noise of a bin of each, 1σ.
+    """
+
+    def __init__(self, table: Table) -> None:
+        time = table["time_s"]
+        rate = 1.0 / float(np.median(np.diff(time)))
+        grid = np.arange(time[0], time[-1], GRID_S)
+        grid = grid[:grid.size // BIN * BIN]
+        sos = butter(2, min(LOWPASS_HZ, 0.45 * rate), fs=rate, output="sos")
+
+        def sampled(name: str) -> Array:
+            return np.interp(grid, time, sosfiltfilt(sos, table[name]))
+
+        self.source = table.source
+        self.time_s: Array = grid - grid[0]
+        self.progress: Array = self.time_s / self.time_s[-1]
+        self.rope_m, self.knee_rad = sampled("servo_position_m"), sampled("knee_angle_rad")
+        self.rope_m_s = np.gradient(self.rope_m, GRID_S)
+        self.rope_m_s2 = np.gradient(self.rope_m_s, GRID_S)
+        self.knee_rad_s2 = np.gradient(np.gradient(self.knee_rad, GRID_S), GRID_S)
+        self.outputs = tuple(name for name in SIGNALS if name in table)
+        self._signals = {name: sampled(name) for name in self.outputs}
+        self.start_n = self._signals["tension_start_n"]
+        self.skip = round(START_S / GRID_S / BIN)
+        self.ratio = self._ratio()
+        self.noise_n = {name: _noise(table[name], rate) for name in self.outputs}
+        slow = sosfiltfilt(butter(2, 15.0, fs=1.0 / GRID_S, output="sos"), self.rope_m_s2)
+        self.unresolved_m_s2 = self.rope_m_s2 - slow
+        self.data: Array = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
+
+    @property
+    def bins(self) -> int:
+        """Number of data of one output."""
+        return self.time_s.size // BIN - self.skip
+
+    def weighed(self, signals: dict[str, Array], name: str) -> Array:
+        """Return the output `name` of measured or predicted `signals`: END less the measured ratio times START."""
+        if name != "tension_end_n":
+            return signals[name]
+        return np.asarray(signals[name] - self.ratio * signals["tension_start_n"])
+
+    def binned(self, values: Array) -> Array:
+        """Return means over bins without the start, shape (…, bins), of `values` of shape (…, samples)."""
+        means = values.reshape(*values.shape[:-1], -1, BIN).mean(axis=-1)
+        return np.asarray(means[..., self.skip:])
+
+    def part(self, values: Array, output: int) -> Array:
+        """Return the data of one output, by number, of an array of all."""
+        return values[output * self.bins:(output + 1) * self.bins]
+
+    def measured(self, name: str) -> Array:
+        """Return a measured signal on the grid."""
+        return self._signals[name]
+
+    def _ratio(self) -> Array:
+        if "tension_end_n" not in self._signals:
+            return np.zeros_like(self.rope_m)
+        sos = butter(2, RATIO_HZ, fs=1.0 / GRID_S, output="sos")
+        start, end = (sosfiltfilt(sos, self._signals[n]) for n in ("tension_start_n", "tension_end_n"))
+        return np.asarray(np.clip(np.where(start > TAUT_N, end / np.maximum(start, TAUT_N), 0.8), 0.3, 1.3))
+
+
+def _noise(values: Array, rate: float) -> float:
+    """Return 1σ of a bin's sensor noise, N, from third differences: smooth signals have none."""
+    sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
+    independent = max(1.0, min(rate * GRID_S * BIN, rate / (2.0 * LOWPASS_HZ)))
+    return float(max(sample / np.sqrt(independent), COARSEST_N))

@@ -1,0 +1,329 @@
+"""Fit of the reference trials: bench constants, discrepancy and noise with their joint posterior.
+
+Each reference trial is linearised at its own mode under the posterior of the others (expectation propagation for
+Gaussians), so that one trial's session never counts as the bench.  The discrepancy is a Gaussian process in random
+Fourier features of states that the fitted model simulates under the trial's motion, never of its sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.signal import lfilter
+
+from diagnosis.evidence.outputs import predict, predicted
+from diagnosis.evidence.posterior import Gaussian, Mode, Observed, mode
+from diagnosis.evidence.recording import GRID_S, Recording
+from physics.laws import Array
+from physics.path_constants import BENCH_SD, FREE, INDEX, SESSION_SD, TABLE, named
+
+FEATURES: Final = 60
+"""Random Fourier features of each output: with 120 the held-out likelihood of reference trials is the same."""
+SESSION_SHARE: Final = 0.35
+"""1σ of the discrepancy's change between sessions, of the discrepancy."""
+LEAST_N: Final = {"tension_end_n": 0.04, "tension_start_n": 0.04, "servo_force_n": 0.1}
+"""Least 1σ of the model error of a bin, N: below what any structure of the development family reaches."""
+IN_SAMPLE: Final = 2.0
+"""Factor of the residual variance of a single reference trial, which no other one predicts."""
+HELD_OUT: Final = 1.3
+"""The same where other trials predict it: cavity residuals are partly fitted."""
+UNRESOLVED: Final = 0.5
+"""Share of the inertia force beyond 15 Hz that counts as noise of the servo force: sampled at 200 Hz it is aliased."""
+MOST_TAU: Final = 12.0
+"""Largest inflation of the noise by autocorrelation."""
+QUARTERS: Final = (0.25, 0.5, 0.75)
+ROUNDS: Final = 2
+STARTS: Final = ((0.0, 0.0, 0.0, 0.0), (-0.7, 0.6, 0.0, 0.0), (0.0, 0.0, 0.4, 0.3))
+"""Departures of cable, fabric, lead and stiffness, as logarithms, at which the first fit starts besides the middle."""
+STATES: Final = 9
+_RANDOM: Final = np.random.default_rng(7)
+_WAVES: Final = {name: (_RANDOM.normal(size=(FEATURES, STATES)) / 2.0, _RANDOM.uniform(0.0, 2.0 * np.pi, FEATURES))
+                 for name in ("tension_end_n", "tension_start_n", "servo_force_n")}
+"""Frequencies and phases of the features, drawn once from a fixed seed: length scale 2 in standardised states."""
+
+
+class Scaling(NamedTuple):
+    """Mean and 1σ of the states over the reference trials."""
+
+    mean: Array
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The bench as its reference trials show it.
+
+    `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
+    the bench alone.  `model_error`: variance by output and load quarter, N²; `tau`: inflation by autocorrelation.
+    `rmse_n`: RMS of START and END of the reference trials that the model of the other trials leaves, N (of a single
+    one: that its own fit leaves).
+    """
+
+    outputs: tuple[str, ...]
+    origin: Array
+    bench: Gaussian
+    prior: Gaussian
+    scaling: Scaling
+    amplitude: Array
+    model_error: Array
+    tau: Array
+    quarters: Array
+    trials: int
+    rmse_n: float
+
+    def observe(self, trial: Recording) -> Observed:
+        """Return a trial as data of this bench."""
+        states = simulated_states(self.origin, trial)
+        return Observed(trial, features(states, self.scaling, self.outputs), 1.0 / self._variance(trial, states))
+
+    def _variance(self, trial: Recording, states: Array) -> Array:
+        quarter = np.searchsorted(self.quarters, states[LOAD])
+        parts = []
+        for k, name in enumerate(self.outputs):
+            variance = self.model_error[k][quarter] + trial.noise_n[name] ** 2
+            if name == "servo_force_n":
+                inertia = named(self.origin)["drive_inertia"]
+                variance = variance + trial.binned((UNRESOLVED * inertia * trial.unresolved_m_s2) ** 2)
+            parts.append(variance * self.tau[k])
+        return np.concatenate(parts)
+
+
+LOAD: Final = 4
+"""Row of the logarithm of START tension among the states."""
+
+
+def simulated_states(q: Array, trial: Recording) -> Array:
+    """Return the states that the discrepancy depends on, shape (STATES, bins), simulated at coordinates `q`."""
+    path = predict(q[:, None], trial).path
+    start = path.start[0]
+    remembered = lfilter([GRID_S / 0.5], [1.0, GRID_S / 0.5 - 1.0], start)
+    rate = np.gradient(start, GRID_S)
+    return trial.binned(np.stack([
+        trial.knee_rad / 0.4, np.gradient(trial.knee_rad, GRID_S) / 2.0, path.cable_slip[0], path.fabric_slip[0],
+        np.log(start + 3.0), np.arcsinh(rate / 50.0), remembered / 15.0, np.arcsinh(trial.rope_m_s / 0.02),
+        np.log(path.middle[0] + 3.0)]))
+
+
+def features(states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
+    """Return the features of the discrepancy, block-diagonal by output, shape (data, features)."""
+    even = (states - scaling.mean[:, None]) / scaling.sd[:, None]
+    bins = states.shape[1]
+    out = np.zeros((bins * len(outputs), FEATURES * len(outputs)))
+    for k, name in enumerate(outputs):
+        waves, phases = _WAVES[name]
+        out[k * bins:(k + 1) * bins, k * FEATURES:(k + 1) * FEATURES] = np.cos(even.T @ waves.T + phases) * np.sqrt(
+            2.0 / FEATURES)
+    return out
+
+
+def fit_reference(trials: Sequence[Recording]) -> Reference:
+    """Fit the reference trials of one bench, which all have the same outputs."""
+    return _Fit(trials).run()
+
+
+class _Linear(NamedTuple):
+    """A trial linearised at its mode: design H and error e with e ≈ H·(departure from the origin) + noise."""
+
+    design: Array
+    error: Array
+    weight: Array
+
+
+class _Fit:
+    """State of the reference fit: linearised trials, model error, scaling."""
+
+    def __init__(self, trials: Sequence[Recording]) -> None:
+        self.trials = trials
+        self.outputs = trials[0].outputs
+        self.origin = _origin(trials[0])
+        self.amplitude = np.full(len(self.outputs), 0.2)
+        self.model_error = np.full((len(self.outputs), 4), 0.2**2)
+        self.tau = np.ones(len(self.outputs))
+        self.quarters = np.zeros(3)
+        self.rmse_n = 0.0
+        self.linear: list[_Linear | None] = [None] * len(trials)
+
+    def run(self) -> Reference:
+        """Fit the first trial from several starts, then all in turn, each under the posterior of the others."""
+        middle = self.origin.copy()
+        modes = [self._first(middle, departure) for departure in STARTS]
+        best = min(modes, key=lambda m: m.cost)
+        self._rescale(best.q)
+        for _ in range(ROUNDS):
+            found = [self._visit(k) for k in range(len(self.trials))]
+            self._noise(found)
+            self._amplitudes()
+        for k in range(len(self.trials)):
+            self._reweigh(k)
+        bench = self._posterior(range(len(self.trials)))
+        # features are simulated at the bench's own constants; their change is far below their length scale
+        prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
+        return Reference(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
+                         self.tau, self.quarters, len(self.trials), self.rmse_n)
+
+    def _first(self, middle: Array, departure: tuple[float, ...]) -> Mode:
+        """Fit the first trial alone without a discrepancy."""
+        trial = self.trials[0]
+        start = np.zeros(len(FREE))
+        for name, by in zip(("cable", "fabric", "lead", "stiffness"), departure, strict=True):
+            start[FREE.index(INDEX[name])] += by
+        plain = Observed(trial, np.zeros((trial.data.size, 0)), np.concatenate([
+            np.full(trial.bins, 1.0 / 0.3**2 if name != "servo_force_n" else 1.0) for name in self.outputs]))
+        wide = Gaussian(middle, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
+        return mode(plain, wide, start=start, rounds=10)
+
+    def _rescale(self, q: Array) -> None:
+        """Take `q` as the constants at which the states of the discrepancy are simulated."""
+        self.origin_of_states = q
+        self.states = [simulated_states(q, trial) for trial in self.trials]
+        every = np.concatenate(self.states, axis=1)
+        self.scaling = Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6)
+        self.features = [features(s, self.scaling, self.outputs) for s in self.states]
+        self.quarters = np.quantile(every[LOAD], QUARTERS)
+        self.origin = q
+        rest = [trial.data - predicted(q, trial) for trial in self.trials[:1]]
+        self._set_amplitude(rest, self.trials[:1])
+
+    def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
+        self.amplitude = np.array([np.sqrt(np.mean([np.mean(t.part(r, k) ** 2) for r, t in zip(rest, trials, strict=True)]))
+                                   for k in range(len(self.outputs))])
+
+    def _bench_variance(self) -> Array:
+        return np.concatenate([BENCH_SD[list(FREE)] ** 2, np.repeat(self.amplitude**2, FEATURES)])
+
+    def _session(self) -> Array:
+        return np.concatenate([SESSION_SD[list(FREE)] ** 2,
+                               SESSION_SHARE**2 * np.repeat(self.amplitude**2, FEATURES)])
+
+    def _posterior(self, which: Sequence[int]) -> Gaussian:
+        """Return the posterior of the bench, about `origin`, by the linearised trials of `which`.
+
+        Each trial's own deviation Σ is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.
+        """
+        scale = np.sqrt(self._bench_variance())
+        deviation = np.sqrt(self._session()) / scale
+        size = scale.size
+        information, pull = np.eye(size), np.zeros(size)
+        pull[:len(FREE)] = -self.origin[list(FREE)] / BENCH_SD[list(FREE)]
+        for name in ORIGINAL:
+            pull[FREE.index(INDEX[name])] = 0.0
+        for k in which:
+            linear = self.linear[k]
+            if linear is None:
+                continue
+            root = np.sqrt(linear.weight)
+            design = linear.design * scale * root[:, None]
+            square, error = design.T @ design, design.T @ (linear.error * root)
+            inner = cho_factor(np.eye(size) + deviation[:, None] * square * deviation)
+            side = deviation[:, None] * square
+            information += square - side.T @ cho_solve(inner, side)
+            pull += error - side.T @ cho_solve(inner, deviation * error)
+        lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
+        lengths = np.maximum(lengths, 0.5)
+        covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
+        return Gaussian(self.origin, scale * ((axes / lengths) @ (axes.T @ pull)), covariance)
+
+    def _visit(self, k: int) -> Mode:
+        """Find the mode of trial `k` under the posterior of the other trials, and linearise the trial there."""
+        others = [i for i in range(len(self.trials)) if i != k]
+        cavity = self._posterior(others)
+        if all(self.linear[i] is None for i in others):
+            cavity = Gaussian(self.origin, np.zeros_like(cavity.mean), np.diag(self._bench_variance()))
+        prior = Gaussian(cavity.origin, cavity.mean, cavity.covariance + np.diag(self._session()))
+        observed = Observed(self.trials[k], self.features[k], 1.0 / self._reference()._variance(
+            self.trials[k], self.states[k]))
+        found = mode(observed, prior, rounds=8)
+        self.linear[k] = _Linear(found.design, found.residual + found.design @ found.x, observed.weight)
+        return found
+
+    def _reweigh(self, k: int) -> None:
+        linear = self.linear[k]
+        assert linear is not None
+        weight = 1.0 / self._reference()._variance(self.trials[k], self.states[k])
+        self.linear[k] = linear._replace(weight=weight)
+
+    def _reference(self) -> Reference:
+        empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
+        return Reference(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
+                         self.tau, self.quarters, len(self.trials), self.rmse_n)
+
+    def _noise(self, found: Sequence[Mode]) -> None:
+        """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
+        more = IN_SAMPLE if len(self.trials) == 1 else HELD_OUT
+        squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
+        tau = np.zeros(len(self.outputs))
+        for at, trial, states in zip(found, self.trials, self.states, strict=True):
+            quarter = np.searchsorted(self.quarters, states[LOAD])
+            for k, name in enumerate(self.outputs):
+                rest = trial.part(at.residual, k)
+                tau[k] += autocorrelation(rest) / len(found)
+                bounded = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - trial.noise_n[name] ** 2
+                for j in range(4):
+                    squares[k, j] += float(bounded[quarter == j].sum())
+                    counts[k, j] += int((quarter == j).sum())
+        least = np.array([[LEAST_N[name] ** 2] for name in self.outputs])
+        self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
+        self.tau = np.minimum(tau, MOST_TAU)
+        self.rmse_n = self._missed()
+
+    def _amplitudes(self) -> None:
+        """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
+        rest = []
+        for k, linear in enumerate(self.linear):
+            assert linear is not None
+            part = linear.design[:, :len(FREE)]
+            root = np.sqrt(linear.weight)
+            scale = BENCH_SD[list(FREE)]
+            design = part * scale * root[:, None]
+            at = np.linalg.solve(np.eye(len(FREE)) + design.T @ design, design.T @ (linear.error * root))
+            rest.append(linear.error - part @ (scale * at))
+            del k
+        self._set_amplitude(rest, self.trials)
+
+    def _missed(self) -> float:
+        """Return the RMS of END less ratio·START and START that the model of the other trials leaves, N."""
+        left = []
+        for k, trial in enumerate(self.trials):
+            linear = self.linear[k]
+            assert linear is not None
+            others = [i for i in range(len(self.trials)) if i != k] or [k]
+            rest = linear.error - linear.design @ self._posterior(others).mean
+            left += [trial.part(rest, j) for j, n in enumerate(self.outputs) if n != "servo_force_n"]
+        return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+
+ORIGINAL: Final = ("zero", "arm", "stiffness")
+"""Constants whose population middle is taken from the first reference trial itself: any value is as likely."""
+
+
+def _origin(trial: Recording) -> Array:
+    """Return coordinates to start from: zero, lever arm and stiffness by a linear regression of rope on knee and load."""
+    q = np.zeros(len(TABLE))
+    taut = trial.start_n > 4.0
+    load = trial.start_n[taut]
+    on = trial.knee_rad[taut] + 0.5
+    design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
+    if load.size < 50:
+        return q
+    zero, arm, _, linear, curved = np.linalg.lstsq(design, trial.rope_m[taut], rcond=None)[0]
+    stretch = max(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0), 2e-3)
+    q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
+    q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * stretch))
+    return q
+
+
+def autocorrelation(rest: Array) -> float:
+    """Return 1 + 2Σ of the autocorrelation of a residual, up to the first lag below 0.05."""
+    even = rest - rest.mean()
+    power = float(np.mean(even**2))
+    total = 1.0
+    for lag in range(1, 40):
+        share = float(np.mean(even[:-lag] * even[lag:])) / power if power > 0.0 else 0.0
+        if share < 0.05:
+            break
+        total += 2.0 * share
+    return total

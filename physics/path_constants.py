@@ -1,0 +1,131 @@
+"""Constants of a bench as the forward model is fitted: unit, form, population prior and session deviation.
+
+One row a constant.  A constant is a function of a coordinate q that a Gaussian describes: q = 0 is the value of the
+population's middle, `bench_sd` the 1σ between benches and `session_sd` the 1σ between two sessions of one bench, both
+in units of q.  The same rows serve the reference fit, the evidence of an effect and the report.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from physics import force_path
+from physics.laws import Array
+
+
+class Constant(NamedTuple):
+    """One constant: name, unit, population middle, form, spread between benches and between sessions, meaning.
+
+    `form`: "linear" (value = middle + q), "log" (middle·e^q), "logit" (a share), "positive" (a smooth maximum of
+    middle + q and 0, rounded over `rounding`).  `bench_sd` 0: absent in the reference condition, moved by effects only.
+    """
+
+    name: str
+    unit: str
+    middle: float
+    form: str
+    bench_sd: float
+    session_sd: float
+    meaning: str
+    rounding: float = 0.0
+    step: float = 0.0
+
+
+_C = Constant
+TABLE: Final = (
+    _C("zero", "m", 0.0, "linear", 50e-3, 2e-4, "encoder at the taut, unloaded rope; session: repeatability of homing"),
+    _C("arm", "m/rad", 0.04, "linear", 4e-3, 2e-4, "(11): rope per knee angle, k2; session 0.5 %"),
+    _C("arm2", "m/rad²", 0.0, "linear", 2e-3, 1.5e-4, "quadratic lever arm, k3"),
+    _C("arm3", "m/rad³", 0.0, "linear", 1e-3, 1e-4, "cubic lever arm"),
+    _C("eccentric_sin", "m", 0.0, "linear", 0.0, 0.0, "runout of the drum, sine part", step=1e-5),
+    _C("eccentric_cos", "m", 0.0, "linear", 0.0, 0.0, "runout of the drum, cosine part", step=1e-5),
+    _C("drum", "m", 0.02, "linear", 0.0, 0.0, "radius of the drum", step=1e-4),
+    _C("play", "rad", 2e-4, "positive", 6e-4, 1.5e-4, "half dead band of the knee, by motion", 2e-4),
+    _C("gap", "rad", 2e-4, "positive", 6e-4, 1.5e-4, "half dead band of the knee, by load", 2e-4),
+    _C("stiffness", "N", 40.0, "log", 0.5, 0.03, "(10): force at 10 mm of stretch, linear part; session 3 %"),
+    _C("curve2", "", 0.4, "linear", 0.6, 0.03, "(10): quadratic share of the force"),
+    _C("curve3", "", 0.1, "linear", 0.3, 0.02, "cubic share of the force"),
+    _C("lead", "m/N", 3e-5, "log", 0.5, 0.03, "compliance between drum and sheath"),
+    _C("before", "", 0.5, "logit", 0.5, 0.03, "share of the fabric's stretch before the knee"),
+    _C("prompt", "m/N", 2e-6, "log", 1.0, 0.1, "retarded compliance, 0.08 s"),
+    _C("slow", "m/N", 2e-6, "log", 1.0, 0.1, "retarded compliance, 1 s"),
+    _C("creep", "m/N", 1e-6, "positive", 2e-6, 4e-7, "creep compliance J", 4e-7),
+    _C("creep_time", "s", 5.0, "log", 0.7, 0.05, "creep time constant τ"),
+    _C("cable", "", 0.15, "log", 0.6, 0.04, "(3): exponent μ1·θ1; session 3 % and how the laws differ"),
+    _C("bend", "1/rad", 0.0, "linear", 0.1, 0.03, "relative change of the cable's exponent with knee angle"),
+    _C("load", "", 0.0, "linear", 0.15, 0.02, "relative change of friction for 40 N of tension"),
+    _C("drift", "", 0.0, "linear", 0.0, 0.0, "relative change of friction over the trial", step=0.02),
+    _C("viscous", "N·s/m", 8.0, "positive", 8.0, 0.7, "viscous friction of rope in sheath", 1.0),
+    _C("dry", "N", 0.05, "log", 0.8, 0.15, "friction that no load changes"),
+    _C("fabric", "", 0.12, "log", 0.6, 0.05, "(7): exponent μ2·φ at the loaded knee; session 5 %"),
+    _C("wrap", "1/rad", 0.9, "linear", 0.6, 0.05, "relative change of the fabric's exponent with knee angle"),
+    _C("cable_travel", "m", 1e-4, "log", 0.8, 0.15, "pre-sliding distance of the cable"),
+    _C("fabric_travel", "m", 1e-4, "log", 0.8, 0.15, "pre-sliding distance of the fabric"),
+    _C("cable_rest", "", 0.1, "positive", 0.35, 0.03, "static over sliding friction of the cable, less 1", 0.04),
+    _C("fabric_rest", "", 0.1, "positive", 0.35, 0.03, "static over sliding friction of the fabric, less 1", 0.04),
+    _C("rest_speed", "m/s", 0.01, "log", 0.8, 0.05, "Stribeck speed"),
+    _C("memory", "s", 0.02, "log", 0.6, 0.05, "lag of friction behind the sliding speed"),
+    _C("start_gain", "", 1.0, "linear", 0.003, 0.003, "gain of START; maker's class 0.3 %"),
+    _C("start_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of START"),
+    _C("start_drift", "N", 0.0, "linear", 0.0, 0.0, "zero drift of START over the trial", step=0.05),
+    _C("start_lag", "s", 1e-3, "linear", 0.003, 3e-4, "lag of START behind rope and knee"),
+    _C("end_gain", "", 1.0, "linear", 0.003, 0.003, "gain of END"),
+    _C("end_offset", "N", 0.0, "linear", 0.15, 0.1, "zero of END"),
+    _C("end_drift", "N", 0.0, "linear", 0.0, 0.0, "zero drift of END over the trial", step=0.05),
+    _C("end_lag", "s", 1e-3, "linear", 0.003, 3e-4, "lag of END behind rope and knee"),
+    _C("end_filter", "s", 0.0, "positive", 0.0, 0.0, "time constant of a further low-pass on END", 3e-4, 1e-3),
+    _C("end_mass", "kg", 0.0, "linear", 0.0, 0.0, "mass that END carries", step=0.01),
+    _C("end_swing", "kg·m", 0.0, "linear", 0.0, 0.0, "mass that END carries times its lever", step=0.002),
+    _C("drive_coulomb", "N", 2.0, "linear", 2.0, 0.2, "Coulomb friction of the servo; session 10 %"),
+    _C("drive_viscous", "N·s/m", 15.0, "linear", 15.0, 1.5, "viscous friction of the servo; session 10 %"),
+    _C("drive_inertia", "kg", 2.5, "linear", 1.0, 0.08, "inertia of the servo at the rope; session 3 %"),
+    _C("drive_offset", "N", 0.0, "linear", 0.5, 0.05, "constant force at the drum that no sensor reads"),
+    _C("drive_asymmetry", "", 0.0, "linear", 0.05, 0.01, "Coulomb friction one way more than the other"),
+    _C("drive_viscous_asymmetry", "", 0.0, "linear", 0.05, 0.01, "viscous friction one way more than the other"),
+    _C("drive_travel", "m", 4e-5, "log", 0.8, 0.1, "pre-sliding distance of the servo"),
+    _C("demand_gain", "", 1.0, "linear", 0.005, 0.003, "force that the servo gives over force that it reports"),
+)
+"""Every constant.  Session deviations: published tolerances of like benches, and a quarter of how far friction and
+stretch equations of other structures lie apart where the equation is a surrogate (`../shared/DIAGNOSIS.md` §5)."""
+INDEX: Final = {row.name: i for i, row in enumerate(TABLE)}
+NAMES: Final = tuple(row.name for row in TABLE)
+BENCH_SD: Final[Array] = np.array([row.bench_sd for row in TABLE])
+SESSION_SD: Final[Array] = np.array([row.session_sd for row in TABLE])
+STEP: Final[Array] = np.array([0.3 * row.session_sd if row.session_sd else row.step for row in TABLE])
+"""Finite-difference step of each coordinate: 0.3 session σ, well inside the range where the model is linear."""
+FREE: Final = tuple(i for i, row in enumerate(TABLE) if row.bench_sd)
+"""Constants that differ between benches in the reference condition."""
+PATH_ROWS: Final = np.array([INDEX[name] for name in force_path.NAMES])
+LARGEST: Final = 4.0
+"""Largest departure of a logarithmic coordinate: beyond, the force balance is badly conditioned."""
+
+
+def values(q: Array) -> Array:
+    """Return the constants, SI, of coordinates `q`, both of shape (len(TABLE), …)."""
+    out = np.empty_like(q, dtype=np.float64)
+    for i, row in enumerate(TABLE):
+        at = row.middle + q[i]
+        if row.form == "log":
+            out[i] = row.middle * np.exp(np.clip(q[i], -LARGEST, LARGEST))
+        elif row.form == "logit":
+            out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-np.clip(q[i], -2.0, 2.0)))
+        elif row.form == "positive":
+            out[i] = 0.5 * (at + np.sqrt(at**2 + row.rounding**2))
+        else:
+            low, high = BOUNDS.get(row.name, (-np.inf, np.inf))
+            out[i] = np.clip(at, low, high)
+    return out
+
+
+def named(q: Array) -> dict[str, float]:
+    """Return the constants of one vector of coordinates by name."""
+    return dict(zip(NAMES, values(q).tolist(), strict=True))
+
+
+BOUNDS: Final = {
+    "curve2": (-0.12, 6.0), "curve3": (0.0, 5.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
+    "drift": (-0.95, 3.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0), "end_gain": (0.3, 3.0),
+    "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
+"""Bounds that keep the force balance solvable: rising force over stretch, positive friction."""
