@@ -37,7 +37,8 @@ class Findings:
 
     `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
     split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
-    `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.
+    `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.  `part`,
+    `evidence`: of the evidence core, the part of the bench that changed, and what its answer rests on.
     """
 
     verdict: str
@@ -56,6 +57,8 @@ class Findings:
     rate_hz: float | None = None
     candidates: list[dict[str, Any]] = field(default_factory=list)
     bench: BenchModel | None = field(default=None, repr=False)
+    part: str | None = None
+    evidence: dict[str, Any] | None = None
 
     def unnamed(self) -> Findings:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
@@ -72,7 +75,8 @@ class Findings:
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
             "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
-            **({"candidates": self.candidates} if self.candidates else {})}
+            **({"candidates": self.candidates} if self.candidates else {}),
+            **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}
 
 
 Given = str | Path | Table

@@ -25,16 +25,16 @@ NAMES: Final = (
 )
 """Parameters of the path, one row each of the array that `simulate` takes.
 
-`zero` m: encoder at the taut, unloaded rope at the knee angle `KNEE_RAD`.  `arm`, `arm2`, `arm3` m/radⁿ: displacement of
-the anchor on the leg by knee angle.  `eccentric_sin`, `eccentric_cos` m, `drum` m: payout of an eccentric drum.  `play`
-rad: half dead band of the knee; `gap` rad: half dead band that the load closes.  `stiffness` N at 10 mm of stretch,
-`curve2`, `curve3` its quadratic and cubic shares.  `lead` m/N: compliance between drum and sheath.  `before`: share of the
-fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with time constants `PROMPT_S`, `SLOW_S`;
-`creep` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ at `KNEE_RAD`, `LOAD_N`.
-`bend` 1/rad: relative change of the cable's exponent with knee angle; `wrap` 1/rad: that of the fabric's.  `load`:
-relative change of both for each 40 N; `drift`: over the trial.  `viscous` N·s/m; `dry` N: friction that no load changes.
-`cable_travel`, `fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`: relative excess of static over
-sliding friction, `rest_speed` m/s the Stribeck speed, `memory` s its lag."""
+`zero` m: encoder at the taut, unloaded rope at the knee angle `KNEE_RAD`.  `arm`, `arm2`, `arm3` m/radⁿ: displacement
+of the anchor on the leg by knee angle.  `eccentric_sin`, `eccentric_cos` m, `drum` m: payout of an eccentric drum.
+`play` rad: half dead band of the knee; `gap` rad: half dead band that the load closes.  `stiffness` N at 10 mm of
+stretch, `curve2`, `curve3` its quadratic and cubic shares.  `lead` m/N: compliance between drum and sheath.  `before`:
+share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with time constants
+`PROMPT_S`, `SLOW_S`; `creep` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ
+at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee angle; `wrap` 1/rad: that of
+the fabric's.  `load`: relative change of both for each 40 N; `drift`: over the trial.  `viscous` N·s/m; `dry` N:
+friction that no load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`:
+relative excess of static over sliding friction, `rest_speed` m/s the Stribeck speed, `memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, LEAD, BEFORE, PROMPT, SLOW, CREEP,
  CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRY, FABRIC, WRAP, CABLE_TRAVEL, FABRIC_TRAVEL, CABLE_REST,
@@ -165,7 +165,7 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
         back1, back2 = q1, q2
         t0 = t1 = t2 = s1 = s2 = d1 = d2 = 0.0
         least, share = 1e300, 1.0
-        for k in range(ROUNDS):
+        for _ in range(ROUNDS):
             y = (u - q1) * lead
             root = math.sqrt(y * y + SOFT_N * SOFT_N)
             t0, k0 = 0.5 * (y + root), 0.5 * (1.0 + y / root) * lead

@@ -119,6 +119,29 @@ def values(q: Array) -> Array:
     return out
 
 
+def coordinates_of(constants: Array) -> Array:
+    """Return the coordinates of constants inside their bounds, the inverse of `values`, shape (len(TABLE),)."""
+    out = np.empty_like(constants)
+    for i, row in enumerate(TABLE):
+        v = constants[i]
+        if row.form == "log":
+            out[i] = np.log(v / row.middle)
+        elif row.form == "logit":
+            out[i] = np.log(v / (1.0 - v)) - np.log(row.middle / (1.0 - row.middle))
+        elif row.form == "positive":
+            out[i] = v - row.rounding**2 / (4.0 * v) - row.middle
+        else:
+            out[i] = v - row.middle
+    return out
+
+
+def coordinate(name: str, value: float) -> float:
+    """Return the coordinate of one constant's value."""
+    constants = values(np.zeros(len(TABLE)))
+    constants[INDEX[name]] = value
+    return float(coordinates_of(constants)[INDEX[name]])
+
+
 def named(q: Array) -> dict[str, float]:
     """Return the constants of one vector of coordinates by name."""
     return dict(zip(NAMES, values(q).tolist(), strict=True))

@@ -39,11 +39,14 @@ Workers = Annotated[int | None, typer.Option(
     metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
+Core = Annotated[str, typer.Option(
+    metavar="NAME", help="relations; evidence: forward simulation and Bayes factors, from --healthy trials.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
     "bowden trial --experiment, would show.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
+RELATIONS, EVIDENCE = "relations", "evidence"
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
 """Shares of a diagnosis that are done when its steps begin."""
 WIDTH = 80
@@ -64,6 +67,7 @@ def diagnose(
     each: Each = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
+    core: Core = "relations",
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,
@@ -87,6 +91,7 @@ def diagnose(
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
+    _core(core, chosen, given)
     if each:
         return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
@@ -100,7 +105,7 @@ def diagnose(
     began = time.perf_counter()
     with _steps(shown=not json) as step:
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
-                           figures, overwrite=overwrite)
+                           figures, core, overwrite=overwrite)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
     if json:
         terminal.emit(result)
@@ -132,6 +137,17 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
     if given["--tracked"] and not given["--report"]:
         raise InputError("--tracked is shown in the report; name one with --report.")
     return trials
+
+
+def _core(core: str, trials: list[Path], given: dict[str, Any]) -> None:
+    """Raise `InputError` for a core that is none, or options that the evidence core does not take."""
+    if core not in (RELATIONS, EVIDENCE):
+        raise InputError(f"--core {core} is no core of the diagnosis; expected {RELATIONS} or {EVIDENCE}.")
+    if core == EVIDENCE:
+        _leave_out(given, ("--holdout", "--report", "--figures", "--each"), "--core evidence judges on held-out cycles "
+                   "of the trial and writes -o and --json")
+        if len(trials) > 1:
+            raise InputError(f"--core evidence takes one trial, {len(trials)} were given; diagnose each by itself.")
 
 
 def _each(
@@ -184,7 +200,7 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, *, overwrite: bool,
+    figures: Path | None, core: str, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing
@@ -198,9 +214,14 @@ def _diagnosed(
         step(f"reading {path.name}", READING * done / len(paths))
         groups[group].append(table.read(path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
-    finder = Finder(calibration, lowpass).examine(groups[1])
-    step("fitting the effects, cycle by cycle", SEARCHING)
-    found = finder.diagnose(groups[0], groups[2])
+    if core == EVIDENCE:
+        from diagnosis.evidence.evidence_finder import EvidenceFinder
+
+        found = EvidenceFinder(lowpass).fit(groups[1]).diagnose(groups[0][0])
+    else:
+        finder = Finder(calibration, lowpass).examine(groups[1])
+        step("fitting the effects, cycle by cycle", SEARCHING)
+        found = finder.diagnose(groups[0], groups[2])
     found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
     step("writing", WRITING)
     if found.verdict == "refused":
@@ -219,9 +240,10 @@ def _diagnosed(
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:
+    from diagnosis.report.evidence_headline import told
     from diagnosis.report.headline import headline
 
-    for sentence in headline(found):
+    for sentence in told(found) if found.evidence else headline(found):
         if sentence:
             _say(sentence)
     if not found.candidates:

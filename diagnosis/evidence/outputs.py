@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from diagnosis.evidence.recording import GRID_S, Recording
@@ -25,7 +26,7 @@ class Prediction(NamedTuple):
 
     data: Array
     path: Path
-    row: Array
+    row: NDArray[np.intp]
 
 
 def predict(q: Array, trial: Recording) -> Prediction:
@@ -55,7 +56,7 @@ def predict(q: Array, trial: Recording) -> Prediction:
 
 def predicted(q: Array, trial: Recording) -> Array:
     """Return the predicted data of one coordinate vector."""
-    return predict(q[:, None], trial).data[0]
+    return np.asarray(predict(q[:, None], trial).data[0])
 
 
 def jacobian(q: Array, trial: Recording, free: Sequence[int]) -> tuple[Array, Array]:

@@ -15,15 +15,17 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from diagnosis.evidence.outputs import jacobian, predicted
 from diagnosis.evidence.recording import Recording
-from physics.effects.hypotheses import Variant, coordinate
+from physics.effects.hypotheses import Variant
 from physics.laws import Array
-from physics.path_constants import FREE, INDEX, STEP, TABLE
+from physics.path_constants import FREE, INDEX, STEP, TABLE, coordinate
 
 HUBER: Final = 5.0
 """Residual, σ, from which the loss grows linearly: 16 ms bins in which a loose rope snaps taut."""
-ROUNDS: Final = 14
+ROUNDS: Final = 20
 CLOSE: Final = 0.3
 """Fall of the cost in a round at which the mode counts as reached: 0.15 nats."""
+LONGEST: Final = 2.0
+"""Longest step of a constant, in its prior's σ: the model is linear over about that."""
 STEEPER: Final = 6.0
 """Factor of the Levenberg–Marquardt damping after a step that does not reduce the cost."""
 
@@ -115,7 +117,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
     """
     origin, mean, covariance, active = widened(prior, variants)
-    factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+    factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
     trial, features, weight = observed.trial, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
 
@@ -133,6 +135,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     x = mean.copy() if start is None else start.copy()
     now, damping = cost(x), 0.0
     eye = np.eye(x.size)
+    spread = np.sqrt(np.diag(covariance)[:count])
     for turn in range(rounds):
         data, slopes = jacobian(at(x), trial, active)
         design = np.concatenate([slopes, features], axis=1)
@@ -143,10 +146,10 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         square = eye + inward.T @ (inward * weights[:, None])
         pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
         inner = cho_factor(square)
-        state = (at(x), x, design, weights, residual, inner)
         accepted = False
         for _ in range(7):
             step = factor @ cho_solve(inner if damping == 0.0 else cho_factor(square + damping * eye), pull)
+            step /= max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST)
             then = cost(x + step)
             if np.isfinite(then) and then < now:
                 accepted = True
@@ -159,7 +162,6 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         if fall < CLOSE or turn == rounds - 1:
             break
     # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
-    _, _, design, weights, _, inner = state
     residual = trial.data - predicted(at(x), trial) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
     return Mode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
@@ -189,7 +191,7 @@ def screened(null: Mode, observed: Observed, variant: Variant) -> tuple[float, A
 
     applied = solved(np.concatenate([error[:, None], effect], axis=1))
     pull, square = effect.T @ applied[:, 0], np.eye(effect.shape[1]) + effect.T @ applied[:, 1:]
-    size = np.linalg.solve(square, pull)
+    size: Array = np.asarray(np.linalg.solve(square, pull), np.float64)
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(square)[1]), size
 
 

@@ -48,7 +48,7 @@ class Recording:
         sos = butter(2, min(LOWPASS_HZ, 0.45 * rate), fs=rate, output="sos")
 
         def sampled(name: str) -> Array:
-            return np.interp(grid, time, sosfiltfilt(sos, table[name]))
+            return np.asarray(np.interp(grid, time, sosfiltfilt(sos, table[name])))
 
         self.source = table.source
         self.time_s: Array = grid - grid[0]
@@ -85,7 +85,7 @@ class Recording:
 
     def part(self, values: Array, output: int) -> Array:
         """Return the data of one output, by number, of an array of all."""
-        return values[output * self.bins:(output + 1) * self.bins]
+        return np.asarray(values[output * self.bins:(output + 1) * self.bins])
 
     def measured(self, name: str) -> Array:
         """Return a measured signal on the grid."""

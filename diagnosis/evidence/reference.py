@@ -36,9 +36,12 @@ UNRESOLVED: Final = 0.5
 MOST_TAU: Final = 12.0
 """Largest inflation of the noise by autocorrelation."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
-ROUNDS: Final = 2
+ROUNDS: Final = 4
 STARTS: Final = ((0.0, 0.0, 0.0, 0.0), (-0.7, 0.6, 0.0, 0.0), (0.0, 0.0, 0.4, 0.3))
 """Departures of cable, fabric, lead and stiffness, as logarithms, at which the first fit starts besides the middle."""
+COARSE_N: Final = 2.0
+FINE_N: Final = 0.4
+"""Noise, N, of the two stages of the first fit: coarse first, so that no start ends in a local minimum."""
 STATES: Final = 9
 _RANDOM: Final = np.random.default_rng(7)
 _WAVES: Final = {name: (_RANDOM.normal(size=(FEATURES, STATES)) / 2.0, _RANDOM.uniform(0.0, 2.0 * np.pi, FEATURES))
@@ -59,8 +62,8 @@ class Reference:
 
     `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
     the bench alone.  `model_error`: variance by output and load quarter, N²; `tau`: inflation by autocorrelation.
-    `rmse_n`: RMS of START and END of the reference trials that the model of the other trials leaves, N (of a single
-    one: that its own fit leaves).
+    `identified`: coordinates and feature weights at each reference trial's mode.  `rmse_n`: RMS of START and END, N,
+    that the model of one reference trial misses on another (of a single one: on itself).
     """
 
     outputs: tuple[str, ...]
@@ -74,6 +77,11 @@ class Reference:
     quarters: Array
     trials: int
     rmse_n: float
+    identified: tuple[tuple[Array, Array], ...] = ()
+
+    def missed(self, trial: Recording, with_features: Array) -> float:
+        """Return the RMS of START and END, N, that the models of the reference trials miss on `trial`, on average."""
+        return float(np.mean([missed(trial, with_features, q, c) for q, c in self.identified]))
 
     def observe(self, trial: Recording) -> Observed:
         """Return a trial as data of this bench."""
@@ -146,6 +154,7 @@ class _Fit:
         self.quarters = np.zeros(3)
         self.rmse_n = 0.0
         self.linear: list[_Linear | None] = [None] * len(trials)
+        self.identified: list[tuple[Array, Array]] = []
 
     def run(self) -> Reference:
         """Fit the first trial from several starts, then all in turn, each under the posterior of the others."""
@@ -163,7 +172,7 @@ class _Fit:
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
         return Reference(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.rmse_n)
+                         self.tau, self.quarters, len(self.trials), self.rmse_n, tuple(self.identified))
 
     def _first(self, middle: Array, departure: tuple[float, ...]) -> Mode:
         """Fit the first trial alone without a discrepancy."""
@@ -171,10 +180,10 @@ class _Fit:
         start = np.zeros(len(FREE))
         for name, by in zip(("cable", "fabric", "lead", "stiffness"), departure, strict=True):
             start[FREE.index(INDEX[name])] += by
-        plain = Observed(trial, np.zeros((trial.data.size, 0)), np.concatenate([
-            np.full(trial.bins, 1.0 / 0.3**2 if name != "servo_force_n" else 1.0) for name in self.outputs]))
+        none = np.zeros((trial.data.size, 0))
         wide = Gaussian(middle, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
-        return mode(plain, wide, start=start, rounds=10)
+        rough = mode(Observed(trial, none, np.full(trial.data.size, COARSE_N**-2)), wide, start=start, rounds=10)
+        return mode(Observed(trial, none, np.full(trial.data.size, FINE_N**-2)), wide, start=rough.x, rounds=10)
 
     def _rescale(self, q: Array) -> None:
         """Take `q` as the constants at which the states of the discrepancy are simulated."""
@@ -189,8 +198,9 @@ class _Fit:
         self._set_amplitude(rest, self.trials[:1])
 
     def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
-        self.amplitude = np.array([np.sqrt(np.mean([np.mean(t.part(r, k) ** 2) for r, t in zip(rest, trials, strict=True)]))
-                                   for k in range(len(self.outputs))])
+        self.amplitude = np.array([
+            np.sqrt(np.mean([np.mean(t.part(r, k) ** 2) for r, t in zip(rest, trials, strict=True)]))
+            for k in range(len(self.outputs))])
 
     def _bench_variance(self) -> Array:
         return np.concatenate([BENCH_SD[list(FREE)] ** 2, np.repeat(self.amplitude**2, FEATURES)])
@@ -268,12 +278,13 @@ class _Fit:
         least = np.array([[LEAST_N[name] ** 2] for name in self.outputs])
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
+        self.identified = [(at.q, at.x[len(FREE):]) for at in found]
         self.rmse_n = self._missed()
 
     def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
         rest = []
-        for k, linear in enumerate(self.linear):
+        for linear in self.linear:
             assert linear is not None
             part = linear.design[:, :len(FREE)]
             root = np.sqrt(linear.weight)
@@ -281,19 +292,12 @@ class _Fit:
             design = part * scale * root[:, None]
             at = np.linalg.solve(np.eye(len(FREE)) + design.T @ design, design.T @ (linear.error * root))
             rest.append(linear.error - part @ (scale * at))
-            del k
         self._set_amplitude(rest, self.trials)
 
     def _missed(self) -> float:
-        """Return the RMS of END less ratio·START and START that the model of the other trials leaves, N."""
-        left = []
-        for k, trial in enumerate(self.trials):
-            linear = self.linear[k]
-            assert linear is not None
-            others = [i for i in range(len(self.trials)) if i != k] or [k]
-            rest = linear.error - linear.design @ self._posterior(others).mean
-            left += [trial.part(rest, j) for j, n in enumerate(self.outputs) if n != "servo_force_n"]
-        return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+        """Return the RMS of START and END, N, that one trial's model misses on another, on average over the pairs."""
+        pairs = [(j, k) for j in range(len(self.trials)) for k in range(len(self.trials)) if j != k] or [(0, 0)]
+        return float(np.mean([missed(self.trials[j], self.features[j], *self.identified[k]) for j, k in pairs]))
 
 
 ORIGINAL: Final = ("zero", "arm", "stiffness")
@@ -301,7 +305,7 @@ ORIGINAL: Final = ("zero", "arm", "stiffness")
 
 
 def _origin(trial: Recording) -> Array:
-    """Return coordinates to start from: zero, lever arm and stiffness by a linear regression of rope on knee and load."""
+    """Return coordinates to start from: zero, lever arm and stiffness by regression of rope on knee and load."""
     q = np.zeros(len(TABLE))
     taut = trial.start_n > 4.0
     load = trial.start_n[taut]
@@ -314,6 +318,21 @@ def _origin(trial: Recording) -> Array:
     q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
     q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * stretch))
     return q
+
+
+def missed(trial: Recording, with_features: Array, q: Array, weights: Array) -> float:
+    """Return the RMS of START and END, N, that a model misses on a trial without any fit."""
+    rest = trial.data - predicted(q, trial) - with_features @ weights
+    return float(np.sqrt(np.mean(tension_errors(trial, rest) ** 2)))
+
+
+def tension_errors(trial: Recording, residual: Array) -> Array:
+    """Return the errors of the tension sensors, N, that a residual of the data means: START, then END where it is."""
+    start = trial.part(residual, trial.outputs.index("tension_start_n"))
+    if "tension_end_n" not in trial.outputs:
+        return start
+    end = trial.part(residual, trial.outputs.index("tension_end_n")) + trial.binned(trial.ratio) * start
+    return np.concatenate([start, end])
 
 
 def autocorrelation(rest: Array) -> float:

@@ -23,7 +23,7 @@ RESTARTS: Final = 3
 
 @dataclass
 class Searched:
-    """Modes of one trial: the null, `single` by effect, `pair` by two effects; `variants` that gave them.
+    """Modes of one trial: the null, `single` by effect, `pair` by two effects; `variants`, `paired` that gave them.
 
     `gain(…)`: log Bayes factors against the null, nats.
     """
@@ -34,6 +34,7 @@ class Searched:
     single: dict[str, Mode] = field(default_factory=dict)
     variants: dict[str, Variant] = field(default_factory=dict)
     pair: dict[tuple[str, str], Mode] = field(default_factory=dict)
+    paired: dict[str, Variant] = field(default_factory=dict)
 
     def gains(self) -> dict[str, float]:
         """Return the log Bayes factor of each effect that was fitted, best first."""
@@ -81,7 +82,7 @@ def search_pairs(found: Searched, best: str) -> None:
         taken.add(name)
         fitted = _fit(found, [first, variant], begun(at, variant, sizes, [first]))
         if fitted is not None:
-            found.pair[(best, name)] = fitted
+            found.pair[(best, name)], found.paired[name] = fitted, variant
         if len(taken) == PAIRED:
             return
 

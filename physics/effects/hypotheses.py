@@ -1,7 +1,7 @@
 """What each effect of the catalogue frees in the forward model, and in which part of the bench it lies.
 
-An effect is a hypothesis: it adds prior variance along directions in the space of `physics.path_constants`.  One entry a
-variant; variants of an effect (time constants, drum radii, kinds of backlash) carry one name.
+An effect is a hypothesis: it adds prior variance along directions in the space of `physics.path_constants`.  One
+entry a variant; variants of an effect (time constants, drum radii, kinds of backlash) carry one name.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
-from physics.path_constants import INDEX, TABLE
-
 Values = Mapping[str, float]
+Read = Callable[[Values, Values], float]
+"""Value of an effect's parameter from the constants of the trial and of the bench in the reference condition."""
 FRICTION, ELASTICITY, GEOMETRY, SENSOR, TIMING, DRIVE = (
     "friction path", "elasticity and gains", "geometry", "sensor", "timing", "drive")
 PARTS: Final = (FRICTION, ELASTICITY, GEOMETRY, SENSOR, TIMING, DRIVE)
@@ -35,13 +35,13 @@ class Variant(NamedTuple):
 class Hypothesis(NamedTuple):
     """An effect as a hypothesis: its part of the bench, its variants at given bench constants, its parameters' values.
 
-    `reads`: parameter of the catalogue → function of the constants of the trial.  `needs`: signals without which the
-    effect moves no output.
+    `reads`: parameter of the catalogue → function of the constants of the trial and of the bench.  `needs`:
+    signals without which the effect moves no output.
     """
 
     part: str
     variants: Callable[[Values], tuple[Variant, ...]]
-    reads: Mapping[str, Callable[[Values], float]]
+    reads: Mapping[str, Read]
     needs: tuple[str, ...] = ()
 
 
@@ -52,7 +52,7 @@ def _frees(*directions: tuple[Mapping[str, float], float], at: Mapping[str, floa
 def _one(part: str, name: str, sd: float, parameter: str = "", needs: tuple[str, ...] = (), factor: float = 1.0
          ) -> Hypothesis:
     return Hypothesis(part, lambda values: (_frees(({name: 1.0}, sd)),),
-                      {parameter or name: lambda values: factor * values[name]}, needs)
+                      {parameter or name: lambda values, bench: factor * values[name]}, needs)
 
 
 def _wrap(values: Values) -> tuple[Variant, ...]:
@@ -85,45 +85,47 @@ TURN: Final = 1.0 / math.log(2.0)
 HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "cable_friction": _one(FRICTION, "cable", 0.4, "mu1", factor=1.0 / THETA1),
     "fabric_friction": _one(FRICTION, "fabric", 0.5, "mu2", factor=1.0 / PHI),
-    "fabric_wrap": Hypothesis(FRICTION, _wrap, {"fabric_wrap": lambda v: 0.15 * v["wrap"] / max(
+    "fabric_wrap": Hypothesis(FRICTION, _wrap, {"fabric_wrap": lambda v, b: 0.15 * v["wrap"] / max(
         0.05, 1.0 - 0.5 * v["wrap"])}),
     "cable_bend": Hypothesis(FRICTION, lambda v: (_frees(({"cable": 0.5, "bend": 1.0}, 0.35)),), {
-        "cable_bend": lambda v: v["bend"] / max(0.2, 1.0 - 0.5 * v["bend"])}),
+        "cable_bend": lambda v, b: v["bend"] / max(0.2, 1.0 - 0.5 * v["bend"])}),
     "load_dependent_friction": Hypothesis(FRICTION, lambda v: (_frees(
         ({"load": 1.0}, 0.35), ({"cable": 1.0, "fabric": 1.0}, 0.08)),), {
-            "load_slope": lambda v: v["load"] / (1.0 + 0.25 * v["load"])}),
+            "load_slope": lambda v, b: v["load"] / (1.0 + 0.25 * v["load"])}),
     "viscous_friction": _one(FRICTION, "viscous", 12.0),
     "stribeck": Hypothesis(FRICTION, lambda v: (_frees(
         ({"cable_rest": 1.0, "fabric_rest": 1.0}, 0.8), ({"rest_speed": 1.0}, 0.8)),), {
-            "stribeck_ratio": lambda v: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
-            "stribeck_speed": lambda v: v["rest_speed"]}),
+            "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
+            "stribeck_speed": lambda v, b: v["rest_speed"]}),
     "presliding": Hypothesis(FRICTION, lambda v: (_frees(
         ({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4)),), {
-            "presliding": lambda v: TURN * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
+            "presliding": lambda v, b: TURN * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
     "friction_drift": _one(FRICTION, "drift", 0.5, "friction_drift"),
-    "stiffness": Hypothesis(ELASTICITY, _stiffer, {"stiffness_scale": lambda v: v["stiffness"] / 40.0}),
+    "stiffness": Hypothesis(ELASTICITY, _stiffer, {"stiffness_scale": lambda v, b: v["stiffness"] / 40.0}),
     "fabric_creep": Hypothesis(ELASTICITY, _creeps, {
-        "creep_compliance": lambda v: v["creep"], "creep_time": lambda v: v["creep_time"]}),
+        "creep_compliance": lambda v, b: v["creep"], "creep_time": lambda v, b: v["creep_time"]}),
     "end_gain": _one(ELASTICITY, "end_gain", 0.06, needs=END),
     "start_gain": _one(ELASTICITY, "start_gain", 0.06),
-    "slack": _one(GEOMETRY, "zero", 3e-3, "slack"),
+    "slack": Hypothesis(GEOMETRY, lambda v: (_frees(({"zero": 1.0}, 3e-3)),), {
+        "slack": lambda v, b: v["zero"] - b["zero"]}),
     "knee_backlash": Hypothesis(GEOMETRY, lambda v: (_frees(({"play": 1.0}, 0.013)), _frees(({"gap": 1.0}, 0.013))), {
-        "knee_backlash": lambda v: 2.0 * (v["play"] + v["gap"])}),
+        "knee_backlash": lambda v, b: 2.0 * (v["play"] + v["gap"])}),
     "moment_arm": _one(GEOMETRY, "arm2", 1.5e-3, "rope_per_knee_quadratic"),
     "drum_eccentricity": Hypothesis(GEOMETRY, _runs_out, {
-        "eccentricity": lambda v: math.hypot(v["eccentric_sin"], v["eccentric_cos"]),
-        "eccentricity_phase": lambda v: math.atan2(v["eccentric_cos"], v["eccentric_sin"])}),
+        "eccentricity": lambda v, b: math.hypot(v["eccentric_sin"], v["eccentric_cos"]),
+        "eccentricity_phase": lambda v, b: math.atan2(v["eccentric_cos"], v["eccentric_sin"])}),
     "end_mass": Hypothesis(SENSOR, lambda v: (_frees(
         ({"end_mass": 1.0, "end_swing": 0.25}, 0.1), ({"end_swing": 1.0}, 0.01)),), {
-            "end_mass": lambda v: v["end_mass"]}, END),
+            "end_mass": lambda v, b: v["end_mass"]}, END),
     "end_offset": _one(SENSOR, "end_offset", 2.0, needs=END),
     "start_offset": _one(SENSOR, "start_offset", 2.0),
     "end_drift": _one(SENSOR, "end_drift", 2.0, needs=END),
     "start_drift": _one(SENSOR, "start_drift", 2.0),
-    "end_delay": _one(TIMING, "end_lag", 0.012, "end_delay", END),
+    "end_delay": Hypothesis(TIMING, lambda v: (_frees(({"end_lag": 1.0}, 0.012)),), {
+        "end_delay": lambda v, b: v["end_lag"] - b["end_lag"]}, END),
     "end_filter": _one(TIMING, "end_filter", 0.012, needs=END),
     "timestamp_skew": Hypothesis(TIMING, lambda v: (_frees(({"end_lag": 1.0, "start_lag": 1.0}, 0.012)),), {
-        "timestamp_skew": lambda v: v["start_lag"]}),
+        "timestamp_skew": lambda v, b: v["start_lag"] - b["start_lag"]}),
     "drive_coulomb": _one(DRIVE, "drive_coulomb", 5.0, needs=FORCE),
     "drive_viscous": _one(DRIVE, "drive_viscous", 60.0, needs=FORCE),
     "drive_offset": _one(DRIVE, "drive_offset", 3.0, needs=FORCE),
@@ -140,8 +142,3 @@ ELSEWHERE: Final[Mapping[str, str]] = {
     "late_pdo": "read off staleness and repeats", "lost_pdo": "read off staleness and repeats"}
 """Effects of the catalogue that the forward model has no constant for, and why."""
 
-
-def coordinate(name: str, value: float) -> float:
-    """Return the coordinate q of a constant's value."""
-    row = TABLE[INDEX[name]]
-    return math.log(value / row.middle) if row.form == "log" else value - row.middle

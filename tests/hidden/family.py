@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis.data.table import Table, table
+from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import Findings, diagnose
 from tests.hidden import family_moves, moves
 from tests.hidden.answers import After
@@ -67,6 +68,7 @@ class Answer:
     separation: float | None
     warnings: tuple[str, ...] = ()
     after: After | None = None
+    part: str | None = None
 
     @property
     def counts(self) -> bool:
@@ -155,9 +157,14 @@ def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...])
     return table(name, {n: v for n, v in columns.items() if n not in left_out})
 
 
-def answer(job: Job, judged: bool = True) -> Answer:
-    """Ask the finder, and once more with the experiment that it proposes; `judged`: the oracle, too."""
+def answer(job: Job, judged: bool = True, core: str = "relations") -> Answer:
+    """Ask the finder, and once more with the experiment that it proposes; `judged`: the oracle, too.
+
+    `core`: that of the diagnosis; the evidence core is not asked with the experiment.
+    """
     made = case(job)
+    if core == "evidence":
+        return answered(job, made, EvidenceFinder().fit(made.healthy).diagnose(made.trial), judged)
     told = diagnose([made.trial], healthy=list(made.healthy))
     return replace(answered(job, made, told, judged), after=_again(job, made, told))
 
@@ -178,7 +185,7 @@ def answered(job: Job, made: Case, told: Findings, judged: bool) -> Answer:
                            for n, p in c["parameters"].items()} for c in told.causes}
     apart = separation(made, job) if judged and job.hidden and not job.left_out else None
     return Answer(job, made.bench.structure.implementation, told.verdict, tuple(found), tuple(told.rivals), found,
-                  made.values, apart, tuple(told.warnings))
+                  made.values, apart, tuple(told.warnings), part=told.part)
 
 
 def separation(made: Case, job: Job) -> float:

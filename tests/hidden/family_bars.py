@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden.bars import IDENTIFIABLE, Error
 from tests.hidden.family import Answer, session
 from tests.plants import draws, effects, oracle
@@ -39,6 +40,11 @@ def _one(a: Answer) -> bool:
     return _seen(a) and len(a.job.hidden) == 1 and a.job.hidden[0] in effects.EFFECTS
 
 
+def _judged_part(a: Answer) -> bool:
+    """Whether one effect of the forward model was hidden and the core says in which part of the bench it is."""
+    return _one(a) and a.job.hidden[0] in HYPOTHESES
+
+
 def _two(a: Answer) -> bool:
     return _seen(a) and len(a.job.hidden) == 2
 
@@ -60,6 +66,9 @@ SHARES = (
     Share("right class", _one, lambda a: a.right, 93.0, 85.0),
     Share("first name", _one, lambda a: a.named[:1] == a.job.hidden, 88.0),
     Share("wrong name", _one, lambda a: a.wrong, 2.0, 4.0, False),
+    Share("part right", _judged_part, lambda a: a.part == HYPOTHESES[a.job.hidden[0]].part, 92.0, 85.0),
+    Share("part wrong", _judged_part, lambda a: a.part not in (None, HYPOTHESES[a.job.hidden[0]].part), 2.0, None,
+          False),
     Share("false alarms", lambda a: not a.job.hidden and not a.job.left_out, lambda a: bool(a.rivals), 2.0, 4.0, False),
     Share("… `unexplained` said of a healthy bench", lambda a: not a.job.hidden and not a.job.left_out,
           lambda a: a.verdict == "unexplained"),

@@ -1,0 +1,83 @@
+"""Quantiles of the development family that the evidence core's threshold and ambiguity set are calibrated on.
+
+    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--workers N]
+
+Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval; over trials with one
+hidden effect that is named, the share of the best log Bayes factor that the truth has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+from scipy.stats import beta
+
+from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from physics.effects.hypotheses import HYPOTHESES
+from tests.hidden.family import Job, case
+from tests.hidden.family_jobs import KINDS, jobs, serials
+
+FIRST_SEED = 5000
+"""Seeds of the reference trials: none of `family_jobs` has them."""
+
+
+def reference_jobs(count: int) -> list[Job]:
+    """Return reference trials of development serials, the implementations in turns."""
+    each = [[Job(s, (), FIRST_SEED + i) for i, s in enumerate(serials(kind, False))] for kind in KINDS]
+    return [job for turn in zip(*each, strict=False) for job in turn][:count]
+
+
+def hidden_jobs(count: int) -> list[Job]:
+    """Return development cases with one effect of the forward model, the implementations in turns."""
+    each = [[j for j in jobs(kind, False) if len(j.hidden) == 1 and not j.left_out and j.hidden[0] in HYPOTHESES]
+            for kind in KINDS]
+    return [job for turn in zip(*each, strict=False) for job in turn][:count]
+
+
+def gains(job: Job) -> dict[str, float]:
+    """Return the log Bayes factors of a case; none where wire or integrity come first."""
+    made = case(job)
+    said = EvidenceFinder().fit(made.healthy).diagnose(made.trial)
+    return dict((said.evidence or {}).get("log_bayes_factors", {}))
+
+
+def quantiles(largest: Sequence[float]) -> list[str]:
+    """Return a line for each error rate: the threshold that keeps it, and its interval (Clopper–Pearson)."""
+    told = []
+    for nats in (10.0, 14.0, NAMED_NATS, 30.0):
+        beyond, n = sum(v >= nats for v in largest), len(largest)
+        low = beta.ppf(0.025, beyond, n - beyond + 1) if beyond else 0.0
+        high = beta.ppf(0.975, beyond + 1, n - beyond) if beyond < n else 1.0
+        told.append(f"{nats:g} nats: {beyond} of {n} reference trials reach it ({100 * low:.1f} … {100 * high:.1f} %)")
+    return told
+
+
+def main(arguments: list[str]) -> None:
+    """Ask the development family and print the quantiles."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reference", type=int, default=200)
+    parser.add_argument("--hidden", type=int, default=120)
+    parser.add_argument("--workers", type=int)
+    given = parser.parse_args(arguments)
+    asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
+    found: dict[Job, dict[str, float]] = {}
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
+        for job, said in zip(asked, crew.map(gains, asked), strict=True):
+            found[job] = said
+    none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
+    print("\n".join(quantiles(none)))
+    shares = sorted(found[j].get(j.hidden[0], 0.0) / max(found[j].values()) for j in asked
+                    if j.hidden and found[j] and max(found[j].values()) >= NAMED_NATS)
+    at = np.quantile(shares, [0.0, 0.02, 0.05, 0.1]) if shares else []
+    print(f"share of the best that the truth has, of {len(shares)} named: least, 2 %, 5 %, 10 %:",
+          ", ".join(f"{v:.2f}" for v in at))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
