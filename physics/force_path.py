@@ -68,7 +68,7 @@ CLOSE_N: Final = 1e-7
 stretch, leg, tensions."""
 
 
-class Path(NamedTuple):
+class PathResponse(NamedTuple):
     """Simulated path, one row a parameter set: tensions N at drum, between the nodes and at END; friction states."""
 
     start: Array
@@ -78,14 +78,14 @@ class Path(NamedTuple):
     fabric_slip: Array
 
 
-def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> Path:
+def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> PathResponse:
     """Simulate the path for each column of `parameters`, shape (len(NAMES), sets).
 
     `rope_m`, `knee_rad`: measured motion, shape (samples,), every `dt_s`.  Returns arrays of shape (sets, samples).
     """
     out = np.zeros((5, rope_m.size, parameters.shape[1]))
     _run(np.ascontiguousarray(parameters), np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, out)
-    return Path(*(np.ascontiguousarray(values.T) for values in out))
+    return PathResponse(*(np.ascontiguousarray(values.T) for values in out))
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from physics import force_path
 from physics.laws import Array
 
 
-class Constant(NamedTuple):
+class PathConstant(NamedTuple):
     """One constant: name, unit, population middle, form, spread between benches and between sessions, meaning.
 
     `form`: "linear" (value = middle + q), "log" (middle·e^q), "logit" (a share), "positive" (a smooth maximum of
@@ -33,7 +33,7 @@ class Constant(NamedTuple):
     step: float = 0.0
 
 
-_C = Constant
+_C = PathConstant
 TABLE: Final = (
     _C("zero", "m", 0.0, "linear", 50e-3, 2e-4, "encoder at the taut, unloaded rope; session: repeatability of homing"),
     _C("arm", "m/rad", 0.04, "linear", 4e-3, 2e-4, "(11): rope per knee angle, k2; session 0.5 %"),

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.search import Searched, search_pairs
+from diagnosis.evidence.hypothesis_search import Searched, search_pairs
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 

@@ -14,11 +14,11 @@ from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
 from diagnosis.evidence.decision import Decision
+from diagnosis.evidence.hypothesis_search import Searched, search
+from diagnosis.evidence.likelihood_data import Recording, lacking
 from diagnosis.evidence.outputs import predicted
-from diagnosis.evidence.posterior import Mode, Observed, begun, mode, named_change
-from diagnosis.evidence.recording import Recording, lacking
-from diagnosis.evidence.reference import Reference, fit_reference, tension_errors
-from diagnosis.evidence.search import Searched, search
+from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
+from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference, tension_errors
 from diagnosis.finder import Findings
 from diagnosis.judgement import wire_faults
 from parameters import InputError
@@ -46,7 +46,7 @@ class EvidenceFinder:
         self.lowpass = lowpass
         self._plain: list[Table] = []
         self._findings: list[integrity.Finding] = []
-        self._references: dict[tuple[str, ...], Reference] = {}
+        self._references: dict[tuple[str, ...], ReferenceFit] = {}
 
     def fit(self, healthy: Sequence[Given]) -> EvidenceFinder:
         """Read reference trials of this bench; returns itself.
@@ -85,7 +85,7 @@ class EvidenceFinder:
         with threadpool_limits(1, user_api="blas"):
             return self._searched(plain, warnings)
 
-    def _reference(self, outputs: tuple[str, ...]) -> Reference:
+    def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
         if outputs not in self._references:
             kept = [Recording(_only(t, outputs)) for t in self._plain]
@@ -126,7 +126,7 @@ def _only(given: Table, outputs: Sequence[str]) -> Table:
     """Return a trial without the output columns that are not among `outputs`."""
     from dataclasses import replace
 
-    from diagnosis.evidence.recording import SIGNALS
+    from diagnosis.evidence.likelihood_data import SIGNALS
 
     left = {n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs}
     return replace(given, columns=left)
@@ -139,7 +139,7 @@ def _refuse_lacking(given: Table) -> None:
                          "path from rope and knee motion. Record it, or leave --core out.")
 
 
-def _mode_of(found: Searched, decided: Decision) -> Mode:
+def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
     if not decided.chosen:
         return found.null
     if len(decided.chosen) == 1:
@@ -147,7 +147,7 @@ def _mode_of(found: Searched, decided: Decision) -> Mode:
     return found.pair[(decided.chosen[0], decided.chosen[1])]
 
 
-def _bench(reference: Reference) -> Array:
+def _bench(reference: ReferenceFit) -> Array:
     """Return the coordinates of the bench: the posterior mean of the reference fit."""
     q = reference.origin.copy()
     q[list(FREE)] += reference.bench.mean[:len(FREE)]
@@ -163,7 +163,7 @@ def _blocks(given: Table, trial: Recording) -> NDArray[np.intp]:
     return np.asarray(np.floor(own).astype(np.intp))
 
 
-def _errors(found: Searched, decided: Decision, reference: Reference, blocks: NDArray[np.intp]
+def _errors(found: Searched, decided: Decision, reference: ReferenceFit, blocks: NDArray[np.intp]
             ) -> dict[str, float]:
     """Return the RMS errors of START and END, N: of the reference trials, before and after on held-out cycles.
 
@@ -195,7 +195,7 @@ def _variant_of(found: Searched, name: str) -> Any:
     return found.paired[name]
 
 
-def _cause(name: str, at: Mode, bench: Mapping[str, float], reference: Reference, error: Mapping[str, float]
+def _cause(name: str, at: PosteriorMode, bench: Mapping[str, float], reference: ReferenceFit, error: Mapping[str, float]
            ) -> dict[str, Any]:
     """Return an effect as the published dictionary: its parameters with 95 % intervals, and its gain."""
     effect = CATALOGUE[name]
@@ -212,7 +212,7 @@ def _cause(name: str, at: Mode, bench: Mapping[str, float], reference: Reference
     return {"effect": name, "site": effect.site, "parameters": told, "gain_percent": max(gain, 0.0)}
 
 
-def _sd(at: Mode, read: Any) -> float:
+def _sd(at: PosteriorMode, read: Any) -> float:
     """Return 1σ of a function of the constants at a mode, by its gradient."""
     gradient = np.zeros(at.x.size)
     base = read(named(at.q))
@@ -224,7 +224,7 @@ def _sd(at: Mode, read: Any) -> float:
     return at.sd(gradient)
 
 
-def _shifts(at: Mode, reference: Reference, found: Searched) -> dict[str, dict[str, Any]]:
+def _shifts(at: PosteriorMode, reference: ReferenceFit, found: Searched) -> dict[str, dict[str, Any]]:
     """Return each constant's value on the bench and in the trial, with the trial's 95 % interval.
 
     `sessions`: the change over its 1σ between sessions, uncertainty of the bench included; None of what is new.

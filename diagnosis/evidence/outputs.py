@@ -10,9 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from diagnosis.evidence.recording import GRID_S, Recording
+from diagnosis.evidence.likelihood_data import GRID_S, Recording
 from physics import force_path
-from physics.force_path import Path
+from physics.force_path import PathResponse
 from physics.laws import Array
 from physics.path_constants import INDEX, PATH_ROWS, STEP, values
 
@@ -25,7 +25,7 @@ class Prediction(NamedTuple):
     """Predicted data, shape (sets, data), and the simulated path of the distinct sets with each set's row in it."""
 
     data: Array
-    path: Path
+    path: PathResponse
     row: NDArray[np.intp]
 
 

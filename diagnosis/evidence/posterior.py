@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.outputs import jacobian, predicted
-from diagnosis.evidence.recording import Recording
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.path_constants import FREE, INDEX, STEP, TABLE, coordinate
@@ -52,7 +52,7 @@ class Gaussian:
 
 
 @dataclass(frozen=True)
-class Mode:
+class PosteriorMode:
     """A mode: departures `x` of the constants `active` and of the feature weights, the coordinates `q` there.
 
     `log_evidence` in nats; `factor` the Cholesky factor L of the prior; `inner` of I + LᵀHᵀWHL; `design` H;
@@ -111,7 +111,7 @@ def widened(prior: Gaussian, variants: Sequence[Variant]) -> tuple[Array, Array,
 
 
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
-         rounds: int = ROUNDS) -> Mode:
+         rounds: int = ROUNDS) -> PosteriorMode:
     """Find the mode of one trial under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
 
     Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
@@ -164,10 +164,10 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
     residual = trial.data - predicted(at(x), trial) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
-    return Mode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
+    return PosteriorMode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
 
 
-def screened(null: Mode, observed: Observed, variant: Variant) -> tuple[float, Array]:
+def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[float, Array]:
     """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
 
     ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), g = EᵀC⁻¹e, G = EᵀC⁻¹E, with E the effect's slopes times their σ and C the
@@ -195,7 +195,8 @@ def screened(null: Mode, observed: Observed, variant: Variant) -> tuple[float, A
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(square)[1]), size
 
 
-def begun(base: Mode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()) -> Array:
+def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()
+          ) -> Array:
     """Return where a fit with `kept` and `variant` starts: at `base`, moved along the variant's directions by `sizes`.
 
     Constants that `base` does not have start at 0; sizes are in σ of the effect, bounded by 2.5.
@@ -211,7 +212,7 @@ def begun(base: Mode, variant: Variant | None, sizes: Array | None = None, kept:
     return np.concatenate([x, base.x[base.constants:]])
 
 
-def named_change(mode_of: Mode, prior: Gaussian) -> dict[str, tuple[float, float]]:
+def named_change(mode_of: PosteriorMode, prior: Gaussian) -> dict[str, tuple[float, float]]:
     """Return, by constant, its departure in q from the prior's mean and that departure over the prior's 1σ."""
     sd = np.sqrt(np.diag(prior.covariance)[:len(FREE)])
     return {TABLE[i].name: (float(mode_of.x[k] - prior.mean[k]), float((mode_of.x[k] - prior.mean[k]) / sd[k]))

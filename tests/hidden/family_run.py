@@ -94,8 +94,7 @@ def main(arguments: list[str]) -> None:
     text = page(run.asking(arguments), sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
     print(text)
     if given.page:
-        marked.put(DOCS if given.core == "relations" else EVIDENCE, "family" if given.core == "relations" else given.core,
-                   text)
+        marked.put(*((DOCS, "family") if given.core == "relations" else (EVIDENCE, given.core)), text)
 
 
 if __name__ == "__main__":

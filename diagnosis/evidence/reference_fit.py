@@ -15,9 +15,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
+from diagnosis.evidence.likelihood_data import GRID_S, Recording
 from diagnosis.evidence.outputs import predict, predicted
-from diagnosis.evidence.posterior import Gaussian, Mode, Observed, mode
-from diagnosis.evidence.recording import GRID_S, Recording
+from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, mode
 from physics.laws import Array
 from physics.path_constants import BENCH_SD, FREE, INDEX, SESSION_SD, TABLE, named
 
@@ -57,7 +57,7 @@ class Scaling(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceFit:
     """The bench as its reference trials show it.
 
     `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
@@ -128,7 +128,7 @@ def features(states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
     return out
 
 
-def fit_reference(trials: Sequence[Recording]) -> Reference:
+def fit_reference(trials: Sequence[Recording]) -> ReferenceFit:
     """Fit the reference trials of one bench, which all have the same outputs."""
     return _Fit(trials).run()
 
@@ -156,7 +156,7 @@ class _Fit:
         self.linear: list[_Linear | None] = [None] * len(trials)
         self.identified: list[tuple[Array, Array]] = []
 
-    def run(self) -> Reference:
+    def run(self) -> ReferenceFit:
         """Fit the first trial from several starts, then all in turn, each under the posterior of the others."""
         middle = self.origin.copy()
         modes = [self._first(middle, departure) for departure in STARTS]
@@ -171,10 +171,10 @@ class _Fit:
         bench = self._posterior(range(len(self.trials)))
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
-        return Reference(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
+        return ReferenceFit(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
                          self.tau, self.quarters, len(self.trials), self.rmse_n, tuple(self.identified))
 
-    def _first(self, middle: Array, departure: tuple[float, ...]) -> Mode:
+    def _first(self, middle: Array, departure: tuple[float, ...]) -> PosteriorMode:
         """Fit the first trial alone without a discrepancy."""
         trial = self.trials[0]
         start = np.zeros(len(FREE))
@@ -237,7 +237,7 @@ class _Fit:
         covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
         return Gaussian(self.origin, scale * ((axes / lengths) @ (axes.T @ pull)), covariance)
 
-    def _visit(self, k: int) -> Mode:
+    def _visit(self, k: int) -> PosteriorMode:
         """Find the mode of trial `k` under the posterior of the other trials, and linearise the trial there."""
         others = [i for i in range(len(self.trials)) if i != k]
         cavity = self._posterior(others)
@@ -256,12 +256,12 @@ class _Fit:
         weight = 1.0 / self._reference()._variance(self.trials[k], self.states[k])
         self.linear[k] = linear._replace(weight=weight)
 
-    def _reference(self) -> Reference:
+    def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
-        return Reference(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
+        return ReferenceFit(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
                          self.tau, self.quarters, len(self.trials), self.rmse_n)
 
-    def _noise(self, found: Sequence[Mode]) -> None:
+    def _noise(self, found: Sequence[PosteriorMode]) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
         more = IN_SAMPLE if len(self.trials) == 1 else HELD_OUT
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))

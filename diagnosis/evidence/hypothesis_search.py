@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.posterior import Gaussian, Mode, Observed, begun, mode, screened
+from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import HYPOTHESES, Variant
 from physics.path_constants import named
 
@@ -30,10 +30,10 @@ class Searched:
 
     observed: Observed
     prior: Gaussian
-    null: Mode
-    single: dict[str, Mode] = field(default_factory=dict)
+    null: PosteriorMode
+    single: dict[str, PosteriorMode] = field(default_factory=dict)
     variants: dict[str, Variant] = field(default_factory=dict)
-    pair: dict[tuple[str, str], Mode] = field(default_factory=dict)
+    pair: dict[tuple[str, str], PosteriorMode] = field(default_factory=dict)
     paired: dict[str, Variant] = field(default_factory=dict)
 
     def gains(self) -> dict[str, float]:
@@ -108,7 +108,7 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]]) -> None
         _keep(found, name, variant, fitted)
 
 
-def _fit(found: Searched, variants: list[Variant], start: np.ndarray) -> Mode | None:
+def _fit(found: Searched, variants: list[Variant], start: np.ndarray) -> PosteriorMode | None:
     try:
         fitted = mode(found.observed, found.prior, variants, start)
     except (np.linalg.LinAlgError, ValueError):
@@ -116,7 +116,7 @@ def _fit(found: Searched, variants: list[Variant], start: np.ndarray) -> Mode | 
     return fitted if np.isfinite(fitted.log_evidence) else None
 
 
-def _keep(found: Searched, name: str, variant: Variant, fitted: Mode | None) -> bool:
+def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:
     """Keep a mode where it is the effect's best; say whether it is."""
     old = found.single.get(name)
     if fitted is None or (old is not None and old.log_evidence >= fitted.log_evidence):
