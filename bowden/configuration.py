@@ -54,6 +54,14 @@ def read(path: Path | None) -> dict[str, Any]:
     return read | {"network": dataclasses.replace(read["network"], device_mappings=device_mappings)}
 
 
+def refuse_raised(limits: Any, where: str) -> None:
+    """Raise `InputError` for limits above the packaged ones without a reason, which a trial carries with it."""
+    above = limits.above_packaged()
+    if above and not limits.raised.strip():
+        raise InputError(f"{where}: {'; '.join(above)}: above what is packaged; lower it, or say why with "
+                         "--raise-limits REASON.")
+
+
 def _node(name: str) -> int:
     from eds.bench_network import NAMES
 

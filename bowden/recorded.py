@@ -23,10 +23,11 @@ FILES = ("bench.toml", "calibration.toml")
 CURVES = ("knee", "desired")
 
 
-def experiment(recorded: Trial, *, scripts: bool = False) -> ExperimentSetup:
+def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = None) -> ExperimentSetup:
     """Build the experiment of a trial; raises `InputError` where the file does not carry it, or it is no gait.
 
-    `scripts` also takes those that ran in place of the gait (see `script`).
+    `scripts` also takes those that ran in place of the gait (see `script`).  `allowed`: the controller "module:Class"
+    that may be imported because the trial names it; a received file must not decide which code runs.
     """
     from bowden import provenance, session
     from master.motion.experiment_run import ExperimentSetup
@@ -37,6 +38,10 @@ def experiment(recorded: Trial, *, scripts: bool = False) -> ExperimentSetup:
         raise InputError(f"{recorded.path}: records {told}, not a gait; give a trial of bowden trial.")
     with _unpacked(recorded, FILES) as folder:
         chosen = sections(recorded)
+        named = chosen["gait"].controller
+        if ":" in named and named != allowed:
+            raise InputError(f"{recorded.path}: its controller is {named!r}, which replaying would import; read that "
+                             f"code, then say --allow-controller {named}, or install it as an entry point.")
         knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
         reference, chosen["gait"], _ = session.reference(
             chosen["gait"], knee, desired, period_given=True, peak_given=False)

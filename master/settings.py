@@ -7,6 +7,7 @@ and nothing below reads a configuration file.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from parameters import parameter
 
@@ -63,6 +64,20 @@ class Limits:
                                   source="assumed: the drive's own limit is 900 degrees per second, less a tenth")
     rope_m_s: float = parameter(1.0, "m/s", "rope speed above which a position counts as impossible", low=0.01,
                                 high=5.0, source="the servo's 0x6080: 480 per minute of a 40 mm drum")
+    raised: str = parameter("", "", "why limits stand above the packaged ones; --raise-limits says it",
+                            source="said by the operator")
+
+    def above_packaged(self) -> list[str]:
+        """Return, as texts with both values, the limits of force, angle and speed that the packaged ones forbid."""
+        packaged = Limits()
+        return [f"limits.{name} = {getattr(self, name):g} {unit} (packaged {getattr(packaged, name):g})"
+                for name, unit, sense in WIDER if sense * (getattr(self, name) - getattr(packaged, name)) > 0.0]
+
+
+WIDER: Final = (
+    ("start_n", "N", 1.0), ("end_n", "N", 1.0), ("knee_low_rad", "rad", -1.0), ("knee_high_rad", "rad", 1.0),
+    ("knee_rad_s", "rad/s", 1.0), ("rope_m_s", "m/s", 1.0))
+"""Limits that protect a limb: name, unit, and the sense in which one allows more."""
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ class Bus(NamedTuple):
     channel: options.Channel = None
     bitrate: options.Bitrate = None
     option: options.Extra = None
+    raise_limits: options.RaiseLimits = None
 
     def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
         """The checked sections of the configuration in `config`, the network overridden by what was given."""
@@ -63,6 +64,9 @@ class Bus(NamedTuple):
         sections = configuration.read(config)
         sections["network"] = configuration.override(
             sections["network"], {"rate_hz": ("--rate", rate), "bitrate": ("--bitrate", self.bitrate)})
+        sections["limits"] = configuration.override(
+            sections["limits"], {"raised": ("--raise-limits", self.raise_limits)})
+        configuration.refuse_raised(sections["limits"], str(config))
         return sections
 
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:

@@ -52,4 +52,6 @@ Interface = Annotated[str | None, _given(
     "python-can interface of a real bus (default: the virtual bus).", metavar="NAME")]
 Channel = Annotated[str | None, _given("Channel of that interface, such as can0.", metavar="NAME")]
 Bitrate = Annotated[int | None, _given("bit/s; default from [network].", metavar="BIT/S")]
+RaiseLimits = Annotated[str | None, _given(
+    "Run with limits above the packaged ones; the reason stands in the trial.", "--raise-limits", metavar="REASON")]
 Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]

@@ -27,7 +27,8 @@ SIMULATED = frozenset({"serial", "day", "seed", "plant", "plant_model", "channel
 FRAMES = frozenset({"speed", "loop", "from", "to", "step", "node", "cob_id", "direction", "map"})
 BUS = frozenset({"interface", "channel", "bitrate", "option"})
 TAKES = {
-    "controller": frozenset[str](), "plant": SIMULATED | {"output", "overwrite"}, "bus": FRAMES | BUS | SIMULATED,
+    "controller": frozenset({"allow_controller"}), "plant": SIMULATED | {"output", "overwrite"},
+    "bus": FRAMES | BUS | SIMULATED,
     "bus --nodes-only": BUS,
 }
 """Options by what a trial is replayed onto; the others are refused."""
@@ -46,6 +47,8 @@ Direction = Annotated[str | None, typer.Option(
     metavar="WAY", help="bus: rx (what the recorder heard) or tx (what it sent).")]
 Map = Annotated[list[str] | None, typer.Option("--map", metavar="N=CHANNEL", help="bus: recorded channel → channel.")]
 NodesOnly = Annotated[bool, typer.Option("--nodes-only", help="bus: the nodes' frames, answering a live master.")]
+Allowed = Annotated[str | None, typer.Option(
+    "--allow-controller", metavar="MODULE:CLASS", help="controller: import this class, which the trial names.")]
 Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="plant: residuals, MCAP.")]
 
 
@@ -65,6 +68,7 @@ def replay(
     direction: Direction = None,
     map_: Map = None,
     nodes_only: NodesOnly = False,
+    allow_controller: Allowed = None,
     *,
     reached: Bus,
     simulated: SimulatedOptions,
@@ -90,7 +94,7 @@ def replay(
     given = opened(trial)
     _refuse_imported(given, onto)
     if onto == "controller":
-        return _controller(given, json=json)
+        return _controller(given, allow_controller, json=json)
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
     if onto == "plant":
         return _plant(given, chosen, output, overwrite=overwrite, json=json)
@@ -131,11 +135,11 @@ def _refuse_imported(recorded: Trial, onto: str) -> None:
         raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")
 
 
-def _controller(recorded: Trial, *, json: bool) -> int:
+def _controller(recorded: Trial, allowed: str | None, *, json: bool) -> int:
     from bowden.recorded import experiment
     from bowden.replay import onto_controller
 
-    chosen = experiment(recorded)
+    chosen = experiment(recorded, allowed=allowed)
     with terminal.progress("controller", shown=not json) as update:
         found = onto_controller.replay(recorded, chosen, update)
     if json:

@@ -60,19 +60,25 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     from eds.bench_network import lacks, wire
     from eds.bus_load import LOAD_GOAL_PERCENT, refuse
 
-    network = configuration.read(file)["network"]
+    sections = configuration.read(file)
+    network, limits = sections["network"], sections["limits"]
     missing = lacks(network)
     if missing:
         terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
         return 1
+    above = limits.above_packaged()
     found = refuse(wire(network))
     if json:
         terminal.emit({
+            "limits_above_packaged": above, "limits_raised": limits.raised,
             "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "inputs_ns": found.inputs_ns,
             "deadline_ns": found.deadline_ns, "streams": [
                 {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
                  "response_ns": response} for stream, response in found.responses]})
     else:
+        for text in above:
+            print(f"{file}: {text}: above what is packaged; " + (
+                f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."))
         terminal.table(
             f"{file}: load {found.load_percent:.2f} % (goal {LOAD_GOAL_PERCENT:g} %), last input at "
             f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
@@ -80,7 +86,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
                 (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
                  terminal.number(None if response is None else response / 1e3, 0))
                 for stream, response in found.responses])
-    return 0 if found.load_percent <= LOAD_GOAL_PERCENT else 1
+    return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not above) else 1
 
 
 @check.command("eds")

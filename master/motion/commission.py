@@ -68,12 +68,12 @@ def tare(sensor: str) -> Procedure:
     return procedure
 
 
-TRAVEL: Final = {SERVO: (-math.inf, math.inf), KNEE: (math.radians(-100.0), math.radians(10.0))}
-"""Positions that an axis may be sent to, m or rad; the rope's zero is anywhere until it is homed. Assumed."""
 FURTHEST: Final = {SERVO: 0.15, KNEE: math.radians(110.0)}
 """The longest way that one jog may go."""
 JOG_START_N: Final = 20.0
 """START tension at which a jog stops: a rope that is being tightened unseen."""
+TOLERANCE_RAD: Final = math.radians(0.1)
+"""Passing of a knee limit that counts as none: resolution of the drive and its following error at rest."""
 BEHIND: Final = {SERVO: 2e-3, KNEE: math.radians(2.0)}
 """How far from its target an axis may come to rest."""
 
@@ -82,10 +82,17 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
     """Move one axis alone by `distance` at no more than `speed`, m or rad; the other drive stays off.
 
     It stops, and says where, when START reaches the lesser of `JOG_START_N` above what it was and half the limit that
-    `limits` sets, when the drive refuses to go on, or before it moves where the target lies beyond the axis' travel.
-    Raises `InputError` for an unknown axis, a speed that is none and a way that no axis has.
+    `limits` sets, when the drive refuses to go on, or where the knee passes its limits further than where it began.
+    No drive is enabled for a target beyond the knee's limits.  Raises `InputError` for an unknown axis, a speed that is
+    none or above the limit, and a way that no axis has.
     """
     node = _one_of(axis, AXES, "axis")
+    limits = limits or Limits()
+    fastest = limits.rope_m_s if node == SERVO else limits.knee_rad_s
+    if speed > fastest:
+        name = "rope_m_s" if node == SERVO else "knee_rad_s"
+        raise InputError(f"jog {axis} --speed {_shown(node, speed)}/s: is above limits.{name}, "
+                         f"{_shown(node, fastest)}/s; give a slower speed.")
     if not (speed > 0.0 and math.isfinite(distance)):
         raise InputError(f"jog {axis}: {distance:g} at {speed:g} a second is no motion; give a distance and a speed "
                          "above 0.")
@@ -94,14 +101,16 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
                          f"{_shown(node, FURTHEST[node])}; give a shorter way.")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
-        _refuse_beyond_travel(_position(exchange.inputs, node) + distance, node, axis)
+        begun = _position(exchange.inputs, node)
+        _refuse_beyond_limits(begun, begun + distance, node, axis, limits)
         begun_n = exchange.inputs.start_n
         drives.enable_alone(exchange, node)
         start = exchange.targets[ORDER.index(node)]
-        stop_n = min(begun_n + JOG_START_N, 0.5 * (limits or Limits()).start_n)
+        stop_n = min(begun_n + JOG_START_N, 0.5 * limits.start_n)
         steps = max(1, round(moves.PEAK_TO_MEAN * abs(distance) / speed * 1e9 / exchange.wire.period_ns))
         for step in range(1, steps + 1):
             _lead(exchange, node, start + distance * moves.smooth(step / steps))
+            _refuse_beyond_limits(begun, _position(exchange.inputs, node), node, axis, limits, moved=True)
             if exchange.inputs.start_n > max(stop_n, begun_n + 1.0):
                 raise BringUpError(f"START reached {exchange.inputs.start_n:.1f} N with {axis} at "
                                    f"{_shown(node, _position(exchange.inputs, node))}, "
@@ -127,11 +136,22 @@ def _shown(node: int, value: float) -> str:
     return f"{value * 1e3:.1f} mm" if node == SERVO else f"{math.degrees(value):.1f} degrees"
 
 
-def _refuse_beyond_travel(target: float, node: int, axis: str) -> None:
-    low, high = TRAVEL[node]
-    if not low <= target <= high:
-        raise BringUpError(f"{axis} would go to {_shown(node, target)}, beyond its travel of {_shown(node, low)} to "
-                           f"{_shown(node, high)}; nothing was moved, give a shorter way")
+def _refuse_beyond_limits(
+    begun: float, at: float, node: int, axis: str, limits: Limits, *, moved: bool = False
+) -> None:
+    """Raise `BringUpError` where the knee is, or would go, beyond its limits and further out than where it began.
+
+    A knee that stands outside may be moved back.  The rope has no limits of position until it is homed.
+    """
+    if node != KNEE:
+        return
+    low, high = limits.knee_low_rad, limits.knee_high_rad
+    if min(low, begun) - TOLERANCE_RAD <= at <= max(high, begun) + TOLERANCE_RAD:
+        return
+    allowed = f"limits.knee_low_rad and knee_high_rad allow {_shown(node, low)} to {_shown(node, high)}"
+    if moved:
+        raise BringUpError(f"{axis} is at {_shown(node, at)}; {allowed}")
+    raise BringUpError(f"{axis} would go to {_shown(node, at)}; {allowed}; nothing was moved, give a shorter way")
 
 
 def release(homing: Homing, limits: Limits) -> Procedure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,6 +93,23 @@ def test_a_taut_rope_is_released_by_the_servo_alone(composer: Composer) -> None:
     assert done.outcome.reason is None
     assert done.found["after_n"] < 2.0
     assert done.found["taut_n"] > done.found["after_n"]
+
+
+@pytest.mark.parametrize(("limits", "distance"), [
+    (Limits(knee_high_rad=0.02), math.radians(8.0)), (Limits(), math.radians(10.0)),
+    (Limits(knee_low_rad=-0.3), -0.4)])
+def test_a_jog_beyond_the_knees_limits_moves_nothing(composer: Composer, limits: Limits, distance: float) -> None:
+    done = Done(composer, commission.jog("knee", distance, 0.2, limits))
+    assert done.outcome.reason is not None
+    assert "knee would go to" in done.outcome.reason
+    assert "limits.knee_low_rad and knee_high_rad allow" in done.outcome.reason
+    assert not done.enabled(KNEE)
+
+
+@pytest.mark.parametrize(("axis", "name"), [("knee", "knee_rad_s"), ("servo", "rope_m_s")])
+def test_a_jog_faster_than_its_limit_is_refused(axis: str, name: str) -> None:
+    with pytest.raises(InputError, match=rf"is above limits\.{name}"):
+        commission.jog(axis, -1e-3, 1e3)
 
 
 @pytest.mark.parametrize("procedure", [

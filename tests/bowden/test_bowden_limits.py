@@ -1,0 +1,83 @@
+"""Limits above the packaged ones need a reason, which stands in the trial; a trial names no code that is imported."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trial.read import open as opened
+
+RAISED = "[limits]\nstart_n = 300\n"
+CODE = """from pathlib import Path
+from bowden.controllers import ControllerOutput, Trace
+from master.control.packaged import PaperController
+
+Path("imported").write_text("")
+
+
+class Own(PaperController):
+    pass
+"""
+
+
+@pytest.fixture
+def raised(tmp_path: Path) -> Path:
+    file = tmp_path / "bench.toml"
+    file.write_text(RAISED)
+    return file
+
+
+@pytest.mark.parametrize("command", [
+    ("trial", "-o", "trial.mcap"), ("jog", "knee", "--by", "-1"), ("home",), ("identify", "all", "-o", "c.toml")])
+def test_a_raised_limit_without_a_reason_is_refused(
+    bowden: Callable[..., Any], raised: Path, command: tuple[str, ...]
+) -> None:
+    status, out, err = bowden(*command, "--config", str(raised))
+    assert status == 2
+    assert out == ""
+    assert "limits.start_n = 300 N (packaged 120)" in err
+    assert "--raise-limits REASON" in err
+
+
+def test_check_says_a_raised_limit(bowden: Callable[..., Any], raised: Path) -> None:
+    status, out, _ = bowden("check", "config", str(raised))
+    assert status == 1
+    assert "limits.start_n = 300 N (packaged 120)" in out
+    status, out, _ = bowden("check", "config", str(raised), "--json")
+    assert json.loads(out)["limits_above_packaged"] == ["limits.start_n = 300 N (packaged 120)"]
+
+
+def test_the_reason_stands_in_the_trial(bowden: Callable[..., Any], raised: Path, tmp_path: Path) -> None:
+    file = tmp_path / "trial.mcap"
+    status, _, err = bowden("trial", "--config", str(raised), "--raise-limits", "proof load of the rope", "--cycles",
+                            "1", "--settle", "0", "--period", "1.1", "-o", str(file))
+    assert status == 0, err
+    assert 'raised = "proof load of the rope"' in opened(file).attachments["bench.toml"].decode()
+
+
+def test_a_lower_limit_needs_no_reason(bowden: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text("[limits]\nstart_n = 80\nknee_low_rad = -1.2\n")
+    assert bowden("check", "config", str(file))[0] == 0
+
+
+def test_a_trial_decides_no_import(bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_controller.py").write_text(CODE)
+    status, _, err = bowden("trial", "--controller", "own_controller:Own", "--cycles", "1", "--settle", "0", "--period",
+                            "1.1", "-o", "own.mcap")
+    assert status == 0, err
+    mark = tmp_path / "imported"
+    mark.unlink()
+    sys.modules.pop("own_controller")
+    status, _, err = bowden("replay", "own.mcap", "--onto", "controller")
+    assert status == 2
+    assert "--allow-controller own_controller:Own" in err
+    assert not mark.exists()
+    assert bowden("replay", "own.mcap", "--onto", "controller", "--allow-controller", "own_controller:Own")[0] == 0
+    assert mark.exists()
