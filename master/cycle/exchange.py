@@ -86,6 +86,8 @@ class Exchange:
         self._count = 0
         self._told = self._doubled_sync = False
         self._answered_ns = self._step_ns = 0
+        # What is late: SYNC by a time, inputs by a count.  A busy computer makes up for it, which is no repetition.
+        self._overdue_ns, self._overdue_inputs = 0, [0, 0, 0, 0]
         self._misses = 0
         self._miss_text = ""
         self.rehoming = False
@@ -108,7 +110,9 @@ class Exchange:
         self._first_ns = sync_ns
         self.log.drain()
         self.link.pump = lambda _deadline_ns: self.hold()
-        return self._latch(sync_ns)
+        inputs = self._latch(sync_ns)
+        self._overdue_ns = 0
+        return inputs
 
     def end(self) -> None:
         """Leave the cycle: SDOs wait by receiving again."""
@@ -203,6 +207,7 @@ class Exchange:
             elif can_id in slots:
                 if self.inputs.missing >> slots[can_id][0] & 1:
                     self._take(message, self.inputs.sync_ns)
+                    self._overdue_inputs[slots[can_id][0]] = 0
                 else:
                     self._note_doubled(message, slots[can_id][0])
         return -1
@@ -211,14 +216,22 @@ class Exchange:
         """Whether a SYNC comes within half a period of the last one: that one is doubled, and no new cycle."""
         if self.inputs.sync_ns < 0 or sync_ns - self.inputs.sync_ns > self.wire.period_ns // 2:
             return False
-        if self.link.watch is not None:
-            self.link.watch.doubled(sync_ns, self._count, "SYNC")
-        self._doubled_sync = True
+        self._note_repeated(sync_ns)
         return True
 
+    def _note_repeated(self, sync_ns: int) -> None:
+        """Note a SYNC that comes too soon, unless as many are overdue: a busy computer sends them late, then at once."""
+        self._doubled_sync = True
+        if self._overdue_ns > self.wire.period_ns // 2:
+            self._overdue_ns -= self.wire.period_ns
+        elif self.link.watch is not None:
+            self.link.watch.doubled(sync_ns, self._count, "SYNC")
+
     def _note_doubled(self, message: can.Message, i: int) -> None:
-        """An input that came twice in a cycle, where SYNC did not; at the beginning a node that stalled catches up."""
-        if self.link.watch is not None and not (self._doubled_sync or self.guard.beginning):
+        """An input that came twice in a cycle, where SYNC did not and none is overdue; at the beginning any may be."""
+        if self._overdue_inputs[i]:
+            self._overdue_inputs[i] -= 1
+        elif self.link.watch is not None and not (self._doubled_sync or self.guard.beginning):
             self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {self.wire.nodes[ORDER[i]].name}")
 
     def _take(self, message: can.Message, sync_ns: int) -> int:
@@ -277,6 +290,8 @@ class Exchange:
         """
         self._arrival_ns = UNHEARD
         self._told = self._doubled_sync = False
+        overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
+        self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
         missing = self._collect(sync_ns) if frames is None else self._keep_all(sync_ns, frames)
         if missing and frames is not None:
             missing = self._collect(sync_ns, missing)
@@ -288,6 +303,7 @@ class Exchange:
         late = self._late_in_row
         if missing or late != NONE_LATE:
             self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
+            self._overdue_inputs = [n + (missing >> i & 1) for i, n in enumerate(self._overdue_inputs)]
         self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         self._answered_ns = self.link.clock()
         return inputs
@@ -308,9 +324,8 @@ class Exchange:
             elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
                 self._early_ns = stamp
                 break
-            elif can_id == SYNC_COB_ID and self.link.watch is not None:
-                self.link.watch.doubled(stamp_ns(message), self._count, "SYNC")
-                self._doubled_sync = True
+            elif can_id == SYNC_COB_ID:
+                self._note_repeated(stamp_ns(message))
         return missing
 
     def _derive(self, inputs: Inputs) -> None:

@@ -238,7 +238,7 @@ def test_an_ending_that_contradicts_the_format_is_refused_before_anything_runs(
 @pytest.mark.parametrize(("arguments", "said"), [
     (("servo", "--by", "400"), "is further than the axis can go"),
     (("knee", "--by", "-500"), "is further than the axis can go"),
-    (("knee", "--by", "60"), "beyond its travel"),
+    (("knee", "--by", "60"), "limits.knee_low_rad and knee_high_rad allow"),
 ])
 def test_a_jog_beyond_limits_moves_nothing(bowden: Bowden, arguments: tuple[str, ...], said: str) -> None:
     status, out, err = bowden("jog", *arguments, "--speed", "50")

@@ -171,7 +171,7 @@ def test_a_replay_onto_a_controller_of_others_compares_its_own_columns() -> None
     from bowden.replay import onto_controller
 
     trial = run(Counting)
-    chosen = experiment(trial.recorded)
+    chosen = experiment(trial.recorded, allowed=trial.recorded.metadata["controller"])
     assert onto_controller.replay(trial.recorded, chosen).same
     before = Counting.step
     try:
