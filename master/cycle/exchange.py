@@ -220,7 +220,7 @@ class Exchange:
         return True
 
     def _note_repeated(self, sync_ns: int) -> None:
-        """Note a SYNC that comes too soon, unless as many are overdue: a busy computer sends them late, then at once."""
+        """Note a SYNC that comes too soon, unless one is overdue: a busy computer sends it late, then the next."""
         self._doubled_sync = True
         if self._overdue_ns > self.wire.period_ns // 2:
             self._overdue_ns -= self.wire.period_ns
