@@ -1,4 +1,4 @@
-# make trial | test | check | bench | docs | figures | reproduce | hidden | faults | healthy | fuzz | soak
+# make trial | test | test-all | check | bench | docs | figures | reproduce | hidden | faults | healthy | fuzz | soak
 # Each sets up .venv first; nothing else is needed than Python 3.11+ and make.
 PYTHON ?= python3
 VENV := .venv
@@ -6,20 +6,25 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
 
-.PHONY: trial test check bench docs figures reproduce hidden faults healthy fuzz soak clean
+.PHONY: trial test test-all check bench docs figures reproduce hidden faults healthy fuzz soak clean
 
 trial: $(VENV)/.installed
 	@mkdir -p out
 	$(BIN)/bowden trial --peak 40 --overwrite --picture out/trial.png -o out/trial.mcap
 
+PYTEST := $(BIN)/python -m pytest -n 2 --dist=loadfile
+
 test: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -n 2 --dist=loadfile
+	$(PYTEST)
+
+test-all: test
+	$(PYTEST) -m "(exhaustive or faults or hidden) and not socketcan"
 
 check: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist=loadfile
+	$(PYTEST)
 
 docs: $(VENV)/.installed-test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

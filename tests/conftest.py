@@ -1,4 +1,4 @@
-"""What the tests of several rooms share: a page opened as a reader opens it, in headless Chromium."""
+"""Fixtures and figures for the tests of all rooms: processor time of the run, and a page in headless Chromium."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,59 @@ os.dup2(int(sys.argv[1]), 3)
 os.dup2(int(sys.argv[2]), 4)
 os.execv(sys.argv[3], sys.argv[3:])"""  # the descriptors at which --remote-debugging-pipe reads and writes
 PATIENCE_S = 120.0  # a browser that says nothing for so long has hung
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--cpu N`, which lists the N tests that took the most processor time."""
+    parser.addoption("--cpu", type=int, default=0, metavar="N", help="list the N tests with the most CPU seconds")
+
+
+def _cpu_s() -> float:
+    """Processor time of this process and of its ended children, user and system, in s."""
+    return sum(os.times()[:4])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the marker `exhaustive`, and leave its tests out unless `-m` selects."""
+    config.addinivalue_line("markers", "exhaustive: whole tables, foreign readers, browsers, other rigs: "
+                            "left to make test-all; run them with -m exhaustive")
+    if config.option.markexpr == "not socketcan and not faults and not hidden":
+        config.option.markexpr += " and not exhaustive"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test that opens a browser as exhaustive, before `-m` selects."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.exhaustive)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Attach a test's CPU seconds, with those of the fixtures made for it, to its reports."""
+    before = _cpu_s()
+    item.user_properties.append(("cpu_from_s", before))
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Report the CPU seconds since the test began."""
+    report = yield
+    if report.when == "teardown":
+        report.user_properties.append(("cpu_s", _cpu_s() - dict(item.user_properties)["cpu_from_s"]))
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Print the CPU seconds of the run: this process, its workers, and the programs that tests started."""
+    taken = [(dict(report.user_properties)["cpu_s"], report.nodeid)
+             for reports in terminalreporter.stats.values() for report in reports
+             if getattr(report, "when", None) == "teardown"]
+    for cpu_s, name in sorted(taken, reverse=True)[:config.getoption("cpu")]:
+        terminalreporter.write_line(f"{cpu_s:7.2f} s CPU  {name}")
+    terminalreporter.write_line(f"{_cpu_s():.0f} s of processor time")
 
 
 @pytest.fixture(scope="session", autouse=True)

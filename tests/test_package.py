@@ -91,7 +91,7 @@ def test_every_package_of_the_tree_is_named() -> None:
             for path in (ROOT / room).rglob("__init__.py")} == set(PACKAGES)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_installed_in_an_empty_environment_it_runs_outside_the_repository(empty: Path, tmp_path: Path) -> None:
     where = run(empty / "python", "-c", "import bowden, sys; print(bowden.__file__, sys.prefix)", at=tmp_path).split()
     assert Path(where[0]).is_relative_to(where[1])

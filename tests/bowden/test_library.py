@@ -71,7 +71,7 @@ def outside(site: Path, folder: Path, *command: str) -> subprocess.CompletedProc
     return told
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_notebook_runs_outside_the_repository_against_the_installed_wheel(site: Path, tmp_path: Path) -> None:
     code = "\n".join(blocks("library.md", "python"))
     check = f"import bowden, pathlib\nassert pathlib.Path(bowden.__file__).is_relative_to({str(site)!r})\n"
@@ -81,7 +81,7 @@ def test_the_notebook_runs_outside_the_repository_against_the_installed_wheel(si
     assert made == ["calibration.toml", "diagnosis.html", "trial.html", "trial.mcap"]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_the_controller_of_the_page_runs_and_replays_bit_for_bit(site: Path, tmp_path: Path) -> None:
     (code,), (commands,) = blocks("controllers.md", "python"), blocks("controllers.md", "sh")
     assert len(code[code.index("class "):].splitlines()) <= 20

@@ -88,7 +88,7 @@ def test_a_trial_that_is_refused_is_a_row_that_says_why(tmp_path: Path) -> None:
     assert "turning point" in row["stop_reason"]
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_bench_is_identified_once_and_its_calibration_kept(bowden: Callable[..., Any], here: Path) -> None:
     wanted = ("sweep", *SHORT, "--grid", "day=1", "--grid", "serial=3", "--identify", "--workers", 1, "-o", "t.csv",
               "--json")

@@ -18,7 +18,7 @@ from diagnosis.problem.blocks import cycles_of, signals_of
 from parameters import InputError
 from tests.diagnosis import rigs
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.exhaustive
 
 FORCE = "drive_force"
 

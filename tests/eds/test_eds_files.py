@@ -128,6 +128,7 @@ def by_canopen(name):
     return {at: row for at, row in rows.items() if at >> 8 >= 0x1000}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", dictionary.PACKAGED)
 def test_npm_canopen_reads_the_same_dictionary(name):
     modules = node_modules()

@@ -115,7 +115,7 @@ def test_a_step_is_numbered_step_by_step(tmp_path: Path) -> None:
     assert np.array_equal(np.unique(numbers), np.arange(-1, scripted_experiments.laps("step", 0)))
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", LONG)
 def test_the_long_ones_number_their_laps(name: str, tmp_path: Path) -> None:
     numbers = ran(name, tmp_path / "t.mcap").columns["cycle"]

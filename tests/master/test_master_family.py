@@ -16,7 +16,7 @@ SERIAL = 1
 """Maxwell slip at an exponent of 0.4, START 2.5 ms late beyond its converter: a serial that was developed with."""
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_a_bench_of_another_make_is_controlled_on_another_day(composer: Composer) -> None:
     """RMSE, jump and idle by the targets, learning that does not make it worse, the exponent within 3 %."""
     from tests.plants.draws import draw

@@ -148,7 +148,7 @@ def measured(module_composer: Composer) -> Calibration:
     return identified(module_composer, "all", 2)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("period_s", "peak_n", "rmse_percent"), [(2.0, 40.0, 0.5), (1.1, 60.0, 0.6)])
 def test_a_bench_identified_today_is_controlled_tomorrow(
     composer: Composer, measured: Calibration, period_s: float, peak_n: float, rmse_percent: float

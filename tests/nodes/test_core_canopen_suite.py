@@ -29,7 +29,7 @@ from eds.frame import Frame
 from nodes.core.application import Application
 from nodes.core.device import Device
 
-pytestmark = pytest.mark.walltime
+pytestmark = [pytest.mark.exhaustive, pytest.mark.walltime]
 SUITE = Path(os.environ.get("BOWDEN_CANOPEN_TESTS", "build/foreign/canopen/test"))
 NUMBERS = itertools.count()
 LOOK_S = 0.002

@@ -12,6 +12,7 @@ import pytest
 
 from trial.recover import recover
 
+pytestmark = pytest.mark.exhaustive
 SCRIPT = Path(__file__).with_name("read_with_mcap_core.mjs")
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import can
 import pytest
 
+pytestmark = pytest.mark.exhaustive
 SUITE = Path(os.environ.get("BOWDEN_PYTHON_CAN_TESTS", "build/foreign/python-can/test"))
 NUMBERS = itertools.count()
 DIFFERENT = {
