@@ -21,6 +21,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.warm import warm
+
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
          "--disable-background-networking", "--disable-component-update", "--hide-scrollbars", "--window-size=1200,900")
@@ -42,7 +44,9 @@ def _cpu_s() -> float:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marker `exhaustive`, and leave its tests out unless `-m` selects."""
+    """Register the marker `exhaustive`, leave its tests out unless `-m` selects, and compile before workers start."""
+    if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
+        warm({})
     config.addinivalue_line("markers", "exhaustive: whole tables, foreign readers, browsers, other rigs: "
                             "left to make test-all; run them with -m exhaustive")
     if config.option.markexpr == "not socketcan and not faults and not hidden":

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from tests.socketcan.warm import ENVIRONMENT, warm
+from tests.warm import FOR_GUESTS, warm_guests
 
 ROOT = Path(__file__).resolve().parents[2]
 GUEST = ROOT.parent / "shared" / "run_in_vm.sh"
@@ -121,7 +121,7 @@ def _in_guest(chosen: list[str], backend: str) -> tuple[Reports, str]:
     """Run tests in a guest; their reports by node id, and what became of the rest ("skip: …" or "fail: …")."""
     if not GUEST.exists():
         return {}, f"skip: not run: {lacks(NATIVE) or 'this wants a guest of its own'}, and {GUEST.name} is absent"
-    warm()
+    warm_guests()
     lean = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     with tempfile.TemporaryDirectory() as folder, open(Path(tempfile.gettempdir(), "canvm.lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -130,7 +130,7 @@ def _in_guest(chosen: list[str], backend: str) -> tuple[Reports, str]:
             [GUEST, "-b", backend, "-t", str(LIMIT_S), "-m", str(MEMORY_MIB), "-w", folder, "--",
              sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "socketcan", *chosen],
             cwd=ROOT, text=True, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            env={**os.environ, **ENVIRONMENT, **lean, REPORTS: str(reports)})
+            env={**os.environ, **FOR_GUESTS, **lean, REPORTS: str(reports)})
         lines = reports.read_text().splitlines() if reports.exists() else []
     said: Reports = {}
     for line in map(json.loads, lines):
