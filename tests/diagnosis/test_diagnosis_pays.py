@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -34,16 +35,33 @@ def judge() -> Judge:
     return Judge(build_problem([table("walk.csv", shown)], taught, None), ())
 
 
+@dataclasses.dataclass(frozen=True)
+class Supposed(FittedEffects):
+    """A fitted model with a stated χ² of each relation on held-out cycles."""
+
+    stated: Mapping[str, float] = dataclasses.field(kw_only=True)
+
+    @property
+    def by_relation(self) -> Mapping[str, float]:
+        """Return the stated χ²."""
+        return self.stated
+
+
+def supposed(model: FittedEffects, stated: Mapping[str, float]) -> Supposed:
+    """Return `model` with these χ² on held-out cycles."""
+    own = {f.name: getattr(model, f.name) for f in dataclasses.fields(FittedEffects)}
+    return Supposed(**own, stated=stated)
+
+
 def moved(model: FittedEffects, by_relation: dict[str, float] | None = None,
           values: dict[str, float] | None = None) -> FittedEffects:
-    """Return `model` as if its fit had left other χ² on all cycles and unseen ones, or arrived at other values."""
+    """Return `model` with other χ² on all cycles and on held-out ones, or with other values of its parameters."""
     there = {**model.fit.values, **(values or {})}
     more = sum(left - model.by_relation[name] for name, left in (by_relation or {}).items())
     space = Space(model.fit.free, model.problem.prior)
-    other = dataclasses.replace(model, fit=dataclasses.replace(
-        model.fit, values=there, penalty=space.penalty(space.of(there)), cost=model.fit.cost + 0.5 * more))
-    other.__dict__["by_relation"] = {**model.by_relation, **(by_relation or {})}
-    return other
+    fit = dataclasses.replace(
+        model.fit, values=there, penalty=space.penalty(space.of(there)), cost=model.fit.cost + 0.5 * more)
+    return supposed(dataclasses.replace(model, fit=fit), {**model.by_relation, **(by_relation or {})})
 
 
 def test_the_offset_is_named_with_its_size_and_passes_every_gate(judge: Judge) -> None:
@@ -111,8 +129,8 @@ def test_a_law_that_moves_its_level_far_must_say_more_than_the_level(changed: di
 
 def test_what_pays_on_unseen_cycles_alone_is_the_ill_luck_of_a_fold(judge: Judge) -> None:
     base, best = judge.found.baseline, judge.found.best
-    level = dataclasses.replace(best, fit=dataclasses.replace(best.fit, cost=base.fit.cost))
-    level.__dict__["by_relation"] = best.by_relation
+    level = supposed(dataclasses.replace(best, fit=dataclasses.replace(best.fit, cost=base.fit.cost)),
+                     best.by_relation)
     assert judge.criteria.pays(base, best, judge.search)
     assert not judge.criteria.pays(base, level, judge.search)
 
@@ -136,8 +154,8 @@ def test_what_leaves_the_bench_strained_must_take_what_some_law_takes_of_a_healt
     left = {n: judge.setting.healthy_squares(n) for n in best.by_relation}
     lesser, *models = (moved(named, {**left, "friction": left["friction"] + more * verdict.BENT})
                        for more in (2.0, 1.5, 0.5))
-    lesser = dataclasses.replace(lesser, effects=())
-    lesser.__dict__["by_relation"] = {**left, "friction": left["friction"] + 2.0 * verdict.BENT}
+    lesser = supposed(dataclasses.replace(lesser, effects=()),
+                      {**left, "friction": left["friction"] + 2.0 * verdict.BENT})
     search = copy.copy(judge.search)
     search.tried = {**search.tried, (): lesser}
     assert [judge.criteria.pays(lesser, model, search) for model in models] == [False, True]
@@ -195,8 +213,7 @@ def placed(judge: Judge, baseline: float, rival: float) -> SearchResult:
     def left(model: FittedEffects, more: float) -> FittedEffects:
         other = dataclasses.replace(model, fit=dataclasses.replace(model.fit, cost=best.fit.cost + 0.5 * more))
         friction = model.by_relation["friction"] + best.score + more - model.score
-        other.__dict__["by_relation"] = {**model.by_relation, "friction": friction}
-        return other
+        return supposed(other, {**model.by_relation, "friction": friction})
 
     lesser = left(judge.found.baseline, baseline)
     slack = left(next(m for m in judge.found.models if m.names == ("slack",)), rival)

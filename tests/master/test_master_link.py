@@ -88,7 +88,10 @@ def test_empty_frames_harm_nothing(composer: Composer, can_id: int) -> None:
     tap.send(can.Message(arbitration_id=can_id, is_extended_id=False))
     tap.send(can.Message(arbitration_id=can_id, is_remote_frame=True, is_extended_id=False))
     tap.send(can.Message(arbitration_id=can_id, is_extended_id=True))
+    before = link.clock()
     link.wait(10 * MS)
+    assert link.clock() - before == 10 * MS
+    assert list(link.emergencies) == []
 
 
 def test_a_state_is_awaited_by_heartbeat(composer: Composer) -> None:

@@ -66,9 +66,11 @@ def test_parameters_are_owned_by_one_effect() -> None:
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_every_likely_effect_makes_a_valid_plant_model(effect: Effect, end: int) -> None:
     tables = apply({effect.name: {p.name: p.likely[end] for p in effect.parameters}})
-    from_table(PlantParameters, tables.get("plant", {}), where="plant")
-    for side in ("start_sensor", "end_sensor"):
-        from_table(SensorParameters, tables.get(side, {}), where=side)
+    kinds = {"plant": PlantParameters, "start_sensor": SensorParameters, "end_sensor": SensorParameters}
+    for name, given in tables.items():
+        if name in kinds:
+            made = from_table(kinds[name], given, where=name)
+            assert {key: getattr(made, key) for key in given} == given
 
 
 @pytest.mark.parametrize("effect", ABSENT, ids=[e.name for e in ABSENT])

@@ -25,7 +25,9 @@ def test_every_test_that_the_page_names_exists() -> None:
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # three lines leave closing to the interpreter
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_the_examples_run(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    example_trials.write(tmp_path / "trial.mcap", cycles=5)
+def test_the_examples_run_and_leave_the_trial_as_it_was(
+        number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = example_trials.write(tmp_path / "trial.mcap", cycles=5).read_bytes()
     monkeypatch.chdir(tmp_path)
     exec(compile(EXAMPLES[number], f"{os.fspath(PAGE)} example {number}", "exec"), {})
+    assert Path("trial.mcap").read_bytes() == whole
