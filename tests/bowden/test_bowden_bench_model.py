@@ -26,16 +26,23 @@ EFFECTS = '[found]\nverdict = "found"\n\n[effects.slack]\nslack = { value = 1e-3
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with model.toml of bench 3 and real.mcap, a trial of it."""
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with model.toml, identified on bench 3."""
     from bowden.cli.app import run
 
     folder = tmp_path_factory.mktemp("measured")
-    model = str(folder / "model.toml")
-    assert run(["identify", "all", "--serial", "3", "--json", "-o", model]) == 0
-    assert run(["trial", "--serial", "3", "--calibration", model, "--cycles", "4", "--json",
-                "-o", str(folder / "real.mcap")]) == 0
+    assert run(["identify", "all", "--serial", "3", "--json", "-o", str(folder / "model.toml")]) == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def measured(identified: Path) -> Path:
+    """The directory with real.mcap beside the model, a trial of bench 3."""
+    from bowden.cli.app import run
+
+    assert run(["trial", "--serial", "3", "--calibration", str(identified / "model.toml"), "--cycles", "4", "--json",
+                "-o", str(identified / "real.mcap")]) == 0
+    return identified
 
 
 def gait(trial: Trial) -> dict[str, np.ndarray]:
@@ -48,6 +55,7 @@ def apart(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str,
     return {name: float(np.sqrt(np.nanmean((one[name] - other[name]) ** 2))) for name in SIGNALS}
 
 
+@pytest.mark.exhaustive
 def test_what_was_measured_simulates_the_bench_it_was_measured_on(bowden: Run, measured: Path, here: Path) -> None:
     """RMS over a gait cycle: 0.35 N and 0.15 mm, and END, noise aside, nearer than the nominal simulation's.
 
@@ -68,20 +76,26 @@ def test_what_was_measured_simulates_the_bench_it_was_measured_on(bowden: Run, m
     assert beyond["of the model"] < 0.6 * beyond["nominal"]
 
 
-def test_one_file_loads_everywhere(bowden: Run, measured: Path, here: Path) -> None:
+def test_one_file_loads_in_simulator_and_controller(bowden: Run, identified: Path, here: Path) -> None:
     model = here / "extended.toml"
-    model.write_text((measured / "model.toml").read_text() + "\n" + EFFECTS)
+    model.write_text((identified / "model.toml").read_text() + "\n" + EFFECTS)
     run = bowden("trial", "--serial", 0, "--plant-model", model, "--calibration", model, "--controller", "extended",
-                 "--cycles", 2, "--json", "-o", "both.mcap")
+                 "--cycles", 1, "--settle", 0, "--period", 1.1, "--json", "-o", "both.mcap")
     assert run.status == 0, run
     assert trials.open(here / "both.mcap").metadata["controller_model"] == "slack"
+
+
+@pytest.mark.exhaustive
+def test_the_same_file_is_read_by_a_diagnosis(bowden: Run, measured: Path, here: Path) -> None:
+    model = here / "extended.toml"
+    model.write_text((measured / "model.toml").read_text() + "\n" + EFFECTS)
     told = bowden("diagnose", measured / "real.mcap", "--calibration", model, "--json")
     assert told.status == 0, told
     assert json.loads(told.stdout)["verdict"] != "refused"
 
 
-def test_a_model_comes_back_from_its_file(measured: Path, tmp_path: Path) -> None:
-    model = bench_model.read(measured / "model.toml", bench="virtual 3")
+def test_a_model_comes_back_from_its_file(identified: Path, tmp_path: Path) -> None:
+    model = bench_model.read(identified / "model.toml", bench="virtual 3")
     path = tmp_path / "again.toml"
     path.write_text(bench_model.of_calibration(model.calibration, {"slack": {"slack": 1e-3}}).text())
     again = bench_model.read(path)

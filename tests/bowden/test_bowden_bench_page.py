@@ -81,6 +81,7 @@ def test_nothing_on_the_page_is_left_out() -> None:
     assert len(COMMANDS) > 15
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("nodes")
 def test_the_commands_run_in_their_order(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
     (here / "patient.toml").write_text(PATIENT)

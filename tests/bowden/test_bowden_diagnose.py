@@ -139,6 +139,7 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns
     assert "(low-pass 20 Hz)" in bowden(*arguments).stdout
 
 
+@pytest.mark.exhaustive
 def test_the_same_files_give_the_same_bytes_in_any_process(walked: Columns, here: Path) -> None:
     # sums in the order of a set of names would differ in the last digit, and a fit from there in more
     good = {**walked, "tension_end_n": walked["tension_end_n"] - 3.0}
@@ -150,6 +151,7 @@ def test_the_same_files_give_the_same_bytes_in_any_process(walked: Columns, here
     assert {**told[0], "seconds": None} == {**told[1], "seconds": None}
 
 
+@pytest.mark.exhaustive
 def test_each_trial_is_told_for_itself_by_several_processes(walked: Columns, bowden: Run, here: Path) -> None:
     written(here / "long.csv", walked)
     written(here / "short.csv", cut(walked, 2))
@@ -204,6 +206,7 @@ def test_what_is_found_runs_in_the_simulator_and_in_the_controller(walked: Colum
     assert result["max_idle_tension_n"] - result["true_max_idle_tension_n"] == pytest.approx(3.0, abs=0.7)
 
 
+@pytest.mark.exhaustive
 def test_a_dask_cluster_tells_each_trial_too(walked: Columns, bowden: Run, here: Path) -> None:
     dask = pytest.importorskip("distributed")
     short = written(here / "short.csv", cut(walked, 2))

@@ -288,7 +288,8 @@ def telling(text, *, shown=True):
 terminal.progress = telling
 sys.exit(run([*sys.argv[2:], "--json"]))
 """
-ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDINGS = (pytest.param(signal.SIGINT, marks=pytest.mark.exhaustive), signal.SIGTERM,
+           pytest.param(signal.SIGHUP, marks=pytest.mark.exhaustive))
 
 
 def stopped(number: signal.Signals, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -324,8 +325,8 @@ def test_an_identification_that_is_told_to_end_writes_no_calibration(here: Path,
 
 @pytest.mark.parametrize("number", ENDINGS)
 def test_a_sweep_that_is_told_to_end_goes_on_from_there(here: Path, number: signal.Signals) -> None:
-    sweep = ("sweep", "--grid", "peak=20,25,30", "--grid", "cycles=1", "--grid", "settle=0", "--workers", "1",
-             "-o", "t.csv")
+    sweep = ("sweep", "--grid", "peak=20,25,30", "--grid", "cycles=1", "--grid", "settle=0", "--grid",
+             "period=1.1", "--workers", "1", "-o", "t.csv")
     ended = stopped(number, *sweep)
     assert "goes on from there" in ended.stderr
     assert len((here / "t.csv").read_text().splitlines()) < 1 + 3

@@ -117,6 +117,7 @@ def test_bad_input_ends_in_a_sentence_and_no_table(
     assert list(here.iterdir()) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.walltime
 def test_a_dask_cluster_of_two_workers_gives_the_same_table(bowden: Callable[..., Any], here: Path) -> None:
     dask = pytest.importorskip("distributed", reason="dask.distributed is not installed")

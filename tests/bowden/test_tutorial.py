@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.exhaustive
 PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r'```(sh|toml title="([^"]+)"|python title="([^"]+)")\n(.*?)```', PAGE, re.DOTALL)
 

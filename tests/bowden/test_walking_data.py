@@ -78,7 +78,8 @@ def test_a_gap_is_bridged_up_to_the_stated_length_and_refused_beyond(
             read_curve(path, "knee_angle_rad")
 
 
-@pytest.mark.parametrize("name", [*CYCLES, MARKERS])
+@pytest.mark.parametrize("name", [
+    *(pytest.param(name, marks=pytest.mark.exhaustive) for name in CYCLES[1:]), CYCLES[0], MARKERS])
 def test_the_bench_walks_it_and_every_stride_has_its_figures(
     bowden: Callable[..., Any], here: Path, name: str
 ) -> None:
