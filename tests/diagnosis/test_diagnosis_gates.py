@@ -56,6 +56,7 @@ def test_without_end_no_friction_is_named_and_what_end_would_tell_is_said() -> N
     assert any("tension_end_n recorded" in w and "cable_friction" in w for w in found.warnings)
 
 
+@pytest.mark.exhaustive
 def test_the_top_line_is_what_the_simulation_of_this_bench_misses() -> None:
     told = diagnose([walked(1)], healthy=[walked(2)]).simulation
     assert told is not None

@@ -104,6 +104,7 @@ def test_the_wire_repeats_what_it_lost(walked: tuple[Bench, Motion]) -> None:
     assert np.mean(np.diff(columns["tension_start_n"]) == 0.0) > 0.8 * values["lost_share"]
 
 
+@pytest.mark.exhaustive
 def test_the_oracle_counts_what_shows_and_nothing_else(walked: tuple[Bench, Motion]) -> None:
     bench, motion = walked
     assert oracle.separation(bench, bench, motion, 0.15, 250) < 1e-9

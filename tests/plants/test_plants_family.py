@@ -49,7 +49,8 @@ def led(plant: FamilyPlant, cuts_ns: list[int], until_ns: int = 400_000_000) -> 
     return said
 
 
-@EACH
+@pytest.mark.parametrize("implementation", [
+    "dahl", "lugre", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("maxwell", "fronts"))])
 def test_the_same_whatever_way_time_is_cut(implementation: str) -> None:
     plant = FamilyPlant(draws.draw(1, 1, implementation))
     whole = led(plant, [])
