@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from bowden.planning import WalkPlan, plan
     from bowden.progress import Progress
     from bowden.recorded_trial import Trial
+    from bowden.recorded_trial import read_trial as read
     from bowden.simulating import Simulation, simulate
     from parameters import InputError
 
@@ -37,6 +38,7 @@ _HOMES = {
     "Progress": "bowden.progress", "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
     "Trial": "bowden.recorded_trial", "WalkPlan": "bowden.planning", "bus": "bowden.buses",
     "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
+    "read": "bowden.recorded_trial:read_trial",
     "read_model": "bowden.model_files:read", "run": "bowden.experiment", "simulate": "bowden.simulating",
     "simulated": "bowden.buses", "write_model": "bowden.model_files:write",
 }
@@ -44,7 +46,7 @@ _HOMES = {
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Progress", "Simulation",
-    "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read_model", "run", "simulate",
+    "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read", "read_model", "run", "simulate",
     "simulated", "write_model",
 ]
 

@@ -7,6 +7,7 @@ what it holds.
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -39,6 +40,19 @@ def refuse(paths: Iterable[Path | None], *, overwrite: bool, inputs: Iterable[Pa
             raise InputError(f"{path}: {path.parent} is no directory; make it first.")
         if not os.access(path if path.exists() else path.parent, os.W_OK):
             raise InputError(f"{path}: cannot be written (permission denied); give a writable place.")
+        _refuse_unwritable(path)
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise `InputError` if the folder takes no new file, which its permissions do not show (/proc, a full disk)."""
+    if path.exists():
+        return
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=".bowden-", dir=path.parent)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give a writable place.") from None
+    os.close(descriptor)
+    os.unlink(name)
 
 
 def _identity(path: Path) -> tuple[int, int]:

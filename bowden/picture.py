@@ -2,15 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Columns = Mapping[str, NDArray[np.float64]]
 TRACES = (("desired_force_n", "desired", "0.15", "--"), ("tension_start_n", "START", "tab:orange", "-"),
           ("tension_end_n", "END", "tab:blue", "-"))
+
+
+def signals(columns: Columns, units: Mapping[str, str], names: Sequence[str], title: str) -> Figure:
+    """Return a figure of signals over time, one axis for each unit; raises `InputError` for an unknown name."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    chosen = list(names) or [name for name, *_ in TRACES if name in columns]
+    for name in chosen:
+        if name not in columns:
+            raise InputError(f"plot: {name} is no signal of this trial; expected any of {', '.join(columns)}.")
+    by_unit: dict[str, list[str]] = {}
+    for name in chosen:
+        by_unit.setdefault(units[name], []).append(name)
+    figure = Figure(figsize=(10, 1.2 + 2.6 * max(len(by_unit), 1)), layout="constrained")
+    FigureCanvasAgg(figure)
+    drawn = figure.subplots(max(len(by_unit), 1), 1, sharex=True, squeeze=False)[:, 0]
+    colours = {name: (colour, style) for name, _, colour, style in TRACES}
+    for axes, (unit, group) in zip(drawn, by_unit.items(), strict=False):
+        for name in group:
+            colour, style = colours.get(name, (None, "-"))
+            axes.plot(columns["time_s"], columns[name], style, color=colour, lw=1.0, label=name)
+        axes.set_ylabel(unit)
+        axes.legend(loc="upper right")
+        axes.grid(alpha=0.3)
+    drawn[0].set_title(title)
+    drawn[-1].set_xlabel("time (s)")
+    return figure
 
 
 def draw(columns: Columns, title: str, path: Path) -> None:

@@ -21,6 +21,7 @@ from parameters import InputError
 from trial import read
 
 if TYPE_CHECKING:
+    import matplotlib.figure
     import pandas
 
 
@@ -50,6 +51,32 @@ class Trial:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: file, how it was run, how it ended, and a row for each signal."""
+        from html import escape
+
+        from trial.report import labels
+
+        told = labels.shown({**self.metadata, **(self.recorded.result or {})})
+        about = "".join(f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
+                        for name, value in told.items())
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(self.units[name])}</td><td>{known.min():.4g}</td>"
+            f"<td>{known.max():.4g}</td></tr>" for name, values in self.columns.items()
+            if len(known := values[np.isfinite(values)]))
+        return (f"<p><b>{escape(self.path.name)}</b>: {len(self.time_ns)} control cycles</p>"
+                f"<table>{about}</table><table><tr><th>signal</th><th>unit</th><th>least</th><th>greatest</th></tr>{rows}</table>")
+
+    def plot(self, *names: str) -> matplotlib.figure.Figure:
+        """Return a Matplotlib figure of signals over time (s), one axis for each unit.
+
+        Without `names`: desired, START and END force, as far as they are known.  Raises `InputError` for a name that is
+        no signal of the trial.
+        """
+        from bowden import picture
+
+        return picture.signals(self.columns, self.units, names, self.path.name)
 
     @property
     def outcome(self) -> str | None:
@@ -102,6 +129,30 @@ class Trial:
 
         write_trial_page(self.recorded, Path(path), overwrite=overwrite)
         return Path(path)
+
+
+def read_trial(path: str | Path, *, columns: str | Path | None = None) -> Trial:
+    """Return the trial in a file that `bowden import` takes: .mcap, .csv, .xlsx, .parquet, .mat, .mf4, a CAN log.
+
+    `columns` is a map (TOML) of the file's columns, as `bowden import --guess` writes it.  A table is converted into a
+    temporary file that lives as long as the trial.  Raises `InputError` for what cannot be read.
+    """
+    from trial.convert.csv_table import read_map
+    from trial.convert.imports import import_file
+
+    path = Path(path)
+    if path.suffix.lower() == ".mcap" and columns is None:
+        return Trial(path)
+    folder = TemporaryFolder()
+    try:
+        made = folder.path / f"{path.name.partition('.')[0]}.mcap"
+        import_file(path, made, mapped=None if columns is None else read_map(Path(columns)))
+        trial = Trial(made)
+    except BaseException:
+        folder.remove()
+        raise
+    folder.hand_to(trial)
+    return trial
 
 
 class TemporaryFolder:

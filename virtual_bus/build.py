@@ -26,6 +26,7 @@ from virtual_bus.faults import declared
 from virtual_bus.machine import END_FEELS, START_FEELS, Gauge, Machine, MountedDrive, Tension, TickedDrive
 from virtual_bus.node_station import NodeStation
 from virtual_bus.outages import wired
+from virtual_bus.plugged_plant import PluggedPlant, plant_raised
 from virtual_bus.scatter import DAY, Tables, scattered, stream
 from virtual_bus.truth import Truth
 
@@ -57,7 +58,7 @@ def build(options: Options, channel: str) -> Bench:
     faults = (*(declared(options.faults) if options.faults else ()), *model.faults)
     tables = model.at_work(scattered(
         nominal(model.tables, model.where), options.serial, options.day, steady(options.steady)))
-    plant = factory(options.plant)(tables["plant"], options.seed)
+    plant = made_plant(options.plant, tables["plant"], options.seed)
     wire = trimmed(eds.wire(Network(bitrate=options.bitrate, rate_hz=options.rate_hz)), tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
 
@@ -86,6 +87,18 @@ def factory(name: str) -> Factory:
     importable.
     """
     return cast(Factory, load("plant", name, PLANTS, OWN))
+
+
+def made_plant(name: str, parameters: dict[str, float], seed: int) -> Plant:
+    """Return the plant of that name; raises `InputError` if a plug-in's factory raises."""
+    if name in OWN:
+        return factory(name)(parameters, seed)
+    try:
+        return PluggedPlant(name, factory(name)(parameters, seed))
+    except InputError:
+        raise
+    except Exception as error:  # a plug-in may raise anything
+        raise plant_raised(name, error, "when it was made") from None
 
 
 def nominal(given: Mapping[str, Any] | None, where: str = "plant_model") -> Tables:

@@ -11,16 +11,20 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from trial.compare import TrialComparison
+    from collections.abc import Mapping, Sequence
+
+    from trial.compare import FieldDifference, TrialComparison
 
 Source = Annotated[Path, typer.Argument(
-    metavar="FILE", show_default=False, help="csv, tsv, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
+    metavar="FILE", show_default=False,
+    help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
 Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
 B = Annotated[Path, typer.Argument(metavar="B", help="Another one.", show_default=False)]
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
 Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
 Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
+Everything = Annotated[bool, typer.Option("--all", help="Every value and signal that differs, in tables.")]
 Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Both trials in one HTML page.")]
 
 
@@ -78,14 +82,25 @@ def _guess(source: Path, output: Path, *, overwrite: bool, json: bool) -> int:
     sheet = table_of(source)
     write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
     found = guess_map.guesses(sheet)
+    others = guess_map.unassigned(sheet, found)
     if json:
         terminal.emit({"map": str(output), "read_as": sheet.said, "signals": {
-            one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale} for one in found}})
+            one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
+            for one in found}, "not_assigned": {one.column: one.why for one in others}})
         return 0
     if sheet.said:
         print(f"{source}: read with {', '.join(sheet.said)}.")
     terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
         (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
+    for guess in found:
+        if guess.question:
+            print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
+    if others:
+        print("Not assigned:")
+        for column, why in others:
+            print(f"  {column!r}: {why}")
+        print(f"To use one of them, add to {output}: [SIGNAL], column = {others[0].column!r} and unit; signals without "
+              "a column are listed there.")
     return 0
 
 
@@ -96,7 +111,7 @@ def export(
 ) -> int:
     """Write a trial as a table or a CAN log.
 
-    csv, csv.gz, parquet and mat hold its cycles; log, asc, blf and trc its frames.
+    csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
 
     Example: bowden export trial.mcap -o trial.csv
     """
@@ -113,11 +128,12 @@ def export(
 
 @app.command()
 def compare(
-    a: A, b: B, report: Page = None, overwrite: options.Overwrite = False, json: options.Json = False
+    a: A, b: B, report: Page = None, everything: Everything = False, overwrite: options.Overwrite = False,
+    json: options.Json = False,
 ) -> int:
-    """Show what differs between two trials.
+    """Compare two trials: their four figures, and in five lines what differs.
 
-    Configuration, calibration, figures and signals; exit status 1 where any channel differs.
+    Exit status 1 if any channel differs.
 
     Example: bowden compare a.mcap b.mcap --report compared.html
     """
@@ -127,6 +143,8 @@ def compare(
 
     output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    from trial.report.compare_page import judged
+
     with terminal.waiting("comparing", shown=not json):
         one, other = opened(a), opened(b)
         found = compared(one, other)
@@ -134,13 +152,65 @@ def compare(
             from trial.report import compare_page
 
             compare_page.write(one, other, found, report, overwrite=overwrite)
-    terminal.emit(found.as_json()) if json else _tell(found)
+    if json:
+        terminal.emit(found.as_json())
+    else:
+        _four_figures(judged(one), judged(other))
+        _tell_everything(found) if everything else _tell(found)
     if report is not None and not json:
         print(f"Page: {report}")
     return 0 if found.same else 1
 
 
+def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:
+    from trial.report.trial_page import FIGURES
+
+    rows = [(f"{text} ({unit})", terminal.number(a.get(name)), terminal.number(b.get(name)))
+            for name, unit, text in FIGURES if a.get(name) is not None or b.get(name) is not None]
+    if rows:
+        terminal.table("figures", ("figure", "A", "B"), rows)
+
+
+SHOWN = 4  # keys of a line
+
+
 def _tell(found: TrialComparison) -> None:
+    """Print what differs in at most five lines; values of attached files are counted."""
+    if found.same:
+        print("The same, in every channel.")
+    ended = {row.key: row for row in found.result}
+    told = [row for row in found.metadata if row.key not in HASHES]
+    if told:
+        print(f"Set up differently: {'; '.join(_change(row) for row in told[:SHOWN])}{_more(told)}.")
+    if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
+        print(f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}.")
+    if found.attachments:
+        print("Attached files that differ: " + ", ".join(
+            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items())
+            + ".")
+    forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
+    if forces:
+        print(f"A − B, {found.matched}: " + "; ".join(
+            f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
+            for row in forces) + ".")
+    if told or found.attachments or not found.same:
+        print("All of it: --all, or --report page.html.")
+
+
+COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
+HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
+
+
+def _change(row: FieldDifference) -> str:
+    a, b = ("–" if value is None else str(value)[:60] for value in (row.a, row.b))
+    return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
+
+
+def _more(rows: Sequence[object]) -> str:
+    return f"; and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+
+
+def _tell_everything(found: TrialComparison) -> None:
     if found.same:
         print("The same, in every channel.")
     attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]

@@ -58,9 +58,18 @@ def _tell(found: Contents) -> None:
         terminal.table("columns", ("column", "unit", "least", "greatest", "unknown"), [
             (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
              str(one.unknown)) for one in found.columns])
-    for name, text in (found.about | found.attachments | {k: v for k, v in found.counts.items() if v}).items():
-        size = " bytes, attached" if name in found.attachments else ""
-        print(f"  {name.replace('_', ' ')}: {text}{size}")
+    from trial.report import labels
+
+    for name, value in labels.shown(found.about).items():
+        print(f"  {name}: {value}")
+    for name, count in found.counts.items():
+        if count:
+            print(f"  {name.replace('_', ' ')}: {count}")
+    if found.attachments:
+        print("  attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
+    rest = labels.folded(found.about)
+    if rest:
+        print(f"  not shown: {', '.join(rest)}; --json has them.")
 
 
 @app.command()

@@ -61,10 +61,10 @@ def sweep(
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
+    axes = [sweep_rows.axis(text) for text in grid or ()]
     rows = sweep_rows.rows(
-        configuration.read(config), _fixed(identify, calibration, knee, desired),
-        [sweep_rows.axis(text) for text in grid or ()], [sweep_rows.draw(text) for text in draw or ()],
-        draws, draw_seed)
+        configuration.read(config), _fixed(identify, calibration, knee, desired), axes,
+        [sweep_rows.draw(text) for text in draw or ()], draws, draw_seed)
     _keeping(keep)
     with Growing(output, list(rows[0]), overwrite=overwrite) as table:
         resumed = sum(table.found(row) is not None for row in rows)
@@ -72,12 +72,14 @@ def sweep(
         with _crew(scheduler, workers, quiet=json, idle=resumed == len(rows)) as crew:
             _run(rows, table, crew, _calibrations(output, overwrite), keep, quiet=json)
         found = [table.found(row) or {} for row in rows]
+    cells = _cells(found, [name for name, _ in axes])
     failed = sum(row["outcome"] != "completed" for row in found)
     result = {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed}
     if json:
-        terminal.emit(result | {"figures": _summary(found)})
+        terminal.emit(result | {"figures": _summary(found), "cells": cells})
     else:
         _tell(found)
+        _tell_cells(cells)
         print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
     return 1 if failed else 0
 
@@ -112,6 +114,49 @@ def _tell(found: Sequence[Mapping[str, Any]]) -> None:
         terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
             (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
              str(one["worst_row"])) for name, one in told.items()])
+
+
+REPEATED = ("bench.serial", "bench.day", "bench.seed")
+"""Axes over which a cell of the grid is repeated: other benches, sessions and noise."""
+MOST_CELLS = 200
+
+
+def _cells(found: Sequence[Mapping[str, Any]], axes: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row for each cell of the grid: its values, trials, medians of the figures, and reasons of stops."""
+    import statistics
+    from collections import Counter
+
+    names = [name for name in axes if name not in REPEATED]
+    gathered: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in found:
+        gathered.setdefault(tuple(str(row.get(name, "")) for name in names), []).append(row)
+    cells = []
+    for values, rows in gathered.items() if names else ():
+        done = [row for row in rows if row.get("outcome") == "completed"]
+        reasons = Counter(str(row.get("stop_reason") or row.get("outcome") or "not run") for row in rows
+                          if row.get("outcome") != "completed")
+        figures = {name: statistics.median(known) for name in FIGURES
+                   if (known := [float(row[name]) for row in done if row.get(name) not in (None, "")])}
+        cells.append({"cell": dict(zip(names, values, strict=True)), "trials": len(rows), "completed": len(done),
+                      "median": figures, "stopped": dict(reasons)})
+    return cells
+
+
+def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
+    """Print a line for each cell of the grid, and below it why its trials stopped."""
+    if len(cells) < 2:
+        return
+    told = [name for name in FIGURES if any(name in cell["median"] for cell in cells)][:3]
+    print(f"By cell of the grid, medians of: {'; '.join(FIGURES[name] for name in told)}" if told
+          else "By cell of the grid")
+    for cell in cells[:MOST_CELLS]:
+        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items())
+        figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in told)
+        print(f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}")
+        for reason, count in cell["stopped"].items():
+            print(f"    {count} not completed: {reason}")
+    if len(cells) > MOST_CELLS:
+        print(f"  and {len(cells) - MOST_CELLS} more cells, in the table.")
 
 
 def _fixed(identify: bool, calibration: Path | None, knee: Path | None, desired: Path | None) -> dict[str, Any]:

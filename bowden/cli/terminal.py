@@ -30,14 +30,15 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
     """Print a Rich table on stdout; the first column is text, the others are figures."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     drawn = Table()
     for i, name in enumerate(header):
         drawn.add_column(name, justify="left" if i == 0 else "right")
     for row in rows:
-        drawn.add_row(*row)
+        drawn.add_row(*(Text(cell) for cell in row))  # [g] in a name is no markup
     console = Console()
-    console.print(title)
+    console.print(Text(title))
     console.print(drawn)
 
 

@@ -124,9 +124,24 @@ def test_what_raises_unexpectedly_is_one_line_without_a_traceback(
     monkeypatch.syspath_prepend(str(here))
     status, out, err = bowden("trial", *SHORT, "--plant", "broken:create", "-o", "a.mcap")
     assert (out, "Traceback" in err) == ("", False)
-    assert status in (1, 2)
-    assert "a plug-in" in err
+    assert status == 2
+    assert "plant 'broken:create' raised ZeroDivisionError (a plug-in) when it was made" in err
     assert not (here / "a.mcap").exists()
+
+
+def test_a_controller_is_found_by_the_path_of_its_file(here: Path, bowden: Bowden) -> None:
+    (here / "own.py").write_text("from master.control.packaged import PaperController as Own\n")
+    (here / "work").mkdir()
+    for path, status, text in (("own.py:Own", 0, ""), ("none.py:Own", 2, "none.py is no file; give path/to/file.py:"),
+                               ("own.py:Other", 2, "cannot be imported (AttributeError")):
+        told = bowden("trial", *SHORT, "--controller", here / path, "-o", "a.mcap", "--overwrite")
+        assert (told[0], text in told[2]) == (status, True), told[2]
+
+
+def test_an_output_that_cannot_be_made_is_refused_at_once_by_its_own_name(here: Path, bowden: Bowden) -> None:
+    status, out, err = bowden("trial", *SHORT, "-o", "/proc/x.mcap")
+    assert (status, out) == (2, "")
+    assert err.startswith("bowden: /proc/x.mcap: cannot be written")
 
 
 @pytest.mark.parametrize("arguments", [

@@ -6,10 +6,12 @@ import gzip
 import json
 import math
 import os
+import re
 import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -123,6 +125,84 @@ def test_diagnose_offers_the_map_guess_writes_it_and_import_takes_it(
     assert columns["time_s"] == pytest.approx(np.arange(ROWS) / 100)
     assert columns["servo_position_m"] == pytest.approx(np.arange(ROWS) / 1e4)
     assert columns["knee_angle_rad"] == pytest.approx(-np.radians(30 + np.arange(ROWS) / 2))
+
+
+def _guessed(here: Path, bowden: Callable[..., tuple[int, str, str]], header: str, top: float = 5270.0,
+             ) -> tuple[dict[str, Any], str]:
+    """Write a table with `header` whose columns rise to `top`; return the guessed map and what is printed."""
+    count = len(header.split(","))
+    rows = "".join(",".join([f"{k / 10}", *[f"{top * k / 20}"] * (count - 1)]) + "\n" for k in range(21))
+    (here / "lab.csv").write_text(f"{header}\n{rows}", encoding="utf-8")
+    status, out, _ = bowden("import", "lab.csv", "--guess", "-o", "map.toml", "--overwrite")
+    assert status == 0
+    return tomllib.loads((here / "map.toml").read_text(encoding="utf-8")), out
+
+
+@pytest.mark.parametrize(("spelt", "newton"), [
+    ("[g]", 9.80665e-3), ("(gf)", 9.80665e-3), ("[gf]", 9.80665e-3), ("[mg]", 9.80665e-6), ("[lbf]", 4.4482216152605),
+    ("[kp]", 9.80665), ("[dN]", 0.1), ("[kN]", 1e3)])
+def test_a_stated_unit_of_force_is_never_dropped(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], spelt: str, newton: float
+) -> None:
+    name = f"F prox {spelt}"
+    guessed, out = _guessed(here, bowden, f"t [s],{name}")
+    assert guessed["tension_start_n"]["column"] == name
+    assert name in out
+    assert bowden("import", "lab.csv", "--map", "map.toml", "-o", "trial.mcap", "--overwrite")[0] == 0
+    assert trial.open(here / "trial.mcap").columns["tension_start_n"][-1] == pytest.approx(5270 * newton)
+
+
+def test_a_unit_behind_an_underscore_is_read_and_an_unknown_one_is_not_taken_for_newton(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    guessed, out = _guessed(here, bowden, "t_s,F_prox_g,F_dist [V]")
+    assert (guessed["tension_start_n"]["unit"], "tension_end_n" in guessed) == ("g", False)
+    assert "'F_dist [V]': its unit 'V' is not known" in out
+
+
+def test_a_force_beyond_a_rope_bench_is_questioned(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    _, out = _guessed(here, bowden, "t [s],F prox")
+    assert "Check tension_start_n: 'F prox' reaches 5270 N, more than a rope bench has: no unit is stated" in out
+    assert "CHECK: reaches 5270 N" in (here / "map.toml").read_text(encoding="utf-8")
+    assert "Check" not in _guessed(here, bowden, "t [s],F prox [g]")[1]
+
+
+@pytest.mark.parametrize(("header", "signals"), [
+    ("Zeit,Kraft vorne,Kraft hinten,enc_mm", "tension_start_n tension_end_n servo_position_m"),
+    ("t,data.F1,data.F2", "tension_start_n tension_end_n"),
+    ("temps [s],effort entrée [N],effort sortie [N],genou [deg]", "tension_start_n tension_end_n knee_angle_rad"),
+    ("tiempo,fuerza entrada,fuerza salida,desplazamiento,rodilla",
+     "tension_start_n tension_end_n servo_position_m knee_angle_rad"),
+    ("shijian,lali_qian,lali_hou,weiyi,jiaodu", "tension_start_n tension_end_n servo_position_m knee_angle_rad")])
+def test_common_words_of_five_languages_are_known(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], header: str, signals: str
+) -> None:
+    guessed, _ = _guessed(here, bowden, header, top=40.0)
+    first, *others = header.split(",")
+    assert {signal: table["column"] for signal, table in guessed.items()} == {
+        "time_s": first, **dict(zip(signals.split(), others, strict=True))}
+
+
+def test_what_is_not_assigned_is_on_the_terminal_with_what_to_say(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    _, out = _guessed(here, bowden, "t,F prox,F near,ai7", top=40.0)
+    assert "Not assigned:" in out
+    assert "looks more like tension_start_n" in out
+    assert "'ai7': its name and unit fit no signal" in out
+    assert "To use one of them, add to map.toml: [SIGNAL], column = " in out
+
+
+def test_a_guessed_map_shows_the_detected_way_of_reading(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    (here / "lab.csv").write_bytes("Zeit;Kraft Eingang;Winkel\ns;N;°\n0,0;1,5;3\n0,1;2,5;4\n".encode("cp1252"))
+    assert bowden("import", "lab.csv", "--guess", "-o", "map.toml")[0] == 0
+    lines = (here / "map.toml").read_text(encoding="utf-8").splitlines()
+    told = tomllib.loads("\n".join(line[2:] for line in lines if re.match(r"# \[csv\]|# [a-z_]+ = ", line)))
+    assert told == {"csv": {"encoding": "cp1252", "delimiter": ";", "decimal": ",", "comment": "#", "header_row": 1,
+                            "units_row": 2}}
+    assert bowden("import", "lab.csv", "--map", "map.toml", "-o", "trial.mcap")[0] == 0
 
 
 def test_a_map_overrides_what_would_be_detected(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
@@ -402,3 +482,48 @@ def test_units_of_a_whole_angle_are_what_they_say() -> None:
     assert [unit_of(text) for text in ("[°]", "(deg)", "Degrees", "kN", "msec", "x")] == [
         "°", "deg", "deg", "kN", "ms", ""]
     assert TO_SI["°"] == ("rad", math.pi / 180)
+
+
+@pytest.mark.parametrize("ending", [".xlsx", ".tdms", ".mf4"])
+def test_cycles_go_out_and_in_through_excel_tdms_and_mdf(
+    here: Path, bowden: Callable[..., tuple[int, str, str]], ending: str
+) -> None:
+    pytest.importorskip({".xlsx": "openpyxl", ".tdms": "nptdms", ".mf4": "asammdf"}[ending])
+    (here / "lab.csv").write_text(PLAIN)
+    assert bowden("import", "lab.csv", "-o", "a.mcap")[0] == 0
+    assert bowden("export", "a.mcap", "-o", f"a{ending}")[::2] == (0, "")
+    assert bowden("import", f"a{ending}", "-o", "b.mcap")[::2] == (0, "")
+    one, other = trial.open(here / "a.mcap").columns, trial.open(here / "b.mcap").columns
+    for name in ("time_s", "tension_start_n", "tension_end_n"):
+        assert other[name] == pytest.approx(one[name], abs=1e-12)
+
+
+def test_a_workbook_with_units_and_other_names_is_guessed(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (("Zeit", "Kraft vorne"), ("ms", "g"), *((10 * k, 100.5 * k) for k in range(ROWS))):
+        book.active.append(row)
+    book.save(here / "lab.xlsx")
+    assert bowden("import", "lab.xlsx", "--guess", "-o", "map.toml")[0] == 0
+    assert bowden("import", "lab.xlsx", "--map", "map.toml", "-o", "a.mcap")[0] == 0
+    columns = trial.open(here / "a.mcap").columns
+    assert columns["time_s"] == pytest.approx(np.arange(ROWS) / 100)
+    assert columns["tension_start_n"] == pytest.approx(100.5 * 9.80665e-3 * np.arange(ROWS))
+
+
+def test_the_library_reads_any_file_that_import_takes(here: Path) -> None:
+    import bowden as library
+
+    (here / "lab.csv").write_text(PLAIN)
+    read = library.read("lab.csv")
+    assert read.columns["tension_start_n"].tolist() == [20 + k / 8 for k in range(ROWS)]
+    shown = read._repr_html_()
+    assert "tension_start_n" in shown
+    assert "nan" not in shown
+    figure = read.plot()
+    assert [axes.get_ylabel() for axes in figure.axes] == ["N"]
+    assert len(read.plot("tension_end_n", "time_s").axes) == 2
+    with pytest.raises(library.InputError, match="no_such is no signal of this trial"):
+        read.plot("no_such")

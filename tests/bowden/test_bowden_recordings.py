@@ -152,6 +152,11 @@ def test_compare_writes_both_trials_into_one_page_and_ends_with_1_where_they_dif
     status, out, err = bowden("compare", "a.mcap", "b.mcap", "--report", "page.html")
     assert (status, err) == (1, "")
     assert "Page: page.html" in out
+    assert "figure" in out.split("Set up")[0]
+    assert "tension_end_n" in out
+    assert len([line for line in out.splitlines() if line[0] not in "┏┃┡│└"]) <= 7
+    everything = bowden("compare", "a.mcap", "b.mcap", "--all")[1]
+    assert "signals, A − B" in everything
     page = (here / "page.html").read_text()
     assert "A: a.mcap · B: b.mcap" in page
     assert all(f"{name}, A − B" in page for name in ("tension_end_n", "desired_force_n", "servo_position_m"))

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from bowden import configuration
+from bowden.cli import sweep as sweep_command
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import FIGURES
@@ -132,3 +133,27 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_table(bowden: Callable[...
         for name in ("far.csv", "near.csv"))
     assert far_lines == near_lines
     assert len(far_lines) == 3
+
+
+def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
+    found = [{"gait.controller": name, "bench.serial": str(serial), "outcome": outcome, "stop_reason": reason,
+              "relative_rmse_percent": percent}
+             for name, serial, outcome, reason, percent in (
+                 ("paper", 1, "completed", "", "4.0"), ("paper", 2, "completed", "", "6.0"),
+                 ("none", 1, "completed", "", "20.0"), ("none", 2, "stopped", "START above 100 N", ""))]
+    cells = sweep_command._cells(found, ["gait.controller", "bench.serial"])
+    assert cells == [
+        {"cell": {"gait.controller": "paper"}, "trials": 2, "completed": 2, "stopped": {},
+         "median": {"relative_rmse_percent": 5.0}},
+        {"cell": {"gait.controller": "none"}, "trials": 2, "completed": 1, "stopped": {"START above 100 N": 1},
+         "median": {"relative_rmse_percent": 20.0}}]
+
+
+def test_the_terminal_shows_the_cells(capsys: pytest.CaptureFixture[str]) -> None:
+    sweep_command._tell_cells([
+        {"cell": {"gait.controller": name}, "trials": 1, "completed": done, "stopped": stopped, "median": median}
+        for name, done, stopped, median in (
+            ("paper", 1, {}, {"relative_rmse_percent": 5.0}), ("none", 0, {"START above 100 N": 1}, {}))])
+    told = capsys.readouterr().out
+    assert "  controller = paper: 1 of 1 completed, 5.00\n" in told
+    assert "  controller = none: 0 of 1 completed, –\n    1 not completed: START above 100 N\n" in told

@@ -17,7 +17,7 @@ import trial
 from parameters import InputError
 from trial import metrics
 from trial.read import Event
-from trial.report import force_section, trial_page
+from trial.report import force_section, labels, trial_page
 from trial.report.page import Page, Series
 
 RATE_HZ = 200
@@ -270,3 +270,10 @@ def test_a_report_is_kept_unless_told_and_its_place_must_exist(tmp_path: Path) -
     with pytest.raises(InputError, match="cannot be written"):
         page.write(tmp_path / "none" / "a.html")
     assert [path.name for path in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_the_summary_has_labels_in_words_and_folds_digests() -> None:
+    told = {"peak_n": "40.0", "commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}, "notes": "",
+            "my_rig": "7"}
+    assert labels.shown(told) == {"peak force (N)": "40.0", "my rig": "7"}
+    assert labels.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}

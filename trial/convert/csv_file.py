@@ -66,6 +66,11 @@ def read(path: Path, dialect: Dialect | None = None) -> LabTable:
         raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None
 
 
+def read_text(path: Path, text: str) -> LabTable:
+    """Read a table from the text of comma-separated rows; `path` is what messages name."""
+    return _Reading(path, text.encode(), Dialect(delimiter=",", decimal=".")).sheet()
+
+
 def decoded(path: Path, raw: bytes, encoding: str = "") -> tuple[str, str]:
     """Return text and the name of its encoding; raises `InputError` for what is no text."""
     name = encoding or _encoding(raw)
@@ -108,6 +113,7 @@ class _Reading:
         text, encoding = decoded(path, raw, given.encoding)
         self.said: list[str] = [] if encoding in ("utf-8", "utf-8-sig") else [encoding.upper()]
         self.counts: dict[str, int] = {}
+        self.encoding, self.units_row, self.comma = encoding, 0, False
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         marks = (given.comment,) if given.comment else COMMENTS
         self.lines = [_Line(row, line) for row, line in enumerate(every, start=1) if line and not line.isspace()]
@@ -152,12 +158,20 @@ class _Reading:
         rows = np.fromiter((line.row for line in body), np.int64, len(body))
         found = LabTable(self.path, unique(names, reserved), columns.values, units or [""] * len(names), rows,
                          {}, {}, self.counts, self.said, header)
+        found.dialect = {
+            "encoding": self.encoding, "delimiter": self.delimiter, "decimal": "," if self.comma else ".",
+            "comment": self.given.comment or self._comment_mark(), "header_row": header, "units_row": self.units_row}
         found.faults = {found.names[place]: (body[at].row, cell) for place, (at, cell) in columns.faults.items()}
         for place, begins_ns in columns.begins_ns.items():
             found.begins_ns[found.names[place]] = begins_ns
             found.units[place] = "s"
             self.said.append(f"{found.names[place]} is {times.told(begins_ns)}")
         return found
+
+    def _comment_mark(self) -> str:
+        """Return what the first comment line begins with; "#" without one."""
+        first = self.comments[0].text.lstrip() if self.comments else "#"
+        return next(mark for mark in COMMENTS if first.startswith(mark))
 
     # ---- the rows above the numbers ----
 
@@ -222,6 +236,7 @@ class _Reading:
             if len(cells := self._names(told.text)) > len(names) or not self._are_units(cells):
                 return [], body
             body = body[1:]
+        self.units_row = told.row
         self.said.append(f"units in row {told.row}")
         units = self._names(told.text)
         return units + [""] * (len(names) - len(units)), body
@@ -301,6 +316,7 @@ def _numbers(reading: _Reading, names: Sequence[str], body: Sequence[_Line]) -> 
     delimiter, comma = reading.delimiter, reading.given.decimal == ","
     if not reading.given.decimal and delimiter != ",":
         comma = _has_decimal_comma(reading, body)
+    reading.comma = comma
     if comma:
         reading.said.append("decimal comma")
     joined = "\n".join(line.text for line in body)

@@ -1,4 +1,4 @@
-"""A trial written for other programs: `/cycle` as CSV, Parquet or for MATLAB, `/can/frames` as a CAN log.
+"""A trial for other programs: `/cycle` as CSV, Excel, TDMS, Parquet, MDF or for MATLAB, `/can/frames` as a CAN log.
 
 The rule of this file: a file appears under its name only when it is whole; a column that is unknown throughout is
 left out, an unknown value is an empty cell, and every number reads back as the same float.
@@ -7,6 +7,7 @@ left out, an unknown value is an empty cell, and every number reads back as the 
 from __future__ import annotations
 
 import gzip
+import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -28,7 +29,8 @@ def export(
 ) -> int:
     """Write `trial` in the format that the ending of `target` names; returns the rows or frames written.
 
-    .csv, .csv.gz, .parquet and .mat (v5; v7.3 with `mat73`) hold cycles; .log (candump), .asc, .blf and .trc frames;
+    .csv, .csv.gz, .xlsx, .tdms, .parquet, .mf4 and .mat (v5; v7.3 with `mat73`) hold cycles;
+    .log (candump), .asc, .blf and .trc frames;
     `progress` is told the share done, 0 … 1.  Raises `InputError`.
     """
     target = Path(target)
@@ -44,14 +46,15 @@ def export(
 def _writer(target: Path) -> Writer:
     name = target.name.lower()
     for endings, write in (
-        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".mat",), _matlab5),
+        ((".csv",), _csv), ((".csv.gz",), _csv_gz), ((".parquet",), _parquet), ((".xlsx",), _excel),
+        ((".tdms",), _tdms), ((".mf4",), _mdf), ((".mat",), _matlab5),
         ((".log",), _candump),
         (PYTHON_CAN, _can_log),
     ):
         if name.endswith(endings):
             return write
     raise InputError(f"{target}: the ending {target.suffix or 'is missing and'} names no format; expected .csv, "
-                     f".csv.gz, .parquet, .mat, .log, {', '.join(PYTHON_CAN)}.")
+                     f".csv.gz, .xlsx, .tdms, .parquet, .mf4, .mat, .log, {', '.join(PYTHON_CAN)}.")
 
 
 def known_columns(trial: Trial) -> list[str]:
@@ -101,6 +104,61 @@ def _parquet(trial: Trial, part: Path, progress: Progress) -> int:
         fields.append(pa.field(name, pa.float64(), metadata={"unit": trial.units[name]}))
         arrays.append(pa.array(trial.columns[name], from_pandas=True))  # an unknown value becomes null
     parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), part)
+    progress(1.0)
+    return len(trial.time_ns)
+
+
+EXCEL_ROWS = (1 << 20) - 2  # below a header and a row of units
+
+
+def _excel(trial: Trial, part: Path, progress: Progress) -> int:
+    """Write one sheet: a header, a row of units, then the cycles; an unknown value is an empty cell."""
+    try:
+        new_book = importlib.import_module("openpyxl").Workbook
+    except ImportError:
+        raise InputError(f"{trial.path}: Excel needs openpyxl; say pip install bowden-bench[xlsx].") from None
+    if len(trial.time_ns) > EXCEL_ROWS:
+        raise InputError(f"{trial.path}: has {len(trial.time_ns)} cycles, an Excel sheet holds {EXCEL_ROWS}; cut it, "
+                         "or write .csv.")
+    names = known_columns(trial)
+    book = new_book(write_only=True)
+    sheet = book.create_sheet("cycle")
+    sheet.append(names)
+    sheet.append([trial.units[name] for name in names])
+    for row in np.array([trial.columns[name] for name in names]).T.tolist():
+        sheet.append([None if value != value else value for value in row])
+    with part.open("wb") as file:
+        book.save(file)
+    progress(1.0)
+    return len(trial.time_ns)
+
+
+def _tdms(trial: Trial, part: Path, progress: Progress) -> int:
+    """Write one group `cycle`, a channel for each column with its unit."""
+    try:
+        nptdms = importlib.import_module("nptdms")
+    except ImportError:
+        raise InputError(f"{trial.path}: TDMS needs nptdms; say pip install bowden-bench[tdms].") from None
+    with part.open("wb") as file, nptdms.TdmsWriter(file) as writer:
+        writer.write_segment([
+            nptdms.ChannelObject("cycle", name, trial.columns[name], {"unit_string": trial.units[name]})
+            for name in known_columns(trial)])
+    progress(1.0)
+    return len(trial.time_ns)
+
+
+def _mdf(trial: Trial, part: Path, progress: Progress) -> int:
+    """Write one channel group over `time_s`."""
+    try:
+        from asammdf import MDF, Signal
+    except ImportError:
+        raise InputError(f"{trial.path}: MDF needs asammdf; say pip install bowden-bench[mf4].") from None
+    time_s = trial.columns["time_s"]
+    with MDF(version="4.10") as file:
+        file.append([Signal(trial.columns[name], time_s, name=name, unit=trial.units[name])
+                     for name in known_columns(trial) if name != "time_s"])
+        saved = file.save(part.with_name(f"{part.name}.mf4"), overwrite=True)
+    Path(saved).replace(part)
     progress(1.0)
     return len(trial.time_ns)
 

@@ -1,14 +1,17 @@
 """A map for somebody else's table, guessed from names, units and ranges, to be checked by who knows the bench.
 
-The rule of this file: a guess is written with what it rests on; a column is given to one signal at most, and what
-fits no signal, or no column, is listed.  Words are those of English and German labs.
+A guess is written with what it rests on. A column is given to at most one signal. A stated unit is never dropped: a
+column whose unit is not known is not assigned. Every column that is not assigned is listed with the reason. The words
+are those of English, German, French, Spanish and romanised Chinese labs.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterable
+import unicodedata
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,22 +27,31 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz")
-TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal")
+FORCE = _words("force forces tension load loadcell cell kraft zugkraft seilkraft newton f fx fz effort fuerza carga "
+               "traccion li lali zhangli")
+TARGET = _words("target desired reference ref set setpoint command commanded cmd soll demand goal consigne consigna "
+                "objetivo deseada mubiao")
 ROPE = _words("rope cable wire tendon bowden motor servo drum winch actuator position pos displacement disp stroke "
-                 "weg seil seilweg length travel")
-SPEED = _words("velocity vel speed geschwindigkeit")
-KNEE = _words("knee knie joint angle winkel flexion gelenk theta")
-NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source")
-FAR = _words("end output out distal dist loadside downstream far rear 2 b abtrieb ausgang tip")
+                 "weg seil seilweg length travel enc encoder moteur corde deplacement course posicion desplazamiento "
+                 "recorrido weizhi weiyi shengsuo dianji")
+SPEED = _words("velocity vel speed geschwindigkeit vitesse velocidad sudu")
+KNEE = _words("knee knie joint angle winkel flexion gelenk theta genou angulo rodilla jiaodu xiguanjie guanjie")
+NEAR = _words("start input in proximal prox motorside upstream near front 1 a antrieb eingang source vorne vorn "
+              "vorder avant entree amont delantera delantero entrada shuru jinduan qian")
+FAR = _words("end output out distal dist loadside downstream far rear back 2 b abtrieb ausgang tip hinten hinter "
+             "arriere sortie aval trasera trasero salida shuchu yuanduan hou")
 GUESS = _words("estimate estimated est model predicted")
-TIME = _words("time t timestamp zeit clock elapsed seconds sec")
+TIME = _words("time t timestamp zeit clock elapsed seconds sec temps tiempo shijian")
 PERCENT = _words("gait phase percent pct gang")
-COUNT = _words("cycle cycles stride rep repetition zyklus step")
+COUNT = _words("cycle cycles stride rep repetition zyklus step ciclo zhouqi")
+ACCELERATION = _words("acc accel acceleration beschleunigung imu")
+
+MOST = {"N": 1000.0, "m": 2.0, "rad": 2 * math.pi}
+"""Largest value of a signal that is not questioned, by unit: beyond a rope bench, a wrong unit is likelier."""
 
 
 class Words(NamedTuple):
-    """What a signal's column is called: every group of `needs` has a word of it, `likes` tell more, none of `never`."""
+    """Words of a signal's column: one of every group of `needs`, better also of `likes`, none of `never`."""
 
     needs: tuple[frozenset[str], ...]
     likes: frozenset[str]
@@ -62,11 +74,12 @@ WORDS = {
     "estimated_end_force_n": Words((FORCE, GUESS), FORCE, NOTHING),
     "cycle": Words((COUNT,), NOTHING, FORCE | TIME),
 }
+_KNOWN = frozenset().union(FORCE, TARGET, ROPE, KNEE, NEAR, FAR, GUESS, _words("left right links rechts"))
 _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$|\s*/\s*([^\s/\d]+)\s*$|\s+in\s+(\S+)\s*$|_([A-Za-zµ°%]+)$")
 
 
 class Guess(NamedTuple):
-    """A column for a signal, how sure it is, and what it rests on."""
+    """A column for a signal, how sure it is, what it rests on, and what is to be checked ("": nothing special)."""
 
     signal: str
     column: str
@@ -74,13 +87,27 @@ class Guess(NamedTuple):
     scale: float
     why: str
     score: float
+    question: str = ""
+
+
+class Unassigned(NamedTuple):
+    """A column that is given to no signal, and the reason."""
+
+    column: str
+    why: str
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a header without its unit, and the unit; empty where it states none."""
+    """Return a header without its unit, and the unit as it is written; empty if it states none."""
     found = _UNIT.search(name)
-    unit = unit_of(next(filter(None, found.groups()), "")) if found else ""
-    return (name[:found.start()], unit) if found and unit else (name, "")
+    if found is None:
+        return name, ""
+    bracketed = found[1]
+    text = next(filter(None, found.groups()), "").strip()
+    if unit_of(text) and not (text.lower() == "in" and not bracketed):  # F_in is an input, not inches
+        return name[:found.start()], text
+    stated = bracketed and text not in ("-", "1", "#") and " " not in text and not _tokens(text) & _KNOWN
+    return (name[:found.start()], text) if stated else (name, "")
 
 
 def guesses(sheet: LabTable) -> list[Guess]:
@@ -96,14 +123,47 @@ def guesses(sheet: LabTable) -> list[Guess]:
     return [taken[signal.name] for signal in MOTION_AND_FORCE if signal.name in taken]
 
 
+def unassigned(sheet: LabTable, found: Sequence[Guess]) -> list[Unassigned]:
+    """Return the columns that no signal has, each with the reason."""
+    by_signal = {guess.signal: guess.column for guess in found}
+    taken = set(by_signal.values())
+    rows = []
+    for name in [name for name in sheet.names if name not in taken][:200]:
+        stated = _stated(sheet, name)[1]
+        fits = [] if name in sheet.faults else [
+            signal.name for signal in MOTION_AND_FORCE if _guess(sheet, name, signal.name, signal.unit) is not None]
+        if name in sheet.faults:
+            why = "no numbers"
+        elif stated and not unit_of(stated):
+            why = f"its unit {stated!r} is not known: give a unit that is, and scale"
+        elif fits:
+            why = f"{by_signal[fits[0]]!r} looks more like {fits[0]}"
+        else:
+            why = "its name and unit fit no signal"
+        rows.append(Unassigned(name, why))
+    return rows
+
+
+def _stated(sheet: LabTable, name: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit by the row of units, else by the name, as written."""
+    bare, unit = split_unit(name)
+    told = sheet.written_unit(name)
+    return bare, told if told not in ("", "-", "1") else unit
+
+
 def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
     if reserved(name) and name != signal and name != "knee_angle_deg":
         return None
-    bare, unit = split_unit(name)
-    unit = sheet.unit(name) or unit
+    bare, stated = _stated(sheet, name)
+    unit = unit_of(stated)
+    if stated and not unit and si not in ("1", "%"):
+        return None
     if unit and TO_SI[unit][0] != si and not (unit == "ns" and si == "s"):
         return None
-    words = _tokens(bare) | ({"force"} if unit and TO_SI[unit][0] == "N" else set())
+    words = _tokens(bare)
+    if unit in ("g", "mg") and words & ACCELERATION:
+        return None
+    words |= {"force"} if unit and TO_SI[unit][0] == "N" else set()
     wanted = WORDS[signal]
     if _met(words, wanted.never) and name != signal:
         return None
@@ -116,7 +176,16 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
         return None
     score = 10.0 * (name == signal) + 2 * met + 0.5 * _met(words, wanted.likes) + bool(unit) - 0.1 * len(words)
     chosen, scale, why = _unit(signal, si, unit, known)
-    return Guess(signal, name, chosen, scale, why, score)
+    return Guess(signal, name, chosen, scale, why, score, _question(si, chosen, bool(unit), known))
+
+
+def _question(si: str, unit: str, stated: bool, known: Floats) -> str:
+    """Return what is to be checked of a column whose largest value is beyond `MOST`; "" within it."""
+    largest = float(np.abs(known).max()) * TO_SI[unit][1]
+    if largest <= MOST.get(si, math.inf):
+        return ""
+    return (f"reaches {largest:.4g} {si}, more than a rope bench has: "
+            f"{'is the unit right?' if stated else 'no unit is stated, so which is it?'}")
 
 
 def _met(words: set[str], group: frozenset[str]) -> int:
@@ -125,12 +194,13 @@ def _met(words: set[str], group: frozenset[str]) -> int:
 
 
 def _tokens(name: str) -> set[str]:
-    parted = re.sub(r"([a-z])([A-Z0-9])", r"\1 \2", name)
-    return {word for word in re.split(r"[^a-z0-9äöü]+", parted.lower()) if word}
+    parted = re.sub(r"([a-z])([A-Z])|([A-Za-z])([0-9])", r"\1\3 \2\4", name)
+    plain = unicodedata.normalize("NFKD", parted.lower()).encode("ascii", "ignore").decode()  # é as e, ä as a
+    return {word for word in re.split(r"[^a-z0-9]+", plain) if word}
 
 
 def _unit(signal: str, si: str, stated: str, known: Floats) -> tuple[str, float, str]:
-    """Return unit, factor and the reason; where no unit is stated the range tells."""
+    """Return unit, factor and the reason; the range decides if no unit is stated."""
     largest, step = float(np.abs(known).max()), float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     unit, why = stated, "unit by the file" if stated else "unit by its range: check"
     if not stated:
@@ -164,17 +234,18 @@ def text(sheet: LabTable, map_name: str) -> str:
     missing = [signal for signal in MOTION_AND_FORCE if signal.name not in {guess.signal for guess in found}]
     lines += ["# No column looked like these; what is not there is missing knowledge, never zeros:"] if missing else []
     lines += [f"# [{signal.name}]  # {signal.unit}: {signal.text}" for signal in missing]
-    taken = {guess.column for guess in found}
-    lines += ["", "# Columns not used:", *_rest(sheet, [name for name in sheet.names if name not in taken])]
+    lines += ["", "# Columns not assigned; to use one, write its signal's table as above, with column, unit and scale:",
+              *_rest(sheet, unassigned(sheet, found))]
     return "\n".join(lines) + "\n"
 
 
 def _how(sheet: LabTable) -> list[str]:
-    if not sheet.said:
+    """Return the detected dialect as a commented table [csv]; nothing of a file that is not CSV."""
+    if not sheet.dialect:
         return []
-    return [f"# Read with: {'; '.join(sheet.said)}. To read it otherwise:", "# [csv]",
-            "# encoding = \"utf-8\"", "# delimiter = \";\"", "# decimal = \",\"", "# comment = \"#\"",
-            f"# header_row = {sheet.header_row}", "# units_row = 0", ""]
+    told = f" ({'; '.join(sheet.said)})" if sheet.said else ""
+    return [f"# The file is read with these values{told}; to read it otherwise, uncomment and change:", "# [csv]",
+            *(f"# {name} = {json.dumps(value, ensure_ascii=False)}" for name, value in sheet.dialect.items()), ""]
 
 
 def _table(sheet: LabTable, guess: Guess) -> list[str]:
@@ -185,6 +256,7 @@ def _table(sheet: LabTable, guess: Guess) -> list[str]:
     lines = [f"[{guess.signal}]  # {meaning.text}", f"column = {json.dumps(guess.column, ensure_ascii=False)}"
              f"  # {_range(values)} in the file, {_range(converted)} {meaning.unit} then"]
     lines.append(f"unit = {json.dumps(guess.unit, ensure_ascii=False)}  # {guess.why}")
+    lines += [f"# CHECK: {guess.question}"] if guess.question else []
     return [*lines, f"scale = {guess.scale:g}", "offset = 0.0", ""]
 
 
@@ -193,9 +265,7 @@ def _range(values: Floats) -> str:
     return f"{known.min():.6g} … {known.max():.6g}" if len(known) else "nothing known"
 
 
-def _rest(sheet: LabTable, names: Iterable[str]) -> list[str]:
-    rows = []
-    for name in list(names)[:200]:
-        rows.append(f"#   {json.dumps(name, ensure_ascii=False)}: "
-                    + ("no numbers" if name in sheet.faults else _range(sheet.column(name))))
+def _rest(sheet: LabTable, columns: Iterable[Unassigned]) -> list[str]:
+    rows = [f"#   {json.dumps(name, ensure_ascii=False)}: "
+            + (why if name in sheet.faults else f"{_range(sheet.column(name))}; {why}") for name, why in columns]
     return rows or ["#   none"]

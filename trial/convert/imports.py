@@ -30,7 +30,7 @@ from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
 PYTHON_CAN = (".asc", ".blf", ".trc", ".db")
-TABLES = (".csv", ".tsv", ".dat", ".parquet", ".mat", ".mf4", ".mdf")
+TABLES = (".csv", ".tsv", ".dat", ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
 LONGEST_LINE = 1 << 16  # characters; what is longer is no line of a log
 LINES_TOLD = 1 << 14  # between two words of progress
 READING = 0.7  # of the share: of a CAN log the reading takes longer than the writing
@@ -87,7 +87,7 @@ def import_file(
 Reader = Callable[[Path, Imported, ImportRequest], TrialContent]
 
 
-FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .parquet, .mat, .mf4, .asc, .blf, .trc, .db or .mcap"
+FORMATS = ".csv, .tsv, .dat, .txt, .log (also .gz), .xlsx, .tdms, .parquet, .mat, .mf4, .asc, .blf, .trc, .db or .mcap"
 
 
 def _reader(source: Path) -> Reader:

@@ -23,7 +23,9 @@ TO_SI = {  # unit of a file: (unit of a signal, factor)
     "m": ("m", 1.0), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "um": ("m", 1e-6), "µm": ("m", 1e-6), "in": ("m", 0.0254),
     "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "rad": ("rad", 1.0), "deg": ("rad", math.pi / 180),
     "°": ("rad", math.pi / 180), "mdeg": ("rad", math.pi / 180e3), "mrad": ("rad", 1e-3), "N": ("N", 1.0),
-    "mN": ("N", 1e-3), "kN": ("N", 1e3), "kgf": ("N", 9.80665), "lbf": ("N", 4.4482216152605), "s": ("s", 1.0),
+    "mN": ("N", 1e-3), "cN": ("N", 1e-2), "dN": ("N", 0.1), "daN": ("N", 10.0), "kN": ("N", 1e3),
+    "kgf": ("N", 9.80665), "kp": ("N", 9.80665), "g": ("N", 9.80665e-3), "mg": ("N", 9.80665e-6),
+    "lbf": ("N", 4.4482216152605), "ozf": ("N", 0.27801385095378125), "s": ("s", 1.0),
     "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("ns", 1.0), "min": ("s", 60.0), "%": ("%", 1.0),
     "1": ("1", 1.0),
 }
@@ -33,7 +35,8 @@ _SPELT = {  # other spellings, in lower case
     "degrees": "deg", "grad": "deg", "radian": "rad", "radians": "rad", "newton": "N", "newtons": "N", "n": "N",
     "kn": "kN", "metre": "m", "meter": "m", "meters": "m", "metres": "m", "millimeter": "mm", "millimetre": "mm",
     "percent": "%", "prozent": "%", "pct": "%", "μm": "µm", "μs": "µs", "inch": "in", "lb": "lbf", "lbs": "lbf",
-    "kg": "kgf",
+    "kg": "kgf", "kilopond": "kp", "gf": "g", "grf": "g", "gr": "g", "gram": "g", "grams": "g", "gramm": "g",
+    "pond": "g", "mgf": "mg", "cn": "cN", "dn": "dN", "dan": "daN", "oz": "ozf",
 }
 
 
@@ -47,11 +50,11 @@ def unit_of(text: str) -> str:
 
 @dataclass
 class LabTable:
-    """A table: `names` and, of equal length, `values`; `units` are what the file says, empty where it says nothing.
+    """A table: `names` and, of equal length, `values`; `units` are those of the file, empty if it states none.
 
     `rows[i]` is the number of row i in the file.  `faults` gives, by column, the first cell that is no number, with
-    its row; `begins_ns` is the time since 1970 at which a column of absolute times is 0, by its name.  `said` is how
-    the file was read, where that was not self-evident.
+    its row.  `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0.  `said` lists what
+    was detected, as sentences; `dialect` has the detected values of a map's [csv], {} of a file that is not CSV.
     """
 
     path: Path
@@ -64,6 +67,7 @@ class LabTable:
     counts: dict[str, int] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
     header_row: int = 1
+    dialect: dict[str, str | int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._place = {name: place for place, name in enumerate(self.names)}
@@ -92,6 +96,10 @@ class LabTable:
     def unit(self, name: str) -> str:
         """Return the unit that the file states for a column, as `TO_SI` spells it; empty where it states none."""
         return unit_of(self.units[self._place[name]])
+
+    def written_unit(self, name: str) -> str:
+        """Return the unit that the file states for a column, as the file writes it, without brackets."""
+        return self.units[self._place[name]].strip().strip("[](){}<>").strip()
 
 
 def _float(cell: str) -> float:

@@ -1,4 +1,4 @@
-"""Tables of several formats as sheets: CSV, Parquet, MATLAB and MDF.
+"""Tables of several formats as sheets: CSV, Excel, TDMS, Parquet, MATLAB and MDF.
 
 The rule of this file: a format's library is imported where such a file is read, and where it is absent the error says
 what to install; what is no column of numbers is left out and counted.
@@ -6,6 +6,10 @@ what to install; what is no column of numbers is left out and counted.
 
 from __future__ import annotations
 
+import csv
+import datetime
+import importlib
+import io
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,14 +23,14 @@ from trial.convert import csv_file
 from trial.convert.lab_table import Floats, LabTable, unique
 
 TEXT = (".csv", ".tsv", ".dat", ".txt")
-ENDINGS = (*TEXT, ".parquet", ".mat", ".mf4", ".mdf")
+ENDINGS = (*TEXT, ".xlsx", ".tdms", ".parquet", ".mat", ".mf4", ".mdf")
 Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 def sheet_of(path: Path, dialect: csv_file.Dialect | None = None) -> LabTable:
     """Read the table in a file; CSV where its ending names none of the other formats."""
     ending = path.suffix.lower()
-    readers = {".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
+    readers = {".xlsx": excel, ".tdms": tdms, ".parquet": parquet, ".mat": matlab, ".mf4": mdf, ".mdf": mdf}
     if ending not in readers:
         return csv_file.read(path, dialect)
     if dialect is not None:
@@ -66,6 +70,57 @@ def parquet(path: Path) -> LabTable:
         columns[field.name] = values
         units[field.name] = ((field.metadata or {}).get(b"unit") or b"").decode("utf-8", "replace")
     return _sheet(path, columns, units, [])
+
+
+def excel(path: Path) -> LabTable:
+    """Read the first sheet of an Excel file as its CSV would be: header, perhaps a row of units, then numbers."""
+    try:
+        load_workbook = importlib.import_module("openpyxl").load_workbook
+    except ImportError:
+        raise missing(path, "Excel needs openpyxl", "xlsx") from None
+    book = load_workbook(path, read_only=True, data_only=True)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    try:
+        for row in book.worksheets[0].iter_rows(values_only=True):
+            if any(cell is not None for cell in row):
+                writer.writerow([_excel_cell(cell) for cell in row])
+    finally:
+        book.close()
+    if not text.tell():
+        raise InputError(f"{path}: its first sheet is empty; put the table there.")
+    found = csv_file.read_text(path, text.getvalue())
+    found.said.insert(0, f"Excel, sheet {book.sheetnames[0]!r}")
+    found.dialect = {}
+    return found
+
+
+def _excel_cell(cell: Any) -> str:
+    if isinstance(cell, datetime.datetime):
+        return cell.isoformat()
+    return "" if cell is None else repr(cell) if isinstance(cell, float) else str(cell)
+
+
+def tdms(path: Path) -> LabTable:
+    """Read the channels of a TDMS file of the commonest length; a waveform's increment gives the time."""
+    try:
+        file_of = importlib.import_module("nptdms").TdmsFile
+    except ImportError:
+        raise missing(path, "TDMS needs nptdms", "tdms") from None
+    columns: Arrays = {}
+    units: dict[str, str] = {}
+    for group in file_of.read(path).groups():
+        for channel in group.channels():
+            values = np.asarray(channel[:])
+            name = channel.name if channel.name not in columns else f"{group.name}.{channel.name}"
+            columns[name] = values
+            units[name] = str(channel.properties.get("unit_string", "") or "")
+            step = float(channel.properties.get("wf_increment", 0.0) or 0.0)
+            if step > 0 and "time_s" not in columns and values.dtype.kind in "fiu":
+                begins_s = float(channel.properties.get("wf_start_offset", 0.0))
+                columns["time_s"] = begins_s + step * np.arange(len(values))
+                units["time_s"] = "s"
+    return _sheet(path, columns, units, ["TDMS"])
 
 
 def matlab(path: Path) -> LabTable:

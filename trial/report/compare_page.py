@@ -41,7 +41,7 @@ def build(a: Trial, b: Trial, found: TrialComparison) -> Page:
 
 
 def _figures(page: Page, a: Trial, b: Trial) -> None:
-    sides = [_judged(side) for side in (a, b)]
+    sides = [judged(side) for side in (a, b)]
     rows = [(f"{text} ({unit})", *(number(side.get(name), 3) for side in sides)) for name, unit, text in FIGURES
             if any(side.get(name) is not None for side in sides)]
     if rows:
@@ -51,13 +51,14 @@ def _figures(page: Page, a: Trial, b: Trial) -> None:
                     for letter, side in zip("AB", sides, strict=True)])
 
 
-def _judged(side: Trial) -> dict[str, float | None]:
-    judged = setting(side)
-    if judged.peak_n is None or judged.rate_hz is None or not judged.cycles or any(
+def judged(side: Trial) -> dict[str, float | None]:
+    """Return the four figures of a trial by name; {} if peak, rate, gait cycles or forces are not known."""
+    told = setting(side)
+    if told.peak_n is None or told.rate_hz is None or not told.cycles or any(
             known(side, name) is None for name in NEEDED):
         return {}
-    return dict(metrics.figures(side.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
-                                settle=judged.settle))
+    return dict(metrics.figures(side.columns, peak_n=told.peak_n, rate_hz=told.rate_hz, cycles=told.cycles,
+                                settle=told.settle))
 
 
 def _result(page: Page, found: TrialComparison) -> None:

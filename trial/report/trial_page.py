@@ -10,7 +10,7 @@ from pathlib import Path
 
 from trial import metrics
 from trial.read import Trial
-from trial.report import bus_section, force_section
+from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
 from trial.report.setting import TrialSetting, known, setting, unknown
@@ -94,10 +94,12 @@ def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
         page.text("Recovered from a torn recording; control cycles may be missing.", "warning")
     _figures(page, trial, judged, published)
     seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
-    page.facts({
-        **trial.metadata,
-        **{name: _told(value) for name, value in result.items() if name not in SAID and value is not None},
-        **_counted(trial), "recorded time (s)": seconds})
+    told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
+    page.facts({**{name: _told(value) for name, value in labels.shown(told).items()}, **_counted(trial),
+                "recorded time (s)": seconds})
+    rest = labels.folded(told)
+    if rest:
+        page.attachment("commit, digests and homing", "".join(f"{name}: {_told(one)}\n" for name, one in rest.items()))
     missing = unknown(trial)
     if missing:
         page.text(f"Not in this trial: {', '.join(missing)}.", "note")

@@ -1,0 +1,38 @@
+"""Labels of what a trial's metadata and result hold, in words, and which of it an engineer looks at first.
+
+`bowden info` and the report's summary show `shown`; digests, commits, bit rates and the homing fit are in `folded`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+LABELS: Mapping[str, str] = {
+    "experiment": "experiment", "controller": "controller", "controller_model": "effects the controller is told of",
+    "calibration": "calibration", "peak_n": "peak force (N)", "period_s": "gait cycle (s)", "cycles": "gait cycles",
+    "settle": "first gait cycles not counted", "rate_hz": "control rate (Hz)", "operator": "operator",
+    "specimen": "specimen", "rope": "rope", "notes": "notes", "bus": "bus", "interface": "CAN interface",
+    "channel": "CAN channel", "source": "recorded by", "imported_from": "imported from", "outcome": "ended",
+    "stop_reason": "why it stopped", "warning": "warning", "missed_cycles": "control cycles with a missed input",
+    "stale_inputs": "stale inputs", "duration_s": "time on the bus (s)",
+    "friction_half_width_m": "rope travel to reverse friction at homing (m)", "frames": "CAN frames",
+    "left_out": "left out", "read_as": "read with",
+}
+"""Label of each key that is shown; other keys are folded."""
+ALWAYS_FOLDED = frozenset({"commit", "course", "bitrate", "signal", "day", "dry_run"})
+
+
+def label(key: str) -> str:
+    """Return the label of a key; the key with spaces if it has none."""
+    return LABELS.get(key, key.replace("_", " "))
+
+
+def shown(told: Mapping[str, object]) -> dict[str, object]:
+    """Return what is shown at once, by label: known keys with a value, and keys of others' files."""
+    return {label(key): value for key, value in told.items()
+            if key not in ALWAYS_FOLDED and value not in (None, "", [], {})}
+
+
+def folded(told: Mapping[str, object]) -> dict[str, object]:
+    """Return the rest by key: digests, the commit, settings that are seldom asked for."""
+    return {key: value for key, value in told.items() if key in ALWAYS_FOLDED and value not in (None, "")}
