@@ -46,7 +46,7 @@ def _cpu_s() -> float:
 def pytest_configure(config: pytest.Config) -> None:
     """Register the marker `exhaustive`, leave its tests out unless `-m` selects, and compile before workers start."""
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
-        warm({})
+        warm()
     config.addinivalue_line("markers", "exhaustive: whole tables, foreign readers, browsers, other rigs: "
                             "left to make test-all; run them with -m exhaustive")
     if config.option.markexpr == "not socketcan and not faults and not hidden":

@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parents[1]
 GUEST_CACHE = ROOT / "build" / "guest-numba"
 FOR_GUESTS = {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(GUEST_CACHE),
               "PYTHONDONTWRITEBYTECODE": ""}
-_COMPILE = """
+_COMPILE_LAWS = "from bowden.session import compile_laws; compile_laws(simulated=True)"
+_RUN_A_TRIAL = """
 import can, tempfile
 from bowden.cli.app import run
 from master.network import kernel_frames
@@ -28,13 +29,17 @@ with tempfile.TemporaryDirectory() as folder:
 """
 
 
-def warm(environment: Mapping[str, str]) -> None:
-    """Compile what a trial needs, in another process with these variables added; takes 4 s if the cache has it."""
-    subprocess.run([sys.executable, "-c", _COMPILE], env={**os.environ, **environment}, cwd=ROOT,
-                   check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def warm() -> None:
+    """Compile what a trial needs, in another process."""
+    _run(_COMPILE_LAWS, {})
 
 
 def warm_guests() -> None:
     """Compile what a trial needs into the guests' cache."""
     GUEST_CACHE.mkdir(parents=True, exist_ok=True)
-    warm(FOR_GUESTS)
+    _run(_RUN_A_TRIAL, FOR_GUESTS)
+
+
+def _run(code: str, environment: Mapping[str, str]) -> None:
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, **environment}, cwd=ROOT,
+                   check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -58,6 +58,7 @@ def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(comp
         nominal().stiffness_a * 1600.0 + nominal().stiffness_b * 40.0)
 
 
+@pytest.mark.exhaustive
 def test_a_stretch_that_bends_less_beyond_homings_tension_is_no_finding() -> None:
     """Serial 28: up to homing's tension it bends so much that a parabola through it is flat there."""
     from benchmarks.family import bench_row
