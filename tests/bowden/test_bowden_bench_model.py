@@ -76,6 +76,7 @@ def test_what_was_measured_simulates_the_bench_it_was_measured_on(bowden: Run, m
     assert beyond["of the model"] < 0.6 * beyond["nominal"]
 
 
+@pytest.mark.exhaustive
 def test_one_file_loads_in_simulator_and_controller(bowden: Run, identified: Path, here: Path) -> None:
     model = here / "extended.toml"
     model.write_text((identified / "model.toml").read_text() + "\n" + EFFECTS)
@@ -94,6 +95,7 @@ def test_the_same_file_is_read_by_a_diagnosis(bowden: Run, measured: Path, here:
     assert json.loads(told.stdout)["verdict"] != "refused"
 
 
+@pytest.mark.exhaustive
 def test_a_model_comes_back_from_its_file(identified: Path, tmp_path: Path) -> None:
     model = bench_model.read(identified / "model.toml", bench="virtual 3")
     path = tmp_path / "again.toml"

@@ -338,6 +338,7 @@ def test_an_identification_that_is_told_to_end_writes_no_calibration(here: Path,
     assert (trial.open(recording).result or {})["reason"].startswith("interrupted")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", ENDINGS)
 def test_a_sweep_that_is_told_to_end_goes_on_from_there(here: Path, number: signal.Signals) -> None:
     sweep = ("sweep", "--grid", "peak=20,25,30", "--grid", "cycles=1", "--grid", "settle=0", "--grid",

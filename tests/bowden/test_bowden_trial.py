@@ -96,6 +96,7 @@ def test_nothing_of_the_truth_is_in_the_trial(recorded: tuple[Path, dict[str, An
     assert path.with_name("one.truth.mcap").exists()
 
 
+@pytest.mark.exhaustive
 def test_one_seed_one_file_in_any_process(tmp_path: Path) -> None:
     short = ("trial", "--cycles", 1, "--settle", 0, "--period", 1.1, "--json")
     files = []

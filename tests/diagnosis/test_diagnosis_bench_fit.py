@@ -39,6 +39,7 @@ def walked() -> Table:
     return on_own_plant(1)
 
 
+@pytest.mark.exhaustive
 def test_a_bench_with_another_zero_and_a_rope_counted_the_other_way_is_fitted_to_its_noise() -> None:
     found = bench_fit.fit([on_own_plant(1, zero_m=0.043, turned=True)])
     assert found.pulls == -1

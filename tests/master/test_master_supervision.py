@@ -172,6 +172,7 @@ def test_a_gap_is_no_finding() -> None:
             assert checked.check(0.0, (target, 0.0), late, 3.0, 0.0, 0.0, 0.0) is None
 
 
+@pytest.mark.exhaustive
 def test_healthy_trials_raise_nothing(composer: Composer) -> None:
     for options in ({"serial": 3, "day": 2}, {"serial": 0, "plant": "tests.hidden.plugin:healthy", "seed": 5}):
         ran = composer.run(peak_n=60.0, **options)

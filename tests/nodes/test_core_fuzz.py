@@ -123,6 +123,7 @@ AnyFrame.TestCase.settings = settings(max_examples=60, stateful_step_count=40, d
 TestAnyFrame = AnyFrame.TestCase
 
 
+@pytest.mark.exhaustive
 def test_a_minute_of_full_bus_load() -> None:
     """60 s of frames of every kind, back to back at 1 Mbit/s: 0.1 ms each."""
     chance = random.Random(1)

@@ -28,6 +28,7 @@ def test_the_page_has_the_player_s_table() -> None:
     assert rows == [(state.value, command.value, then.value) for (state, command), then in TRANSITIONS.items()]
 
 
+@pytest.mark.exhaustive
 def test_the_page_s_commands_run(
     bowden: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

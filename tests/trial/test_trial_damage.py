@@ -52,6 +52,7 @@ def flushed(path: Path) -> list[tuple[int, int]]:
     return ends
 
 
+@pytest.mark.exhaustive
 def test_a_file_torn_anywhere_gives_back_at_least_what_was_flushed(tmp_path: Path) -> None:
     whole = example_trials.write(tmp_path / "whole.mcap", cycles=500)
     data, chunks, original = whole.read_bytes(), flushed(whole), survivors(whole)
