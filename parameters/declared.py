@@ -1,4 +1,4 @@
-"""Declaring a parameter, and holding a value to what was declared."""
+"""Declarations of parameters, and checks of values against them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ T = TypeVar("T")
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; its text is one sentence that says where, what and what to do."""
+    """Input of the user that cannot be used; the text is one sentence with the place, the fault and the remedy."""
 
 
 class Remark(UserWarning):
-    """What a reader of a file should know, one sentence: the file is read all the same."""
+    """Warning about a file that is read all the same; the text is one sentence."""
 
 
 @dataclass(frozen=True)
 class Declared:
-    """What a parameter promises: `unit` ("" for a pure number), closed bounds, where its value comes from."""
+    """Declaration of a parameter: `unit` ("" for a pure number), closed bounds, source of the value, description."""
 
     unit: str
     low: float

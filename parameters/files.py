@@ -1,7 +1,7 @@
-"""Files that a user names: read only where they are files of a bounded size, replaced only by whole ones.
+"""Reading and writing of files that a user names: sizes are bounded, and a file is replaced only by a whole one.
 
-The rule of this file: a named pipe, device or socket is refused before it is opened, since reading it may never
-end; a new content is written beside its target under a name that nobody else can know and takes its place at once.
+A named pipe, device or socket is refused before it is opened, since reading it may never end.  New content is written
+beside its target, under a random name, and then renamed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def refuse_special(path: str | Path) -> None:
 
 
 def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = False) -> bytes:
-    """Return the bytes of a file, unpacked where its name ends in .gz; `what` says what was expected.
+    """Return the bytes of a file, unpacked if its name ends in .gz; `what` names the expected kind of file.
 
     Raises `InputError` for a file that is absent, no regular file, unreadable, longer than `limit` bytes or, packed,
     much longer than it looks; where `lines` are expected also for one that is endless.

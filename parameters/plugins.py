@@ -21,9 +21,9 @@ from parameters.declared import InputError
 
 
 def load(what: str, name: str, group: str, own: Mapping[str, str]) -> Any:
-    """Return the part of that name: of `own` ("module:attribute" by name), of the entry-point `group`, or imported.
+    """Return a part by its name: from `own` ("module:attribute" by name), from the entry-point `group`, or imported.
 
-    `what` is what a message calls it, such as "plant".  Raises `InputError` for what is neither installed nor
+    `what` is the part's kind in messages, such as "plant".  Raises `InputError` if the part is neither installed nor
     importable.
     """
     if ":" in name:
@@ -56,7 +56,7 @@ def _imported(what: str, name: str) -> Any:
 
 
 def _from_file(what: str, name: str, path: Path, attribute: str) -> Any:
-    """Return the attribute of a Python file; the file's folder is searched for what it imports."""
+    """Return the attribute of a Python file; modules that the file imports are searched in its folder."""
     if not path.is_file():
         raise InputError(f"{what} {name!r}: {path} is no file; give path/to/file.py:callable.")
     folder = str(path.resolve().parent)
@@ -78,7 +78,7 @@ def _from_file(what: str, name: str, path: Path, attribute: str) -> Any:
 
 
 def _callable(what: str, name: str, found: Any) -> Any:
-    """Return what was found; raises `InputError` if it cannot be called."""
+    """Return `found`; raise `InputError` if it cannot be called."""
     if not callable(found):
         raise InputError(f"{what} {name!r} is no callable; name a class or a function.")
     return found
