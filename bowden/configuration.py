@@ -54,6 +54,13 @@ def read(path: Path | None) -> dict[str, Any]:
     return read | {"network": dataclasses.replace(read["network"], device_mappings=device_mappings)}
 
 
+def homing(section: Any, least_n: float | None) -> Any:
+    """Return the homing section with the START tension, N, that `--homing-n` allows it whatever the peak is."""
+    if least_n is None:
+        return section
+    return override(section, {"least_n": ("--homing-n", least_n), "top_n": ("--homing-n", max(section.top_n, least_n))})
+
+
 def refuse_raised(limits: Any, where: str) -> None:
     """Raise `InputError` for limits above the packaged ones without a reason, which a trial carries with it."""
     above = limits.above_packaged()

@@ -17,7 +17,7 @@ from parameters import InputError
 
 if TYPE_CHECKING:
     from diagnosis.data.table import Table
-    from diagnosis.finder import Findings
+    from diagnosis.findings import Findings
 
 Given = Trial | str | Path
 """A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
@@ -27,15 +27,16 @@ class Diagnosis:
     """Finds what the simulation gets wrong about trials of one bench, as an estimator of scikit-learn does.
 
     `model`: what the bench was identified to be, or its calibration.toml (None: what each trial carries with it).
-    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.
+    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.  `core`: evidence or relations (None:
+    evidence where it can), as of `bowden diagnose`.
     """
 
-    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None) -> None:
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str | None = None) -> None:
         from diagnosis.finder import Finder
 
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
-        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz, core)
         self._measured = known is not None
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:

@@ -191,7 +191,7 @@ def perform(
                             signals=(*SIGNALS, *prepared.own_signals))
         began = time.perf_counter()
         if announce:
-            progress.remark(announce)
+            progress.remark(f"{announce} {planned.pulls}")
         with progress.running("trial") as update, bus.host() as refused:
             sink: CycleSink = Watched(recorder, update, prepared.laps)
             sink = sink if watch is None else watch.beside(sink)

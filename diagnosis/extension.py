@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import Findings
+from diagnosis.findings import Findings
 from parameters import InputError, read_toml
 from physics.bench_model import TABLES
 from physics.calibration import VERSION, rows

@@ -7,7 +7,7 @@ same verdict.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,69 +16,24 @@ from threadpoolctl import threadpool_limits
 
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.findings import Findings
 from diagnosis.judgement import simulator_verdict as judgement
 from diagnosis.judgement import wire_faults
 from diagnosis.judgement.judge import Judge, of_experiment
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire_faults import WireFindings
 from diagnosis.problem import candidates, problem, rig
+from diagnosis.problem.healthy_reference import like_this_bench
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.search.search import SearchResult
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.relations.relation import RELATIONS
 
-
-@dataclass(frozen=True)
-class Findings:
-    """The verdict and its figures; `as_json` gives exactly the published keys.
-
-    `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
-    split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
-    `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.  `part`,
-    `evidence`: of the evidence core, the part of the bench that changed, and what its answer rests on.
-    """
-
-    verdict: str
-    causes: list[dict[str, Any]] = field(default_factory=list)
-    rivals: list[str] = field(default_factory=list)
-    experiment: str | None = None
-    relations: dict[str, Figures] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    detection_limit: dict[str, Any] | None = None
-    seconds: float | None = None
-    lowpass_hz: float | None = None
-    reference: str = "none"
-    found: SearchResult | None = field(default=None, repr=False)
-    split: bool = False
-    simulation: dict[str, Any] | None = None
-    rate_hz: float | None = None
-    candidates: list[dict[str, Any]] = field(default_factory=list)
-    bench: BenchModel | None = field(default=None, repr=False)
-    part: str | None = None
-    evidence: dict[str, Any] | None = None
-
-    def unnamed(self) -> Findings:
-        """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
-        if not self.causes:
-            return self
-        return replace(self, causes=[], rivals=[], experiment=None, detection_limit=None, candidates=[
-            *self.causes, *({"effect": name} for name in self.rivals
-                            if name not in {cause["effect"] for cause in self.causes})])
-
-    def as_json(self) -> dict[str, Any]:
-        """Return what `bowden diagnose --json` prints: undefined is None."""
-        return {
-            "verdict": self.verdict, "causes": self.causes, "class": self.rivals, "experiment": self.experiment,
-            "relations": {name: asdict(figures) for name, figures in self.relations.items()},
-            "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
-            "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
-            **({"candidates": self.candidates} if self.candidates else {}),
-            **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}
-
-
+CORES: Final = ("evidence", "relations")
+"""How causes are found: forward simulation and Bayes factors, or relations between the columns of any rig."""
 Given = str | Path | Table
 """A trial: its file (MCAP or CSV), or its columns in memory."""
 
@@ -87,11 +42,17 @@ class Finder:
     """Diagnoses trials of one bench: `fit` examines healthy trials once, `diagnose` uses that for trial after trial.
 
     `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
-    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.
+    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `core`: see `CORES`; None takes
+    evidence where there are reference trials, and rope, knee and START are recorded of a rig that the model fits.
+    Raises `InputError` for a core that is none.
     """
 
-    def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None) -> None:
-        self.calibration, self.lowpass = _calibration(calibration), lowpass
+    def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
+                 core: str | None = None) -> None:
+        if core not in (None, *CORES):
+            raise InputError(f"--core {core} is no core of the diagnosis; expected {' or '.join(CORES)}.")
+        self.calibration, self.lowpass, self.core = _calibration(calibration), lowpass, core
+        self._evidence: EvidenceFinder | None = None
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
         self._plain: list[Table] = []
@@ -116,6 +77,7 @@ class Finder:
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
+        self._evidence = EvidenceFinder(self._healthy.tables) if self._healthy and self.core != "relations" else None
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
@@ -126,6 +88,11 @@ class Finder:
         # matrices of some hundred columns: threads that wait for each other cost more than they calculate
         with threadpool_limits(1, user_api="blas"):
             return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
+
+    def _bench(self, trials: Sequence[Table]) -> BenchModel | None:
+        """Return the bench in the terms of the parameter table, as its reference trials or its calibration have it."""
+        known = self._known(trials)
+        return _bench(problem.build_problem(trials, self._healthy, known), known)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
@@ -146,7 +113,25 @@ class Finder:
             return Findings("refused", warnings=refusals + warnings)
         plain = [[integrity.usable(t) for t in group] for group in held]
         groups = [[_filtered(t, self.lowpass) for t in group] for group in plain]
-        return self._judged(groups[0], groups[1], wire_faults.examine(plain[0], self._plain), warnings)
+        carried = wire_faults.examine(plain[0], self._plain)
+        by_evidence = self._by_evidence(groups[0], groups[1])
+        if by_evidence is None:
+            return self._judged(groups[0], groups[1], carried, warnings)
+        if carried.told:
+            return replace(_of_wire(carried, warnings), part="wire", evidence={})
+        return replace(by_evidence.diagnose(groups[0], groups[1], warnings), bench=self._bench(groups[0]))
+
+    def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
+        """Return the evidence core where it is asked for, or nothing is and it can simulate these trials."""
+        if self.core == "relations" or (self._evidence is None and self.core is None):
+            return None
+        core = self._evidence or EvidenceFinder([])
+        if self.core is None and not like_this_bench(trials):
+            return None
+        reason = core.lacking([*trials, *holdout]) or core.unlike([*trials, *holdout])
+        if reason and self.core == "evidence":
+            raise InputError(reason)
+        return None if reason else core
 
     def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
                 ) -> Findings:
@@ -205,10 +190,10 @@ def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> 
 
 def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
-    holdout: Sequence[Given] = (), lowpass: float | None = None,
+    holdout: Sequence[Given] = (), lowpass: float | None = None, core: str | None = None,
 ) -> Findings:
     """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
-    return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
+    return Finder(calibration, lowpass, core).examine(healthy).diagnose(trials, holdout)
 
 
 def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,

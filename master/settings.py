@@ -87,8 +87,10 @@ class Homing:
     knee_rad_s: float = parameter(0.5, "rad/s", "speed of the knee while homing", low=0.01, high=3.0, source="assumed")
     rope_m_s: float = parameter(0.06, "m/s", "speed of the rope while homing", low=1e-3, high=0.2,
                                 source="paper, 4.1: slower, a rope with breakaway sticks and slips")
-    top_n: float = parameter(45.0, "N", "START tension that the homing loop reaches", low=5.0, high=80.0,
+    top_n: float = parameter(45.0, "N", "START tension that the homing loop never exceeds", low=5.0, high=80.0,
                              source="assumed: the release must slide again before it comes back to the preload")
+    least_n: float = parameter(12.0, "N", "START tension that homing may reach whatever the trial's peak; --homing-n",
+                               low=5.0, high=80.0, source="assumed: below, the friction loop is lost in the noise")
     reach_m: float = parameter(0.12, "m", "rope that homing may take up before it gives up", low=5e-3, high=1.0,
                                source="assumed")
 

@@ -27,6 +27,7 @@ SPEED = 10.0
 def home(
     calibration: options.Calibration = None,
     rate: options.Rate = None,
+    homing_n: options.HomingForce = None,
     *,
     reached: Bus,
     config: options.Config = None,
@@ -38,13 +39,14 @@ def home(
 
     Example: bowden home --interface socketcan --channel can0
     """
+    from bowden import configuration
     from master.motion import commission
     from physics.calibration import nominal, read
 
     bench = _Bench(reached, rate, config)
     measured = nominal() if calibration is None else read(calibration)
-    return bench.perform("home", commission.home(
-        measured, bench.sections["homing"], bench.sections["gait"].idle_slack_m), json=json)
+    homing = configuration.homing(bench.sections["homing"], homing_n)
+    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json)
 
 
 @app.command()

@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
-    from diagnosis.finder import Findings
+    from diagnosis.findings import Findings
     from diagnosis.judgement.plan import Plan
 
 Trials = Annotated[list[Path] | None, typer.Argument(
@@ -39,14 +39,14 @@ Workers = Annotated[int | None, typer.Option(
     metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
-Core = Annotated[str, typer.Option(
-    metavar="NAME", help="relations; evidence: forward simulation and Bayes factors, from --healthy trials.")]
+Core = Annotated[str | None, typer.Option(
+    metavar="NAME", help="evidence: forward simulation and Bayes factors, needs --healthy; relations: any columns "
+    "(default: evidence where it can).")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
     "bowden trial --experiment, would show.")]
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
-RELATIONS, EVIDENCE = "relations", "evidence"
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
 """Shares of a diagnosis that are done when its steps begin."""
 WIDTH = 80
@@ -67,7 +67,7 @@ def diagnose(
     each: Each = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    core: Core = "relations",
+    core: Core = None,
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,
@@ -91,9 +91,8 @@ def diagnose(
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
-    _core(core, chosen, given)
     if each:
-        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, scheduler, workers, json)
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, core, scheduler, workers, json)
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
         *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
@@ -139,25 +138,14 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
     return trials
 
 
-def _core(core: str, trials: list[Path], given: dict[str, Any]) -> None:
-    """Raise `InputError` for a core that is none, or options that the evidence core does not take."""
-    if core not in (RELATIONS, EVIDENCE):
-        raise InputError(f"--core {core} is no core of the diagnosis; expected {RELATIONS} or {EVIDENCE}.")
-    if core == EVIDENCE:
-        _leave_out(given, ("--holdout", "--report", "--figures", "--each"), "--core evidence judges on held-out cycles "
-                   "of the trial and writes -o and --json")
-        if len(trials) > 1:
-            raise InputError(f"--core evidence takes one trial, {len(trials)} were given; diagnose each by itself.")
-
-
 def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    scheduler: str | None, workers: int | None, json: bool,
+    core: str | None, scheduler: str | None, workers: int | None, json: bool,
 ) -> int:
     """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
     from bowden.sweep import diagnose_each
 
-    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
+    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass, core)
     with diagnose_each.crew(scheduler, workers) as crew, terminal.progress("diagnosing", shown=not json) as update:
         told = diagnose_each.each(trials, given, crew, update)
     terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
@@ -200,7 +188,7 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, core: str, *, overwrite: bool,
+    figures: Path | None, core: str | None, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing
@@ -214,14 +202,9 @@ def _diagnosed(
         step(f"reading {path.name}", READING * done / len(paths))
         groups[group].append(table.read(path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
-    if core == EVIDENCE:
-        from diagnosis.evidence.evidence_finder import EvidenceFinder
-
-        found = EvidenceFinder(lowpass).fit(groups[1]).diagnose(groups[0][0])
-    else:
-        finder = Finder(calibration, lowpass).examine(groups[1])
-        step("fitting the effects, cycle by cycle", SEARCHING)
-        found = finder.diagnose(groups[0], groups[2])
+    finder = Finder(calibration, lowpass, core).examine(groups[1])
+    step("fitting the effects, cycle by cycle", SEARCHING)
+    found = finder.diagnose(groups[0], groups[2])
     found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
     step("writing", WRITING)
     if found.verdict == "refused":

@@ -54,4 +54,6 @@ Channel = Annotated[str | None, _given("Channel of that interface, such as can0.
 Bitrate = Annotated[int | None, _given("bit/s; default from [network].", metavar="BIT/S")]
 RaiseLimits = Annotated[str | None, _given(
     "Run with limits above the packaged ones; the reason stands in the trial.", "--raise-limits", metavar="REASON")]
+HomingForce = Annotated[float | None, _given(
+    "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
 Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]

@@ -30,6 +30,7 @@ def trial(
     controller_model: options.ControllerModel = None,
     experiment: options.Script = None,
     dry_run: options.DryRun = False,
+    homing_n: options.HomingForce = None,
     *,
     rate: options.Rate = None,
     simulated: SimulatedOptions,
@@ -46,7 +47,7 @@ def trial(
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
-    from bowden import output_files, provenance, session
+    from bowden import configuration, output_files, provenance, session
     from bowden.cli import ending
 
     output_files.refuse_ending(output, ".mcap", what="a trial")
@@ -54,6 +55,7 @@ def trial(
     inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
     output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
+    sections["homing"] = configuration.homing(sections["homing"], homing_n)
     reference, sections["gait"], notes = session.reference(
         walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
         peak_given=walk.peak is not None)

@@ -30,6 +30,7 @@ class Given:
     healthy: tuple[Path, ...]
     holdout: tuple[Path, ...]
     lowpass: float | None
+    core: str | None = None
 
 
 def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[run.Workers]:
@@ -40,7 +41,7 @@ def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[r
 def perform(trial: Path, given: Given) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
     from bowden.diagnosing import on_its_footing
-    from diagnosis.finder import Findings
+    from diagnosis.findings import Findings
 
     began = time.perf_counter()
     try:
@@ -56,7 +57,7 @@ def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
     """Return what diagnoses the trials: its healthy trials are read and fitted once in a process."""
     from diagnosis.finder import Finder
 
-    return Finder(given.calibration, given.lowpass).examine(given.healthy)
+    return Finder(given.calibration, given.lowpass, given.core).examine(given.healthy)
 
 
 def _state(given: Given) -> tuple[tuple[int, int], ...]:

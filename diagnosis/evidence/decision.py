@@ -77,6 +77,11 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
 
 def misfits(found: Searched, residual: Array) -> dict[str, float]:
     """Return, by output, the mean squared residual over its variance, outliers bounded at 25."""
-    trial, weight = found.observed.trial, found.observed.weight
-    return {name: float(np.mean(np.minimum(trial.part(residual**2 * weight, k), 25.0)))
-            for k, name in enumerate(trial.outputs)}
+    observed = found.observed
+    return {name: float(np.mean(np.minimum(observed.part(residual**2 * observed.weight, k), 25.0)))
+            for k, name in enumerate(observed.outputs)}
+
+
+def none(decided: Decision) -> Decision:
+    """Return the decision without a cause named."""
+    return Decision("none", (), (), None, decided.gains, decided.misfit)

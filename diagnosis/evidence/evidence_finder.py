@@ -1,142 +1,147 @@
-"""From trials to findings by evidence: integrity, wire, reference fit, search, decision, figures on held-out cycles."""
+"""From trials to findings by evidence: reference fit, search, decision, figures on held-out cycles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
-from diagnosis.evidence.decision import Decision
-from diagnosis.evidence.hypothesis_search import Searched, search
-from diagnosis.evidence.likelihood_data import Recording, lacking
-from diagnosis.evidence.outputs import predicted
-from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
-from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference, tension_errors
-from diagnosis.finder import Findings
-from diagnosis.judgement import wire_faults
+from diagnosis.evidence.decision import NAMED_NATS, Decision
+from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
+from diagnosis.evidence.hypothesis_search import Searched, hypotheses, search
+from diagnosis.evidence.likelihood_data import SIGNALS, Recording, lacking
+from diagnosis.evidence.posterior import PosteriorMode, named_change, projected
+from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
+from diagnosis.findings import Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import HYPOTHESES
+from physics.effects.hypotheses import FRICTION, HYPOTHESES, Variant
 from physics.laws import Array
-from physics.path_constants import FREE, TABLE, named, values
+from physics.path_constants import FREE, INDEX, TABLE, named, values
 
-Given = str | Path | Table
-FOLDS: Final = 2
-"""Parts of the cycles: each is predicted by a fit to the other."""
-BLOCK_S: Final = 2.0
-"""Length of a block where a trial has no cycle numbers, s: about one gait cycle."""
 SURROGATE: Final = 0.1
 """1σ of a parameter by the difference between the bench's friction and stretch equations and the model's, of its
 change: with it intervals cover 90 to 98 % on the development family."""
-NEEDS_REFERENCE: Final = ("--core evidence needs reference trials of this bench; name at least one with --healthy, or "
-                          "leave --core out.")
+UNLIKE: Final = 0.2
+"""Share of START's spread that the fitted model may miss of reference trials: beyond, the rig is of another kind."""
+FARTHEST: Final = 6.0
+"""Largest size, in prior σ of an effect, of which a detection limit is stated."""
 
 
 class EvidenceFinder:
-    """Diagnoses trials of one bench by evidence: `fit` fits the reference trials once, `diagnose` asks of one trial."""
+    """Diagnoses trials of one bench by evidence: the reference trials are fitted once for each set of outputs."""
 
-    def __init__(self, lowpass: float | None = None) -> None:
-        self.lowpass = lowpass
-        self._plain: list[Table] = []
-        self._findings: list[integrity.Finding] = []
-        self._references: dict[tuple[str, ...], ReferenceFit] = {}
+    def __init__(self, reference: Sequence[Table]) -> None:
+        """`reference`: at least one trial of the bench in the reference condition; raises `InputError`."""
+        if not reference:
+            raise InputError("the evidence core needs reference trials of this bench; name at least one with "
+                             "--healthy, or say --core relations.")
+        self._tables = reference
+        self._fits: dict[tuple[str, ...], ReferenceFit] = {}
 
-    def fit(self, healthy: Sequence[Given]) -> EvidenceFinder:
-        """Read reference trials of this bench; returns itself.
+    def lacking(self, trials: Sequence[Table]) -> str:
+        """Return why the force path of these trials cannot be simulated, as a sentence; "" where it can."""
+        for given in [*trials, *self._tables]:
+            missing = lacking(given)
+            if missing:
+                return (f"{given.source}: has no column {', '.join(missing)}; the evidence core simulates the force "
+                        "path from rope and knee motion. Record it, or say --core relations.")
+        outputs = _outputs(trials)
+        for given in self._tables:
+            missing = [n for n in outputs if n not in given]
+            if missing:
+                return (f"{given.source}: has no column {', '.join(missing)}, which the trial has; record reference "
+                        "trials with the same columns, or leave it out of the trial.")
+        return ""
 
-        The fit is made when a trial is diagnosed, once for each set of outputs.  Raises `InputError` for files that
-        cannot be used, and without a trial.
+    def unlike(self, trials: Sequence[Table]) -> str:
+        """Return why the reference trials are of no rig of this kind, as a sentence; "" where the model fits them."""
+        fit = self._reference(_outputs(trials))
+        left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index("tension_start_n")])))
+        spread = float(np.std(Recording(self._tables[0]).start_n))
+        if left <= UNLIKE * spread:
+            return ""
+        return (f"{self._tables[0].source}: the model of the force path misses START by {left:.3g} N of {spread:.3g} N "
+                f"where it was fitted; expected below {100 * UNLIKE:g} %. Give reference trials of this bench, recorded"
+                " as the trial is.")
+
+    def diagnose(self, trials: Sequence[Table], holdout: Sequence[Table] = (), warnings: Sequence[str] = ()
+                 ) -> Findings:
+        """Decide which effects of the catalogue, if any, trials of one session show against the reference trials.
+
+        `holdout`: nothing is fitted to them.  `warnings`: of the files, for the reader.  Raises `InputError` where the
+        force path of the trials cannot be simulated.
         """
-        read = [_read(t) for t in healthy]
-        if not read:
-            raise InputError(NEEDS_REFERENCE)
-        self._findings = [f for t in read for f in (*integrity.examine(t), *scales.contradictions(t))]
-        self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in read]
-        for given in self._plain:
-            _refuse_lacking(given)
-        return self
-
-    def diagnose(self, trial: Given) -> Findings:
-        """Decide which effect of the catalogue, if any, one trial shows against the reference trials.
-
-        Raises `InputError` for files that cannot be used; data that contradict themselves are `refused`.
-        """
-        given = _read(trial)
-        findings = [*integrity.examine(given), *scales.contradictions(given), *self._findings]
-        warnings = [f.text for f in findings if not f.refuses]
-        refusals = [f.text for f in findings if f.refuses]
-        if refusals:
-            return Findings("refused", warnings=refusals + warnings)
-        plain = integrity.usable(given)
-        _refuse_lacking(plain)
-        carried = wire_faults.examine([plain], self._plain)
-        if carried.told:
-            names = [t.effect.name for t in carried.told]
-            return Findings("found" if len(names) == 1 else "ambiguous", carried.causes(), names, warnings=[
-                *warnings, "Wire and converter come first: the force path was not searched."], part="wire", evidence={})
-        # matrices of some hundred columns: threads that wait for each other cost more than they calculate
-        with threadpool_limits(1, user_api="blas"):
-            return self._searched(plain, warnings)
+        refused = self.lacking([*trials, *holdout])
+        if refused:
+            raise InputError(refused)
+        outputs = _outputs([*trials, *holdout])
+        reference = self._reference(outputs)
+        read = [Recording(_only(t, outputs)) for t in trials]
+        observed = reference.observe(*read)
+        found = search(observed, reference.prior)
+        decided = decision.decide(found)
+        figures = _held_out(found, decided, reference, trials, read)
+        said = list(warnings)
+        if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
+            said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
+                        "seen; it is not named.")
+            decided = decision.none(decided)
+            figures = _held_out(found, decided, reference, trials, read)
+        before, after = figures.rms_n("before"), figures.rms_n("after")
+        if decided.chosen and before**2 - after**2 < reference.rmse_n**2:
+            said.append("The gain on held-out cycles is below what reference trials miss of each other: the name rests "
+                        "on the likelihood.")
+        said += _untold(outputs)
+        at = _mode_of(found, decided)
+        kept = None
+        if holdout:
+            unseen = reference.observe(*(Recording(_only(t, outputs)) for t in holdout))
+            left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
+            kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
+        bench = named(_bench(reference))
+        error = {"reference": reference.rmse_n, "before": before, "after": after}
+        evidence = {"log_bayes_factors": decided.gains, "misfit": decided.misfit, "error_n": error,
+                    "shifts": _shifts(at, reference, found)}
+        experiment = (CATALOGUE[decided.chosen[0]].experiment
+                      if decided.chosen and decided.verdict == "ambiguous" else None)
+        return Findings(
+            decided.verdict, [_cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
+            experiment, figures.figures(reference, kept), said, _limits(found, bench), reference="healthy",
+            simulation={"before_rms_n": before, "after_rms_n": after, "signals": [
+                n for n in reversed(SIGNALS) if n in outputs and n.startswith("tension")],
+                "on": "cycles that no fit has seen"},
+            part=decided.part, evidence=evidence, traces=figures.traces(trials),
+            held_traces=kept.traces(holdout) if kept is not None else {})
 
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
-        if outputs not in self._references:
-            kept = [Recording(_only(t, outputs)) for t in self._plain]
-            lacks = next((t for t in kept if t.outputs != outputs), None)
-            if lacks is not None:
-                missing = ", ".join(n for n in outputs if n not in lacks.outputs)
-                raise InputError(f"{lacks.source}: has no column {missing}, which the trial has; record reference "
-                                 "trials with the same columns, or leave it out of the trial.")
-            self._references[outputs] = fit_reference(kept)
-        return self._references[outputs]
-
-    def _searched(self, given: Table, warnings: list[str]) -> Findings:
-        trial = Recording(given if self.lowpass is None else table.low_passed(given, self.lowpass))
-        reference = self._reference(trial.outputs)
-        observed = reference.observe(trial)
-        found = search(observed, reference.prior)
-        decided = decision.decide(found)
-        at = _mode_of(found, decided)
-        error = _errors(found, decided, reference, _blocks(given, trial))
-        bench = named(_bench(reference))
-        causes = [_cause(name, at, bench, reference, error) for name in decided.chosen]
-        named_at = decided.chosen[0] if decided.chosen else None
-        experiment = CATALOGUE[named_at].experiment if named_at and decided.verdict == "ambiguous" else None
-        if decided.chosen and error["after"] >= error["before"]:
-            warnings = [*warnings, "The gain on held-out cycles is below what reference trials scatter: the name rests "
-                        "on the likelihood alone."]
-        evidence = {"log_bayes_factors": decided.gains, "misfit": decided.misfit, "error_n": error,
-                    "shifts": _shifts(at, reference, found)}
-        return Findings(decided.verdict, causes, list(decided.among), experiment, warnings=warnings,
-                        lowpass_hz=self.lowpass, reference="healthy", part=decided.part, evidence=evidence)
+        if outputs not in self._fits:
+            self._fits[outputs] = fit_reference([Recording(_only(t, outputs)) for t in self._tables])
+        return self._fits[outputs]
 
 
-def _read(given: Given) -> Table:
-    return given if isinstance(given, Table) else table.read(given)
+def _outputs(trials: Sequence[Table]) -> tuple[str, ...]:
+    """Return the outputs that all the trials have."""
+    return tuple(n for n in SIGNALS if all(n in t for t in trials))
+
+
+def _untold(outputs: Sequence[str]) -> list[str]:
+    """Return, as sentences, what further columns would tell of the force path."""
+    friction = [name for name, h in HYPOTHESES.items() if h.part == FRICTION]
+    return [f"With {column} recorded these could be told, or better: "
+            + ", ".join([name for name, h in HYPOTHESES.items() if column in h.needs]
+                        + (friction if column == "tension_end_n" else [])) + "."
+            for column in SIGNALS if column not in outputs]
 
 
 def _only(given: Table, outputs: Sequence[str]) -> Table:
     """Return a trial without the output columns that are not among `outputs`."""
-    from dataclasses import replace
-
-    from diagnosis.evidence.likelihood_data import SIGNALS
-
-    left = {n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs}
-    return replace(given, columns=left)
-
-
-def _refuse_lacking(given: Table) -> None:
-    missing = lacking(given)
-    if missing:
-        raise InputError(f"{given.source}: has no column {', '.join(missing)}; --core evidence simulates the force "
-                         "path from rope and knee motion. Record it, or leave --core out.")
+    return replace(given, columns={n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs})
 
 
 def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
@@ -147,6 +152,17 @@ def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
     return found.pair[(decided.chosen[0], decided.chosen[1])]
 
 
+def _variants(found: Searched, decided: Decision) -> list[Variant]:
+    """Return the variants of the chosen effects: of a second one that with which the pair was fitted."""
+    return [(found.paired if k else found.variants)[name] for k, name in enumerate(decided.chosen)]
+
+
+def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
+              read: Sequence[Recording]) -> HeldOut:
+    return held_out(found.observed, found.prior, reference, _variants(found, decided), _mode_of(found, decided),
+                    blocks_of(tables, read))
+
+
 def _bench(reference: ReferenceFit) -> Array:
     """Return the coordinates of the bench: the posterior mean of the reference fit."""
     q = reference.origin.copy()
@@ -154,62 +170,44 @@ def _bench(reference: ReferenceFit) -> Array:
     return np.asarray(q)
 
 
-def _blocks(given: Table, trial: Recording) -> NDArray[np.intp]:
-    """Return the number of the cycle of each bin, from 0; of 2 s where the trial numbers none."""
-    time = trial.binned(trial.time_s)
-    if "cycle" not in given:
-        return np.asarray(np.floor(time / BLOCK_S).astype(np.intp))
-    own = np.interp(time + given["time_s"][0], given["time_s"], np.nan_to_num(given["cycle"]))
-    return np.asarray(np.floor(own).astype(np.intp))
+def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
+    """Return by effect the smallest size that these data would name, by the linear log Bayes factor at the null.
 
-
-def _errors(found: Searched, decided: Decision, reference: ReferenceFit, blocks: NDArray[np.intp]
-            ) -> dict[str, float]:
-    """Return the RMS errors of START and END, N: of the reference trials, before and after on held-out cycles.
-
-    Before: the model as each reference trial identified it, nothing fitted to the trial.  After: with the chosen
-    effects, each half of the cycles predicted by a fit to the other half.
+    ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; None where more than `FARTHEST` σ are needed.
     """
-    trial, observed = found.observed.trial, found.observed
-    prior = found.prior
-    before = reference.missed(trial, observed.features)
-    after = before
-    if decided.chosen:
-        left = np.zeros_like(trial.data)
-        parity = np.tile(blocks % FOLDS, len(trial.outputs))
-        chosen = [found.variants[decided.chosen[0]]]
-        if len(decided.chosen) == 2:
-            chosen.append(_variant_of(found, decided.chosen[1]))
-        base = _mode_of(found, decided)
-        for fold in range(FOLDS):
-            seen = Observed(trial, observed.features, np.where(parity == fold, 1e-9, observed.weight))
-            at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
-            left = np.where(parity == fold, trial.data - predicted(at.q, trial)
-                            - observed.features @ at.x[at.constants:], left)
-        after = float(np.sqrt(np.mean(tension_errors(trial, left) ** 2)))
-    return {"reference": reference.rmse_n, "before": before, "after": after}
+    told: dict[str, Mapping[str, Any]] = {}
+    for name, variants in hypotheses(found.observed.outputs, bench).items():
+        parameter, read = next(iter(HYPOTHESES[name].reads.items()))
+        sizes = []
+        for variant in variants:
+            g = float(projected(found.null, found.observed, variant)[1][0, 0])
+            size = np.sqrt((2.0 * NAMED_NATS + np.log1p(g)) * (1.0 + g)) / g if g > 0.0 else np.inf
+            if size <= FARTHEST:
+                q = found.null.q.copy()
+                for constant, share in variant.directions[0].along.items():
+                    q[INDEX[constant]] += size * variant.directions[0].sd * share
+                sizes.append(abs(read(named(q), bench) - read(named(found.null.q), bench)))
+        unit = next(p.unit for p in CATALOGUE[name].parameters if p.name == parameter)
+        told[name] = {"parameter": parameter, "value": min(sizes) if sizes else None, "unit": unit}
+    return told
 
 
-def _variant_of(found: Searched, name: str) -> Any:
-    """Return the variant of a second effect: the one with which its pair was fitted."""
-    return found.paired[name]
-
-
-def _cause(name: str, at: PosteriorMode, bench: Mapping[str, float], reference: ReferenceFit, error: Mapping[str, float]
-           ) -> dict[str, Any]:
+def _cause(name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]) -> dict[str, Any]:
     """Return an effect as the published dictionary: its parameters with 95 % intervals, and its gain."""
     effect = CATALOGUE[name]
     bounds = {p.name: p for p in effect.parameters}
-    told = {}
+    told, before = {}, {}
     for parameter, read in HYPOTHESES[name].reads.items():
         value = read(named(at.q), bench)
-        half = 1.96 * float(np.hypot(_sd(at, lambda v, read=read: read(v, bench)),
-                                     SURROGATE * abs(value - read(bench, bench))))
+        was = read(bench, bench)
+        half = 1.96 * float(np.hypot(_sd(at, lambda v, read=read: read(v, bench)), SURROGATE * abs(value - was)))
         p = bounds[parameter]
-        told[parameter] = {"value": min(max(value, p.low), p.high), "low": max(value - half, p.low),
-                           "high": min(value + half, p.high), "unit": p.unit}
+        told[parameter] = {"value": min(max(value, p.low), p.high), "low": min(max(value - half, p.low), p.high),
+                           "high": max(min(value + half, p.high), p.low), "unit": p.unit}
+        before[parameter] = was
     gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
-    return {"effect": name, "site": effect.site, "parameters": told, "gain_percent": max(gain, 0.0)}
+    return {"effect": name, "site": effect.site, "parameters": told, "was": before,
+            "gain_percent": max(gain, 0.0)}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:

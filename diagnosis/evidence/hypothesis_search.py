@@ -56,7 +56,7 @@ def hypotheses(outputs: tuple[str, ...], constants: Mapping[str, float]) -> dict
 def search(observed: Observed, prior: Gaussian) -> Searched:
     """Fit the null and the foremost effects, restart them from each other's modes, and try a second effect."""
     found = Searched(observed, prior, mode(observed, prior))
-    offered = hypotheses(observed.trial.outputs, named(prior.origin))
+    offered = hypotheses(observed.outputs, named(prior.origin))
     for _ in range(RESTARTS):
         _screen(found, offered)
         if not found.single or not _restarted(found):
@@ -67,7 +67,7 @@ def search(observed: Observed, prior: Gaussian) -> Searched:
 
 def search_pairs(found: Searched, best: str) -> None:
     """Fit a second effect beside `best`: the foremost of a linear screen at its mode."""
-    offered = hypotheses(found.observed.trial.outputs, named(found.prior.origin))
+    offered = hypotheses(found.observed.outputs, named(found.prior.origin))
     at, first = found.single[best], found.variants[best]
     rated = []
     for name, variants in offered.items():

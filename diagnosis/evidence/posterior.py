@@ -6,8 +6,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -32,11 +33,41 @@ STEEPER: Final = 6.0
 
 @dataclass(frozen=True)
 class Observed:
-    """One trial as data: `features` Φ, shape (data, features); `weight`: 1/σ² of each datum."""
+    """Trials of one session as data, one after the other: `features` Φ, shape (data, features); `weight`: 1/σ²."""
 
-    trial: Recording
+    trials: tuple[Recording, ...]
     features: Array
     weight: Array
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs, which all the trials have."""
+        return self.trials[0].outputs
+
+    @cached_property
+    def data(self) -> Array:
+        """Measured data of all trials."""
+        return np.concatenate([trial.data for trial in self.trials])
+
+    def predicted(self, q: Array) -> Array:
+        """Return the predicted data of one coordinate vector."""
+        return np.concatenate([predicted(q, trial) for trial in self.trials])
+
+    def jacobian(self, q: Array, free: Sequence[int]) -> tuple[Array, Array]:
+        """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free)."""
+        data, slopes = zip(*(jacobian(q, trial, free) for trial in self.trials), strict=True)
+        return np.concatenate(data), np.concatenate(slopes)
+
+    def each(self, values: Array) -> Iterator[tuple[Recording, Array]]:
+        """Yield each trial with its rows of an array of all data."""
+        at = 0
+        for trial in self.trials:
+            yield trial, values[at:at + trial.data.size]
+            at += trial.data.size
+
+    def part(self, values: Array, output: int) -> Array:
+        """Return the data of one output, by number, of an array of all."""
+        return np.concatenate([trial.part(rows, output) for trial, rows in self.each(values)])
 
 
 @dataclass(frozen=True)
@@ -112,13 +143,13 @@ def widened(prior: Gaussian, variants: Sequence[Variant]) -> tuple[Array, Array,
 
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
          rounds: int = ROUNDS) -> PosteriorMode:
-    """Find the mode of one trial under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
+    """Find the mode of trials under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
 
     Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
     """
     origin, mean, covariance, active = widened(prior, variants)
     factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
-    trial, features, weight = observed.trial, observed.features, observed.weight
+    measured, features, weight = observed.data, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
 
     def at(x: Array) -> Array:
@@ -127,7 +158,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         return q
 
     def cost(x: Array) -> float:
-        scaled = np.abs(trial.data - predicted(at(x), trial) - features @ x[count:]) * root
+        scaled = np.abs(measured - observed.predicted(at(x)) - features @ x[count:]) * root
         loss = np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2)
         off = solve_triangular(factor, x - mean, lower=True)
         return float(loss.sum() + off @ off)
@@ -137,9 +168,9 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
     for turn in range(rounds):
-        data, slopes = jacobian(at(x), trial, active)
+        data, slopes = observed.jacobian(at(x), active)
         design = np.concatenate([slopes, features], axis=1)
-        residual = trial.data - data - features @ x[count:]
+        residual = measured - data - features @ x[count:]
         scaled = np.abs(residual) * root
         weights = np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight
         inward = design @ factor
@@ -162,7 +193,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         if fall < CLOSE or turn == rounds - 1:
             break
     # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
-    residual = trial.data - predicted(at(x), trial) - features @ x[count:]
+    residual = measured - observed.predicted(at(x)) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
     return PosteriorMode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
 
@@ -170,8 +201,18 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
 def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[float, Array]:
     """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
 
-    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), g = EᵀC⁻¹e, G = EᵀC⁻¹E, with E the effect's slopes times their σ and C the
-    covariance of the data under the null.
+    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), with g and G of `projected`.
+    """
+    pull, square = projected(null, observed, variant)
+    whole = np.eye(pull.size) + square
+    size: Array = np.asarray(np.linalg.solve(whole, pull), np.float64)
+    return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), size
+
+
+def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[Array, Array]:
+    """Return g = EᵀC⁻¹e and G = EᵀC⁻¹E of a variant at the mode `null`.
+
+    E: the effect's slopes times their σ, e: the error of the null, C: covariance of the data under the null.
     """
     names = sorted({n for d in variant.directions for n in d.along})
     q = null.q.copy()
@@ -179,7 +220,7 @@ def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple
         q[INDEX[name]] = coordinate(name, value)
     if "creep_time" in names:
         q[INDEX["creep"]] += 1.5e-5
-    _, slopes = jacobian(q, observed.trial, [INDEX[n] for n in names])
+    _, slopes = observed.jacobian(q, [INDEX[n] for n in names])
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
     inward = null.design @ null.factor
@@ -190,9 +231,7 @@ def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple
         return np.asarray(light - (null.weight[:, None] * inward) @ cho_solve(null.inner, inward.T @ light))
 
     applied = solved(np.concatenate([error[:, None], effect], axis=1))
-    pull, square = effect.T @ applied[:, 0], np.eye(effect.shape[1]) + effect.T @ applied[:, 1:]
-    size: Array = np.asarray(np.linalg.solve(square, pull), np.float64)
-    return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(square)[1]), size
+    return np.asarray(effect.T @ applied[:, 0]), np.asarray(effect.T @ applied[:, 1:])
 
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()

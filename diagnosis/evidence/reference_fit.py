@@ -7,7 +7,7 @@ Fourier features of states that the fitted model simulates under the trial's mot
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -37,8 +37,12 @@ MOST_TAU: Final = 12.0
 """Largest inflation of the noise by autocorrelation."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
 ROUNDS: Final = 4
-STARTS: Final = ((0.0, 0.0, 0.0, 0.0), (-0.7, 0.6, 0.0, 0.0), (0.0, 0.0, 0.4, 0.3))
-"""Departures of cable, fabric, lead and stiffness, as logarithms, at which the first fit starts besides the middle."""
+SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
+               "friction": np.array([-0.6, 0.0, 0.6])}
+"""What is simulated before the first fit: departures of the rope's zero from the regression's, m, and as logarithms
+stiffness and friction over the population's middle."""
+STARTS: Final = 4
+"""Best points of the scan, each of another stiffness or friction, at which the first fit starts."""
 COARSE_N: Final = 2.0
 FINE_N: Final = 0.4
 """Noise, N, of the two stages of the first fit: coarse first, so that no start ends in a local minimum."""
@@ -62,8 +66,8 @@ class ReferenceFit:
 
     `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
     the bench alone.  `model_error`: variance by output and load quarter, N²; `tau`: inflation by autocorrelation.
-    `identified`: coordinates and feature weights at each reference trial's mode.  `rmse_n`: RMS of START and END, N,
-    that the model of one reference trial misses on another (of a single one: on itself).
+    `identified`: coordinates and feature weights at each reference trial's mode.  `scatter_n`: RMS by output, N, that
+    the models of the other reference trials miss on one (of a single one: on itself).
     """
 
     outputs: tuple[str, ...]
@@ -76,17 +80,25 @@ class ReferenceFit:
     tau: Array
     quarters: Array
     trials: int
-    rmse_n: float
+    scatter_n: Mapping[str, float]
     identified: tuple[tuple[Array, Array], ...] = ()
 
-    def missed(self, trial: Recording, with_features: Array) -> float:
-        """Return the RMS of START and END, N, that the models of the reference trials miss on `trial`, on average."""
-        return float(np.mean([missed(trial, with_features, q, c) for q, c in self.identified]))
+    def missed(self, observed: Observed) -> Array:
+        """Return what the models of the reference trials, averaged, leave of the data."""
+        return np.asarray(np.mean([observed.data - observed.predicted(q) - observed.features @ c
+                                   for q, c in self.identified], axis=0))
 
-    def observe(self, trial: Recording) -> Observed:
-        """Return a trial as data of this bench."""
-        states = simulated_states(self.origin, trial)
-        return Observed(trial, features(states, self.scaling, self.outputs), 1.0 / self._variance(trial, states))
+    @property
+    def rmse_n(self) -> float:
+        """RMS of START and END, N, that a reference trial's model misses on another."""
+        told = [e**2 for name, e in self.scatter_n.items() if name.startswith("tension")]
+        return float(np.sqrt(np.mean(told)))
+
+    def observe(self, *trials: Recording) -> Observed:
+        """Return trials of one session as data of this bench."""
+        states = [simulated_states(self.origin, trial) for trial in trials]
+        return Observed(trials, np.concatenate([features(s, self.scaling, self.outputs) for s in states]),
+                        np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]))
 
     def _variance(self, trial: Recording, states: Array) -> Array:
         quarter = np.searchsorted(self.quarters, states[LOAD])
@@ -102,6 +114,23 @@ class ReferenceFit:
 
 LOAD: Final = 4
 """Row of the logarithm of START tension among the states."""
+
+
+def scanned(middle: Array, trial: Recording) -> list[Array]:
+    """Return the `STARTS` coordinates about `middle` that miss the trial's data least, simulated in one batch.
+
+    The fit does not find a zero of the rope at which the model is slack where the rope is taut: nothing moves there.
+    """
+    zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
+    q = np.repeat(middle[:, None], zero.size, axis=1)
+    q[INDEX["zero"]] += zero
+    q[INDEX["stiffness"]] = stiffness
+    q[INDEX["cable"]] = q[INDEX["fabric"]] = friction
+    misses = np.abs(predict(q, trial).data - trial.data).mean(axis=1)
+    chosen: dict[tuple[float, float], int] = {}
+    for k in np.argsort(misses):
+        chosen.setdefault((stiffness[k], friction[k]), int(k))
+    return [q[:, k] for k in list(chosen.values())[:STARTS]]
 
 
 def simulated_states(q: Array, trial: Recording) -> Array:
@@ -152,14 +181,13 @@ class _Fit:
         self.model_error = np.full((len(self.outputs), 4), 0.2**2)
         self.tau = np.ones(len(self.outputs))
         self.quarters = np.zeros(3)
-        self.rmse_n = 0.0
+        self.scatter_n: dict[str, float] = {}
         self.linear: list[_Linear | None] = [None] * len(trials)
         self.identified: list[tuple[Array, Array]] = []
 
     def run(self) -> ReferenceFit:
         """Fit the first trial from several starts, then all in turn, each under the posterior of the others."""
-        middle = self.origin.copy()
-        modes = [self._first(middle, departure) for departure in STARTS]
+        modes = [self._first(at) for at in scanned(self.origin, self.trials[0])]
         best = min(modes, key=lambda m: m.cost)
         self._rescale(best.q)
         for _ in range(ROUNDS):
@@ -172,18 +200,16 @@ class _Fit:
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.rmse_n, tuple(self.identified))
+                         self.tau, self.quarters, len(self.trials), self.scatter_n, tuple(self.identified))
 
-    def _first(self, middle: Array, departure: tuple[float, ...]) -> PosteriorMode:
-        """Fit the first trial alone without a discrepancy."""
+    def _first(self, at: Array) -> PosteriorMode:
+        """Fit the first trial alone from coordinates `at`, without a discrepancy."""
         trial = self.trials[0]
-        start = np.zeros(len(FREE))
-        for name, by in zip(("cable", "fabric", "lead", "stiffness"), departure, strict=True):
-            start[FREE.index(INDEX[name])] += by
         none = np.zeros((trial.data.size, 0))
-        wide = Gaussian(middle, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
-        rough = mode(Observed(trial, none, np.full(trial.data.size, COARSE_N**-2)), wide, start=start, rounds=10)
-        return mode(Observed(trial, none, np.full(trial.data.size, FINE_N**-2)), wide, start=rough.x, rounds=10)
+        wide = Gaussian(self.origin, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
+        start = (at - self.origin)[list(FREE)]
+        rough = mode(Observed((trial,), none, np.full(trial.data.size, COARSE_N**-2)), wide, start=start, rounds=10)
+        return mode(Observed((trial,), none, np.full(trial.data.size, FINE_N**-2)), wide, start=rough.x, rounds=10)
 
     def _rescale(self, q: Array) -> None:
         """Take `q` as the constants at which the states of the discrepancy are simulated."""
@@ -244,7 +270,7 @@ class _Fit:
         if all(self.linear[i] is None for i in others):
             cavity = Gaussian(self.origin, np.zeros_like(cavity.mean), np.diag(self._bench_variance()))
         prior = Gaussian(cavity.origin, cavity.mean, cavity.covariance + np.diag(self._session()))
-        observed = Observed(self.trials[k], self.features[k], 1.0 / self._reference()._variance(
+        observed = Observed((self.trials[k],), self.features[k], 1.0 / self._reference()._variance(
             self.trials[k], self.states[k]))
         found = mode(observed, prior, rounds=8)
         self.linear[k] = _Linear(found.design, found.residual + found.design @ found.x, observed.weight)
@@ -259,7 +285,7 @@ class _Fit:
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.rmse_n)
+                         self.tau, self.quarters, len(self.trials), self.scatter_n)
 
     def _noise(self, found: Sequence[PosteriorMode]) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
@@ -279,7 +305,7 @@ class _Fit:
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
         self.identified = [(at.q, at.x[len(FREE):]) for at in found]
-        self.rmse_n = self._missed()
+        self.scatter_n = self._missed()
 
     def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
@@ -294,10 +320,15 @@ class _Fit:
             rest.append(linear.error - part @ (scale * at))
         self._set_amplitude(rest, self.trials)
 
-    def _missed(self) -> float:
-        """Return the RMS of START and END, N, that one trial's model misses on another, on average over the pairs."""
-        pairs = [(j, k) for j in range(len(self.trials)) for k in range(len(self.trials)) if j != k] or [(0, 0)]
-        return float(np.mean([missed(self.trials[j], self.features[j], *self.identified[k]) for j, k in pairs]))
+    def _missed(self) -> dict[str, float]:
+        """Return by output the RMS, N, that the others' models, averaged, miss on a trial (a single one: on itself)."""
+        squares: dict[str, list[float]] = {name: [] for name in self.outputs}
+        for j, trial in enumerate(self.trials):
+            models = [at for k, at in enumerate(self.identified) if k != j] or self.identified
+            rest = np.mean([trial.data - predicted(q, trial) - self.features[j] @ c for q, c in models], axis=0)
+            for name, error in signal_errors(trial, np.asarray(rest)).items():
+                squares[name].append(float(np.mean(error**2)))
+        return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
 
 
 ORIGINAL: Final = ("zero", "arm", "stiffness")
@@ -320,19 +351,12 @@ def _origin(trial: Recording) -> Array:
     return q
 
 
-def missed(trial: Recording, with_features: Array, q: Array, weights: Array) -> float:
-    """Return the RMS of START and END, N, that a model misses on a trial without any fit."""
-    rest = trial.data - predicted(q, trial) - with_features @ weights
-    return float(np.sqrt(np.mean(tension_errors(trial, rest) ** 2)))
-
-
-def tension_errors(trial: Recording, residual: Array) -> Array:
-    """Return the errors of the tension sensors, N, that a residual of the data means: START, then END where it is."""
-    start = trial.part(residual, trial.outputs.index("tension_start_n"))
-    if "tension_end_n" not in trial.outputs:
-        return start
-    end = trial.part(residual, trial.outputs.index("tension_end_n")) + trial.binned(trial.ratio) * start
-    return np.concatenate([start, end])
+def signal_errors(trial: Recording, residual: Array) -> dict[str, Array]:
+    """Return by output the errors of the signals, N, that a residual of the data means."""
+    errors = {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
+    if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
+        errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
+    return errors
 
 
 def autocorrelation(rest: Array) -> float:

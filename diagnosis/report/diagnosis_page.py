@@ -9,13 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from diagnosis.data.compared_signals import Compared
 from diagnosis.data.table import Table
-from diagnosis.finder import Findings
-from diagnosis.report import figure_tables, plots, residual_picture, tracking
+from diagnosis.findings import Findings
+from diagnosis.report import evidence_headline, figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.remaining import where
-from diagnosis.report.residuals import Compared, compared
+from diagnosis.report.residuals import compared
 from diagnosis.report.words import interval, paragraph
 from physics.effects.catalogue import CATALOGUE
 from trial.report.page import Page, Tile, number
@@ -52,7 +53,7 @@ def build(
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
     if holdout:
-        plots.measured(page, compared(found, holdout), "Held-out trials", "held-out time_s")
+        plots.measured(page, found.held_traces or compared(found, holdout), "Held-out trials", "held-out time_s")
     if tracked is not None:
         tracking.section(page, *tracked, (BEFORE, AFTER))
     if not found.candidates:
@@ -73,15 +74,15 @@ def _against(found: Findings) -> str:
 def _first(page: Page, found: Findings) -> None:
     """Say what is wrong, what it costs and what to do, before anything else."""
     page.section("What is wrong")
-    told = headline(found)
-    for sentence in told:
+    for sentence in evidence_headline.told(found) if found.evidence else headline(found):
         if sentence:
             page.text(sentence)
 
 
 def _summary(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
     page.section("Figures")
-    page.text(paragraph(found))
+    if not found.evidence:
+        page.text(paragraph(found))
     if found.verdict == "unexplained" and (left := where(found, sides)):
         page.text(left)
     if found.causes:

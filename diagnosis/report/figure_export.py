@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
-from diagnosis.finder import Findings
-from diagnosis.report import figure_tables, residual_picture
+from diagnosis.findings import Findings
+from diagnosis.report import evidence_headline, figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from diagnosis.report.residuals import compared
@@ -34,7 +34,8 @@ def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
     folder = Path(folder)
     refuse(folder, overwrite=overwrite)
     made: dict[str, bytes] = {
-        "headline.txt": "".join(f"{line}\n" for line in headline(found) if line).encode(),
+        "headline.txt": "".join(f"{line}\n" for line in (
+            evidence_headline.told(found) if found.evidence else headline(found)) if line).encode(),
         "relations.csv": _csv(RELATION_COLUMNS, [
             (name, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high, f.holdout_before,
              f.holdout_after) for name, f in found.relations.items() if f.checked]),

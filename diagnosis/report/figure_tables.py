@@ -9,11 +9,13 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from diagnosis.finder import Findings
+from diagnosis.evidence.decision import NAMED_NATS, SET_SHARE
+from diagnosis.findings import Findings
 from diagnosis.judgement.verdict import BENT, LEAST_FALL, RIVAL_GAIN, RIVAL_RMSE, STRUCTURE
 from diagnosis.report.headline import healthy_value
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
+from physics.effects.hypotheses import HYPOTHESES
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import Cell, Page
 
@@ -22,9 +24,10 @@ MODELS_SHOWN: Final = 40
 
 def relations(page: Page, found: Findings) -> None:
     """Tell every relation, those that could not be checked with a dash."""
-    page.heading("Relations, root mean square on cycles that no fit has seen")
-    page.table(("relation", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high",
-                "held-out before", "after"), [_figures(name, f) for name, f in found.relations.items()])
+    page.heading("Root mean square on cycles that no fit has seen")
+    page.table(("signal" if found.evidence else "relation", "unit", "healthy floor", "before", "after", "gain (%)",
+                "95 % low", "high", "held-out before", "after"), [
+                    _figures(name, f) for name, f in found.relations.items()])
     page.text("Before: the simulation as it was. After: with what was found. Floor: what trials of a healthy bench "
               "leave (a dash: none was given); above it something is left. Held out: trials given with --holdout, "
               "to which nothing was fitted.", "note")
@@ -52,6 +55,9 @@ def rivals(page: Page, found: Findings) -> None:
 def ranking(page: Page, found: Findings) -> None:
     """Tell every model that was fitted, what it gains, and why it was not chosen."""
     page.section("What was tried")
+    if found.evidence:
+        _bayes_factors(page, found)
+        return
     if found.found is None:
         page.text("Nothing was fitted.", "note")
         return
@@ -73,6 +79,27 @@ def ranking(page: Page, found: Findings) -> None:
                      model.score))
     page.table(("model", "judged", "share of the gain (%)", "RMSE above (%)", "χ², unseen cycles"),
                rows, tall=len(rows) > 15)
+
+
+def _bayes_factors(page: Page, found: Findings) -> None:
+    """Tell the log Bayes factor of each effect that was fitted, and the constants that moved."""
+    evidence = found.evidence or {}
+    page.text("Log Bayes factor: by how many nats the trial is likelier with the effect than without any. An effect is "
+              f"named from {NAMED_NATS:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in the ambiguity "
+              "set.", "note")
+    page.table(("effect", "part of the bench", "log Bayes factor (nats)", "judged"), [
+        (name, HYPOTHESES[name].part, gain, _judged(found, name))
+        for name, gain in evidence["log_bayes_factors"].items()])
+    page.heading("Constants of the force path: on the bench, and in this trial")
+    page.table(("constant", "unit", "bench", "trial", "95 % low", "high", "change (session σ)"), [
+        (name, row["unit"], row["from"], row["to"], row["low"], row["high"], row["sessions"])
+        for name, row in evidence["shifts"].items()], tall=True)
+
+
+def _judged(found: Findings, name: str) -> str:
+    if name in {cause["effect"] for cause in found.causes}:
+        return "named"
+    return "in the ambiguity set" if name in found.rivals else "less likely"
 
 
 def _why(model: FittedEffects, found: SearchResult, rivals: list[str]) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from diagnosis.finder import Findings
+from diagnosis.findings import Findings
 from diagnosis.judgement.verdict import Figures
 from diagnosis.report.plots import MEANING
 from physics.effects.catalogue import CATALOGUE
@@ -77,6 +77,8 @@ def healthy_value(found: Findings, cause: Mapping[str, Any], name: str) -> float
     The fit works from the healthy trials' value; a cause is told on the scale of the calibration, shifted by the
     difference of the two, and so is this.
     """
+    if "was" in cause:
+        return float(cause["was"][name])
     if found.found is None:
         return next((p.neutral for p in CATALOGUE[cause["effect"]].parameters if p.name == name), None)
     best = found.found.best

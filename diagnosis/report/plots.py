@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.report.residuals import Compared, binned, bins_of, directions, joined, rms
+from diagnosis.data.compared_signals import Compared
+from diagnosis.report.residuals import binned, bins_of, directions, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series
 
@@ -25,6 +26,8 @@ MEANING: Final = {
     "friction": "START from END over the rope's motion", "elasticity": "START from rope and knee position",
     "kinematics": "the knee's angle from rope and tension", "servo": "the rope from its target",
     "drive_force": "the servo's force from motion and START", "knee": "the knee's angle from its target",
+    "tension_start_n": "START from rope and knee motion", "tension_end_n": "END from rope and knee motion",
+    "servo_force_n": "the servo's force from motion and START",
     "start_sensor": "START against itself", "end_sensor": "END against itself", "bus": "stamps, ages and sequence"}
 """What each relation predicts, in words."""
 GAP: Final = 1.5
@@ -42,15 +45,15 @@ def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, li
     page.text("Each relation predicts one signal from others: before, as the simulation was; after, with what was "
               "found in it." + (" The first trial is drawn; the figures are of all." if many else ""), "note")
     for name, (first, *_) in parts_of.items():
-        page.heading(f"{name}: {MEANING.get(name, first.block.relation.output)}")
+        page.heading(f"{name}: {MEANING.get(name, first.output)}")
         whole = np.ones(first.time.size, dtype=np.bool_)
-        _drawn(page, f"{name}: {first.block.relation.output}", first, whole, linked)
+        _drawn(page, f"{name}: {first.output}", first, whole, linked)
         _drawn(page, f"{name}: the cycle that is missed most", first, _worst(first), f"{linked}, one cycle of {name}")
 
 
 def _worst(one: Compared) -> np.ndarray[Any, Any]:
     """Return a mask of the cycle whose residual is the largest before."""
-    cycle = one.block.cycle
+    cycle = one.cycle
     squares, counts = np.bincount(cycle, one.before**2), np.bincount(cycle)
     return np.asarray(cycle == int(np.argmax(squares / np.maximum(counts, 1))))
 
@@ -63,7 +66,7 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
         Series("measured", lines[0], MEASURED, width=2.2),
         Series("simulated before", lines[1], BEFORE, width=1.0, dash=True),
         Series("simulated after", lines[2], AFTER, width=1.0)],
-        "time_s (s)", one.block.relation.unit, linked=linked, height=220)
+        "time_s (s)", one.unit, linked=linked, height=220)
 
 
 def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
@@ -77,7 +80,7 @@ def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
     for name, parts in sides.items():
         page.heading(name)
         _by_direction(page, parts)
-        unit = parts[0].block.relation.unit
+        unit = parts[0].unit
         for signal, word, axis in SIDES:
             along, before, after = joined(parts, signal)
             if along.size and float(np.ptp(along)) > 0.0:
@@ -98,7 +101,7 @@ def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np
 def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
     masks = directions(parts)
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
-    unit = parts[0].block.relation.unit
+    unit = parts[0].unit
     if masks:
         page.table(("rope", "samples", f"mean before ({unit})", "after", f"rms before ({unit})", "after"), [
             (word, int(mask.sum()), float(before[mask].mean()), float(after[mask].mean()), rms(before[mask]),
@@ -120,5 +123,5 @@ def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
             mean = binned(along, np.concatenate([residual[masks[word]], [0.0, 0.0]]), bins)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
     centres = binned(load, before, bins)[0]
-    page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].block.relation.unit,
+    page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].unit,
               linked="tension_start_n bins", height=190)

@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.finder import Findings
-from diagnosis.report.residuals import Compared, directions, joined, rms
+from diagnosis.data.compared_signals import Compared
+from diagnosis.findings import Findings
+from diagnosis.report.residuals import directions, joined, rms
 from trial.report.page import number
 
 SIDES: Final = (("gait_percent", "{} … {} % of gait"), ("tension_start_n", "START at {} … {} N"))
@@ -66,5 +67,5 @@ def _direction(parts: Sequence[Compared], unit: str) -> str:
 
 
 def _cycles(parts: Sequence[Compared], unit: str) -> str:
-    each = [rms(p.after[p.block.cycle == c]) for p in parts for c in np.unique(p.block.cycle)]
+    each = [rms(p.after[p.cycle == c]) for p in parts for c in np.unique(p.cycle)]
     return f"From cycle to cycle it is {number(min(each), 3)} to {number(max(each), 3)} {unit}."

@@ -12,10 +12,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.finder import Findings
+from diagnosis.data.compared_signals import Compared
+from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
-from diagnosis.report.residuals import LEAST_IN_BIN, Compared, binned, bins_of, joined
+from diagnosis.report.residuals import LEAST_IN_BIN, binned, bins_of, joined
 from trial.report.page import Page, Series
 
 Array = NDArray[np.float64]
@@ -87,17 +88,17 @@ def residual(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> MeanRe
             bins = bins_of(along.size)
             centres, mean, square = binned(along, before, bins)
             _, mended, left = binned(along, after, bins)
-            return MeanResidual(name, parts[0].block.relation.unit, axis, word, centres, (mean, square), (mended, left))
+            return MeanResidual(name, parts[0].unit, axis, word, centres, (mean, square), (mended, left))
     return None
 
 
 def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
-    """Return both branches of START over END of the mean gait cycle, from the friction relation.
+    """Return both branches of START over END of the mean gait cycle, from what predicts START.
 
     Up: from the last minimum of END before its peak; down: to the first minimum after it.  [] where there is no gait,
     or END is not known.
     """
-    parts = sides.get("friction", ())
+    parts = sides.get("friction") or sides.get("tension_start_n", ())
     if not parts:
         return []
     phase, end = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", "tension_end_n"))

@@ -7,43 +7,26 @@ relation counts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data import integrity, table
+from diagnosis.data.compared_signals import Compared
 from diagnosis.data.table import Table
-from diagnosis.finder import Findings
+from diagnosis.findings import Findings
 from diagnosis.problem import blocks
-from diagnosis.problem.blocks import Block
 from physics.laws import Array
 from physics.relations.relation import RELATIONS
 
+ALONG: Final = ("time_s", "gait_percent", "tension_start_n", "tension_end_n", "knee_angle_rad", "servo_position_m",
+                "rope_m_s")
+"""Signals that a residual is looked at along."""
 BINS: Final = 50
 LEAST_IN_BIN: Final = 5
 STILL_M_S: Final = 1e-3
 """Rope speed below which it counts as still."""
-
-
-@dataclass(frozen=True)
-class Compared:
-    """One relation on one trial, by sample: what was measured and what both models leave, in the relation's unit."""
-
-    block: Block
-    measured: Array
-    before: Array
-    after: Array
-
-    @property
-    def time(self) -> Array:
-        return self.along("time_s")
-
-    def along(self, name: str) -> Array:
-        """Return a signal on the same samples; NaN where there is none."""
-        signals = self.block.signals
-        return signals[name][self.block.keep] if signals.has(name) else np.full(self.measured.size, np.nan)
 
 
 def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compared]]:
@@ -51,6 +34,8 @@ def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compare
 
     A trial that lacks a relation's columns is left out of it.
     """
+    if found.traces:
+        return {name: list(parts) for name, parts in found.traces.items()}
     checked = [name for name, figures in found.relations.items() if figures.checked and name in RELATIONS]
     if found.found is None or not checked:
         return {}
@@ -62,9 +47,11 @@ def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compare
         lacking = blocks.allowed([usable])
         for block in blocks.blocks_of([usable], [n for n in checked if not lacking[n]], taut, found.rate_hz):
             if block.keep.size:
+                signals = block.signals
                 made[block.relation.name].append(Compared(
-                    block, block.signals[block.relation.output][block.keep],
-                    block.residual(found.found.baseline.fit.values), block.residual(found.found.best.fit.values)))
+                    block.relation.output, block.relation.unit, signals[block.relation.output][block.keep],
+                    block.residual(found.found.baseline.fit.values), block.residual(found.found.best.fit.values),
+                    block.cycle, {n: signals[n][block.keep] for n in ALONG if signals.has(n)}))
     return made
 
 
@@ -96,7 +83,7 @@ def binned(along: Array, residual: Array, bins: int) -> tuple[Array, Array, Arra
 
 def directions(parts: Sequence[Compared]) -> dict[str, NDArray[np.bool_]]:
     """Return masks of the samples at which the rope is pulled, paid out, or still; {} where its speed is not known."""
-    if not all(p.block.signals.has("rope_m_s") for p in parts):
+    if not all("rope_m_s" in p.signals for p in parts):
         return {}
     speed = np.concatenate([p.along("rope_m_s") for p in parts])
     return {"pulled": speed > STILL_M_S, "paid out": speed < -STILL_M_S, "still": np.abs(speed) <= STILL_M_S}

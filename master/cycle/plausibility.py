@@ -321,7 +321,10 @@ class Implausibility(NamedTuple):
 
 @dataclass
 class Learned:
-    """What homing told of this bench; `stretch_ratio` is its stretch from 10 to 40 N by the calibration's."""
+    """What homing told of this bench.
+
+    `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's.
+    """
 
     inertia_kg: float
     coulomb_n: float
@@ -329,6 +332,7 @@ class Learned:
     low: float
     high: float
     stretch_ratio: float
+    top_n: float
 
 
 class Plausibility:
@@ -408,10 +412,12 @@ class Plausibility:
         bound = max(abs(low), abs(high), LEAST_FRICTION) if low and high else WIDE / 1.3
         g[LOW], g[HIGH] = -bound, bound
         g[TOP_N], g[LEARNED] = max(10.0, s[TRUSTED]), LEARNT
-        found = (curve[1] + g[ROPE_COMPLIANCE]) * 30.0 + curve[2] * 1500.0
-        ratio = found / (linear * 30.0 + quadratic * 1500.0)
+        top = min(40.0, g[TOP_N])
+        way, square = 0.75 * top, 0.9375 * top**2  # from a quarter of the top to the top
+        found = (curve[1] + g[ROPE_COMPLIANCE]) * way + curve[2] * square
+        ratio = found / (linear * way + quadratic * square)
         return Learned(float(force[0]), float(force[1]), math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]),
-                       float(ratio))
+                       float(ratio), top)
 
     def begin_learning(self, swing_k: float, knee_home: float, compliance: float) -> None:
         """Start anew with a calibration's geometry, before homing's pull."""

@@ -65,9 +65,11 @@ def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = 
     known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
     ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
     if not 1.0 / most <= ratio <= most:
-        declared = 1e3 * (calibration.stiffness_b * 30.0 + calibration.stiffness_a * 1500.0)
-        return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from 10 to 40 N, "
-                f"homing found {ratio * declared:.2f} mm; identify this bench (bowden identify all) and start again.")
+        top = learned.top_n
+        declared = 1e3 * (calibration.stiffness_b * 0.75 * top + calibration.stiffness_a * 0.9375 * top**2)
+        return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from "
+                f"{0.25 * top:.3g} to {top:.3g} N, homing found {ratio * declared:.2f} mm; identify this bench (bowden "
+                "identify all) and start again.")
     return None
 
 

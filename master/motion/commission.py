@@ -22,6 +22,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.inputs import ORDER, Inputs
 from master.motion import moves
 from master.motion.home import home as find_home
+from master.motion.home import within
 from master.network.bringup import BringUpError
 from master.settings import Homing, Limits
 from parameters import InputError
@@ -40,7 +41,8 @@ _OFFSET, _AUTO_ZERO = 0x6124, 0x6125
 
 
 def home(calibration: Calibration, homing: Homing, slack_m: float) -> Procedure:
-    """Find the encoder zero at the preload and leave the rope slack."""
+    """Find the encoder zero with at most `homing.least_n` of START tension and leave the rope slack."""
+    homing, calibration = within(homing, calibration, 0.0)
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
         drives.enable(exchange)

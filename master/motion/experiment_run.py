@@ -26,7 +26,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.motion import gait, moves
-from master.motion.home import Homed, home
+from master.motion.home import Homed, home, reached_n, within
 from master.network.link import Link
 from parameters import InputError
 from physics import inverse
@@ -132,6 +132,9 @@ class Planned:
         refuse_beyond_validity(calibration, experiment.reference.peak_n)
         refuse_beyond_limits(experiment)
         knee, desired = gait.sampled(experiment.reference, samples_of(experiment.reference.period_s, rate_hz))
+        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
+        self.start_n = start_n
+        self.homing, calibration = within(experiment.homing, calibration, experiment.reference.peak_n)
         self.experiment, self.calibration = experiment, calibration
         slack_m = chosen.idle_slack_m * self.kind.slack_share
         self.table = tabulate(calibration, knee, desired, 1.0 / rate_hz, slack_m)
@@ -146,10 +149,17 @@ class Planned:
         self.homed: Homed | None = None
         self.impedance, slowed = derated(
             calibration, experiment.impedance, 1.0 / rate_hz, experiment.reference.peak_n)
-        start_n = float(inverse.path(inverse.law(calibration, 1.0 / rate_hz), desired, knee).start.max())
         self.warning = " ".join([*([slowed] if slowed else []), *said_of(calibration, start_n)]) or None
         inverse.prepare()
         self._rehearse()
+
+    @property
+    def pulls(self) -> str:
+        """The largest forces that it will pull, as a sentence."""
+        if self.experiment.dry_run:
+            return "The drives stay off: nothing is pulled."
+        return (f"Pulls START to at most {reached_n(self.homing):.0f} N while homing, then to about "
+                f"{self.start_n:.0f} N, END to {self.experiment.reference.peak_n:g} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
         """Run it on the bus of `link`, as `run` does."""
@@ -184,7 +194,7 @@ class Planned:
         if not experiment.dry_run:
             drives.enable(exchange)
             undone = self.undone[id(table)]
-            self.homed = home(exchange, self.calibration, experiment.homing, experiment.gait.idle_slack_m,
+            self.homed = home(exchange, self.calibration, self.homing, experiment.gait.idle_slack_m,
                               1.0 if undone is None else undone.home_gain)
             gait.approach(exchange, table, self.first, experiment.homing)
         self.walk(exchange)

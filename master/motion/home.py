@@ -7,9 +7,10 @@ preload, on to where the release slides again, and back through the preload.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,33 @@ BRISK = 4.0
 """Without tension the rope is led this much faster than it is reeled."""
 SWING_CHECK_RAD = 0.15
 """6 mm of rope at the packaged swing_k: ten times what friction leaves of a loop's middle, within any knee's limits."""
+
+
+LOOP: Final = 2.25
+"""Least ratio of the loop's top to the preload: with the packaged friction the release slides again before it."""
+
+
+LIFT: Final = 1.125
+"""START while homing over the peak of the desired force: what friction lets END feel of it is below that peak."""
+
+
+def within(homing: Homing, calibration: Calibration, peak_n: float) -> tuple[Homing, Calibration]:
+    """Return homing that pulls no harder than a trial whose desired force reaches `peak_n`, N, and its calibration.
+
+    The preload falls with the top, since equation (10) fixes the same zero at any tension.  `homing.least_n` may be
+    reached whatever the trial's peak is.
+    """
+    top = min(homing.top_n, max(homing.least_n, LIFT * peak_n))
+    return (dataclasses.replace(homing, top_n=top),
+            dataclasses.replace(calibration, home_preload=min(calibration.home_preload, top / LOOP)))
+
+
+def reached_n(homing: Homing) -> float:
+    """Return the most that START reads while homing, N: the rope goes on for a cycle or two after it is stopped.
+
+    Of the family's serials none reads more: 13.7 N of 12, 51.1 N of 45.
+    """
+    return 1.5 + 1.1 * homing.top_n
 
 
 class Homed(NamedTuple):

@@ -20,7 +20,7 @@ from master.cycle.log import CycleSink
 from master.cycle.run_safely import run_safely
 from master.motion import gait
 from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
-from master.motion.home import home
+from master.motion.home import home, reached_n
 from master.motion.scripted_motions import Dither, Hold, Knee, Motion, MotionContext, Pull, Release, Swing, Wind
 from master.network.link import Link
 from parameters import InputError
@@ -145,6 +145,16 @@ class Scripted:
         if cycles is not None:
             experiment = dataclasses.replace(experiment, gait=dataclasses.replace(experiment.gait, cycles=cycles))
         self.name, self.planned, self.count = name, Planned(experiment), 0
+        self.pull_n = max((motion.start_n for part in SCRIPTS[name] if isinstance(part, ScriptPart)
+                           for motion in (*part.first, *part.lap) if isinstance(motion, Pull)), default=0.0)
+
+    @property
+    def pulls(self) -> str:
+        """The largest forces that it will pull, as a sentence."""
+        planned = self.planned
+        walks = any(isinstance(part, ScriptedWalk) for part in SCRIPTS[self.name])
+        return (f"Pulls START to at most {reached_n(planned.homing):.0f} N while homing, then to about "
+                f"{max(self.pull_n, planned.start_n if walks else 0.0):.0f} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
         """Run it on the bus of `link`."""
@@ -155,10 +165,9 @@ class Scripted:
     def perform(self, exchange: Exchange) -> None:
         """Enable, home, and run every part."""
         planned = self.planned
-        experiment = planned.experiment
-        bench = MotionContext(planned.calibration, experiment.homing)
+        bench = MotionContext(planned.calibration, planned.homing)
         drives.enable(exchange)
-        planned.homed = home(exchange, planned.calibration, experiment.homing, SLACK_M)
+        planned.homed = home(exchange, planned.calibration, planned.homing, SLACK_M)
         for part in SCRIPTS[self.name]:
             if isinstance(part, ScriptedWalk):
                 self._walk(exchange, part)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -81,3 +82,31 @@ def test_a_trial_decides_no_import(bowden: Callable[..., Any], tmp_path: Path, m
     assert not mark.exists()
     assert bowden("replay", "own.mcap", "--onto", "controller", "--allow-controller", "own_controller:Own")[0] == 0
     assert mark.exists()
+
+
+@pytest.mark.parametrize(("options", "most_n"), [
+    # the rope is stopped at 12 N, or at 1.125 times 20 N, and goes on for a cycle or two
+    (("--peak", "10"), 1.5 + 1.1 * 12.0),
+    (("--peak", "20"), 1.5 + 1.1 * 22.5),
+])
+def test_homing_pulls_no_harder_than_the_trial(
+    bowden: Callable[..., Any], tmp_path: Path, options: tuple[str, ...], most_n: float
+) -> None:
+    file = tmp_path / "trial.mcap"
+    status, out, err = bowden("trial", *options, "--cycles", "1", "--settle", "0", "-o", str(file))
+    assert status == 0, out + err
+    told = re.search(r"Pulls START to at most (\d+) N while homing", err)
+    assert told is not None
+    columns = opened(file).columns
+    before = int((columns["desired_force_n"] > 0.0).argmax())
+    pulled = float(columns["tension_start_n"][:before].max())
+    assert 10.0 < pulled < most_n
+    assert pulled <= float(told[1]) + 0.5  # told in whole newtons
+
+
+def test_homing_n_lets_homing_pull_harder(bowden: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "trial.mcap"
+    walk = ("--peak", "10", "--cycles", "1", "--settle", "0")
+    status, out, err = bowden("trial", *walk, "--homing-n", "30", "-o", str(file))
+    assert status == 0, out + err
+    assert float(opened(file).columns["tension_start_n"].max()) > 30.0

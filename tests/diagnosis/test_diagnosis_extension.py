@@ -10,7 +10,7 @@ import pytest
 
 from diagnosis.data.table import Table, table
 from diagnosis.extension import read, text
-from diagnosis.finder import Findings
+from diagnosis.findings import Findings
 from parameters import InputError
 from physics import bench_model
 from physics.bench_model import BenchModel

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.finder import Findings, diagnose
+from diagnosis.finder import diagnose
+from diagnosis.findings import Findings
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "cable_drive"
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.table import Table, table
-from diagnosis.finder import Findings
+from diagnosis.findings import Findings
 from diagnosis.judgement.verdict import Figures
 from diagnosis.problem.fit import solve
 from diagnosis.problem.problem import build_problem
@@ -111,7 +111,7 @@ def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found
     html = build(found, [measured], []).html().partition("<main>")[2]
     first = [html.index(text) for text in (
         "mu1 0.", "It costs 1.94 N", "To tell them apart, run", "residual over gait phase", "START over END, tension",
-        "Relations, root mean square", "What was tried")]
+        "Root mean square on cycles", "What was tried")]
     assert first == sorted(first)
 
 
@@ -229,7 +229,7 @@ def test_residuals_are_what_was_measured_less_what_was_simulated(found: Findings
     assert set(parts) == {name for name, figures in found.relations.items() if figures.checked}
     first = parts["friction"][0]
     assert residuals.rms(first.after) < 0.5 * residuals.rms(first.before)
-    assert np.isin(first.measured, first.block.signals["tension_start_n"]).all()
+    assert np.isin(first.measured, first.signals["tension_start_n"]).all()
 
 
 def test_bins_hold_the_mean_and_the_spread() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from diagnosis.data.table import Table, read
-from diagnosis.finder import Finder, Findings, diagnose
+from diagnosis.finder import Finder, diagnose
+from diagnosis.findings import Findings
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SEAL, TRIBOMETER = DATA / "pneumatic_seal", DATA / "tribometer"

@@ -11,8 +11,8 @@ import pytest
 
 from bowden.cli.app import run
 from diagnosis.data.table import Table, table
-from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.likelihood_data import GRID_S
+from diagnosis.finder import diagnose
 from parameters import InputError
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
@@ -95,7 +95,7 @@ def told() -> list[dict]:
     answers = []
     for job in HIDDEN:
         made = case(job)
-        answers.append(EvidenceFinder().fit(made.healthy).diagnose(made.trial).as_json())
+        answers.append(diagnose([made.trial], healthy=made.healthy, core="evidence").as_json())
     return answers
 
 
@@ -122,7 +122,7 @@ def healthy() -> tuple[tuple[Table, ...], Table]:
 
 def test_a_trial_in_the_reference_condition_names_nothing_twice_alike(healthy: tuple[tuple[Table, ...], Table]) -> None:
     reference, trial = healthy
-    said = [json.dumps(EvidenceFinder().fit(reference).diagnose(trial).as_json()) for _ in range(2)]
+    said = [json.dumps(diagnose([trial], healthy=reference).as_json()) for _ in range(2)]
     assert said[0] == said[1]
     assert json.loads(said[0])["verdict"] == "none"
     assert json.loads(said[0])["class"] == []
@@ -149,8 +149,6 @@ def test_the_command_says_error_part_and_verdict(healthy: tuple[tuple[Table, ...
 @pytest.mark.parametrize(("options", "sentence"), [
     (["--core", "evidence"], "needs reference trials of this bench"),
     (["--core", "gates"], "is no core of the diagnosis"),
-    (["--core", "evidence", "--healthy", "{}", "--report", "page.html"], "leave --report out"),
-    (["--core", "evidence", "--healthy", "{}", "{}"], "takes one trial"),
 ])
 def test_options_that_do_not_go_together_are_refused(
     options: list[str], sentence: str, healthy: tuple[tuple[Table, ...], Table], tmp_path: Path,
@@ -165,11 +163,11 @@ def test_a_trial_without_rope_or_knee_is_refused_with_the_column(healthy: tuple[
     reference, trial = healthy
     blind = table("blind.csv", {n: v for n, v in trial.columns.items() if n != "knee_angle_rad"})
     with pytest.raises(InputError, match=r"blind\.csv: has no column knee_angle_rad"):
-        EvidenceFinder().fit(reference).diagnose(blind)
+        diagnose([blind], healthy=reference, core="evidence")
 
 
 def test_a_reference_trial_without_end_cannot_judge_one_with_end(healthy: tuple[tuple[Table, ...], Table]) -> None:
     reference, trial = healthy
     blind = table("blind.csv", {n: v for n, v in reference[0].columns.items() if n != "tension_end_n"})
     with pytest.raises(InputError, match=r"blind\.csv: has no column tension_end_n"):
-        EvidenceFinder().fit([blind]).diagnose(trial)
+        diagnose([trial], healthy=[blind], core="evidence")

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import beta
 
 from diagnosis.evidence.decision import NAMED_NATS
-from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.finder import diagnose
 from physics.effects.hypotheses import HYPOTHESES
 from tests.hidden.family import Job, case
 from tests.hidden.family_jobs import KINDS, jobs, serials
@@ -43,7 +43,7 @@ def hidden_jobs(count: int) -> list[Job]:
 def gains(job: Job) -> dict[str, float]:
     """Return the log Bayes factors of a case; none where wire or integrity come first."""
     made = case(job)
-    said = EvidenceFinder().fit(made.healthy).diagnose(made.trial)
+    said = diagnose([made.trial], healthy=list(made.healthy), core="evidence")
     return dict((said.evidence or {}).get("log_bayes_factors", {}))
 
 

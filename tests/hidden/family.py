@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from diagnosis.data.table import Table, table
-from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.finder import Findings, diagnose
+from diagnosis.finder import diagnose
+from diagnosis.findings import Findings
 from tests.hidden import family_moves, moves
 from tests.hidden.answers import After
 from tests.plants import draws, effects, imposed, oracle
@@ -160,22 +160,20 @@ def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...])
 def answer(job: Job, judged: bool = True, core: str = "relations") -> Answer:
     """Ask the finder, and once more with the experiment that it proposes; `judged`: the oracle, too.
 
-    `core`: that of the diagnosis; the evidence core is not asked with the experiment.
+    `core`: that of the diagnosis.
     """
     made = case(job)
-    if core == "evidence":
-        return answered(job, made, EvidenceFinder().fit(made.healthy).diagnose(made.trial), judged)
-    told = diagnose([made.trial], healthy=list(made.healthy))
-    return replace(answered(job, made, told, judged), after=_again(job, made, told))
+    told = diagnose([made.trial], healthy=list(made.healthy), core=core)
+    return replace(answered(job, made, told, judged), after=_again(job, made, told, core))
 
 
-def _again(job: Job, made: Case, told: Findings) -> After | None:
+def _again(job: Job, made: Case, told: Findings, core: str) -> After | None:
     """Run the proposed experiment on the changed bench where that needs no hands, and ask with both trials."""
     if told.verdict != "ambiguous" or told.experiment not in moves.EXPERIMENTS:
         return None
     seed = int(np.random.default_rng((job.serial, job.seed, 4)).integers(1 << 30))
     second = _table("experiment.csv", family_moves.run(told.experiment, made.changed, seed, made.rate_hz), job.left_out)
-    said = diagnose([made.trial, second], healthy=list(made.healthy))
+    said = diagnose([made.trial, second], healthy=list(made.healthy), core=core)
     return After(told.experiment, said.verdict, tuple(said.rivals))
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from bowden.cli.app import run
-from diagnosis.finder import Findings, diagnose
+from diagnosis.finder import diagnose
+from diagnosis.findings import Findings
 from physics.parameters import PARAMETERS
 from trial import read
 

@@ -1,0 +1,139 @@
+"""Errors of the simulation in N: of the reference trials, and of a trial before and after on held-out cycles.
+
+    before   the reference trials' models, averaged, as they were identified; nothing is fitted to the trial
+    after    with the chosen effects, each half of the cycles predicted by a fit to the other half
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.data.compared_signals import Compared
+from diagnosis.data.table import Table
+from diagnosis.evidence.likelihood_data import Recording
+from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode
+from diagnosis.evidence.reference_fit import ReferenceFit, signal_errors
+from diagnosis.judgement.verdict import Figures
+from physics.effects.hypotheses import Variant
+from physics.laws import Array
+
+FOLDS: Final = 2
+"""Parts of the cycles: each is predicted by a fit to the other."""
+BLOCK_S: Final = 2.0
+"""Length of a block where a trial has no cycle numbers, s: about one gait cycle."""
+DRAWS: Final = 400
+"""Draws of whole cycles for the interval of a gain."""
+TENSIONS: Final = ("tension_start_n", "tension_end_n")
+ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors `before` and `after`, shape (data,), of `observed`; `blocks`: number of the cycle of each datum."""
+
+    observed: Observed
+    before: Array
+    after: Array
+    blocks: Sequence[NDArray[np.intp]]
+
+    def rms_n(self, which: str) -> float:
+        """Return the RMS error of START and END, N; `which`: before or after."""
+        parts = [errors[name] for trial, rest in self.observed.each(getattr(self, which))
+                 for errors in (signal_errors(trial, rest),) for name in TENSIONS if name in errors]
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+    def figures(self, reference: ReferenceFit, held: HeldOut | None = None) -> dict[str, Figures]:
+        """Return figures by output; `held`: the same of trials to which nothing was fitted."""
+        return {name: self._figures(name, reference.scatter_n[name], held) for name in self.observed.outputs}
+
+    def _figures(self, name: str, floor: float, held: HeldOut | None) -> Figures:
+        before, after = self._squares(name, "before"), self._squares(name, "after")
+        draw = np.random.default_rng(0).integers(0, len(before), (DRAWS, len(before)))
+        gains = 100.0 * (1.0 - np.sqrt(after[draw, 0].sum(axis=1) / before[draw, 0].sum(axis=1)))
+        low, high = np.percentile(gains, [2.5, 97.5])
+        first, last = self._rms(name, "before"), self._rms(name, "after")
+        seen = [None, None] if held is None else [held._rms(name, which) for which in ("before", "after")]
+        return Figures("N", True, floor, first, last, seen[0], seen[1], 100.0 * (1.0 - last / first), float(low),
+                       float(high))
+
+    def _rms(self, name: str, which: str) -> float:
+        squares, counts = self._squares(name, which).sum(axis=0)
+        return float(np.sqrt(squares / counts))
+
+    def _squares(self, name: str, which: str) -> Array:
+        """Return the sum of squares and the number of data of each cycle, shape (cycles, 2)."""
+        rows = []
+        for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
+            squares = signal_errors(trial, rest)[name] ** 2
+            rows += [(float(squares[block == n].sum()), float((block == n).sum())) for n in np.unique(block)]
+        return np.array(rows)
+
+    def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
+        """Return measured and simulated signals by output, one entry a trial."""
+        made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
+        sides = zip(self.observed.each(self.before), self.observed.each(self.after), tables, self.blocks, strict=True)
+        for (trial, before), (_, after), table, block in sides:
+            first, last = signal_errors(trial, before), signal_errors(trial, after)
+            along = _along(trial, table)
+            for name in made:
+                made[name].append(Compared(name, "N", trial.binned(trial.measured(name)), first[name], last[name],
+                                           block, along))
+        return made
+
+
+def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
+             base: PosteriorMode, blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
+    """Predict each half of the cycles by a fit of the chosen effects, started at the mode `base`, to the other half."""
+    before = reference.missed(observed)
+    if not chosen:
+        return HeldOut(observed, before, before, blocks)
+    half = np.concatenate([np.tile(b % FOLDS, len(observed.outputs)) for b in blocks])
+    left = before.copy()
+    for fold in range(FOLDS):
+        seen = Observed(observed.trials, observed.features, np.where(half == fold, 1e-9, observed.weight))
+        at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
+        left = np.where(half == fold, rest(observed, at), left)
+    return HeldOut(observed, before, left, blocks)
+
+
+def rest(observed: Observed, at: PosteriorMode) -> Array:
+    """Return what a mode leaves of data that it need not have been fitted to."""
+    return np.asarray(observed.data - observed.predicted(at.q) - observed.features @ at.x[at.constants:])
+
+
+def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDArray[np.intp]]:
+    """Return the number of the cycle of each bin of each trial, counted on; of 2 s where none is numbered."""
+    told: list[NDArray[np.intp]] = []
+    first = 0
+    for table, trial in zip(tables, trials, strict=True):
+        number = np.floor(trial.binned(trial.time_s) / BLOCK_S)
+        if "cycle" in table:
+            number = np.floor(_nearest(trial, table, "cycle"))
+        block = (number - number.min()).astype(np.intp) + first
+        told.append(block)
+        first = int(block.max()) + 1
+    return told
+
+
+def _nearest(trial: Recording, table: Table, name: str) -> Array:
+    """Return a column at the bins' times, not interpolated: it may wrap."""
+    at = np.searchsorted(table["time_s"], trial.binned(trial.time_s) + table["time_s"][0])
+    return np.asarray(np.nan_to_num(table[name][np.minimum(at, table["time_s"].size - 1)]))
+
+
+def _along(trial: Recording, table: Table) -> Mapping[str, Array]:
+    own = {"rope_m_s": trial.rope_m_s, "servo_position_m": trial.rope_m, "knee_angle_rad": trial.knee_rad}
+    told = {"time_s": trial.binned(trial.time_s) + table["time_s"][0]}
+    for name in ALONG:
+        if name in own:
+            told[name] = trial.binned(own[name])
+        elif name in trial.outputs:
+            told[name] = trial.binned(trial.measured(name))
+        elif name in table:
+            told[name] = _nearest(trial, table, name)
+    return told
