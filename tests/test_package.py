@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -89,6 +90,14 @@ def test_every_package_of_the_tree_is_named() -> None:
     rooms = {package.partition(".")[0] for package in PACKAGES}
     assert {".".join(path.parent.relative_to(ROOT).parts) for room in rooms
             for path in (ROOT / room).rglob("__init__.py")} == set(PACKAGES)
+
+
+@pytest.mark.exhaustive
+def test_the_page_of_the_testing_plugin_runs_from_the_wheel(empty: Path, tmp_path: Path) -> None:
+    page = runpy.run_path(str(ROOT / "tests" / "testing" / "page.py"))
+    page["written"](tmp_path)
+    told = run(empty / "python", "-m", "pytest", "-q", "-n", 2, "-W", "error", at=tmp_path)
+    assert page["shown"]() in told
 
 
 @pytest.mark.exhaustive

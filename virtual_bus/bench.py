@@ -15,7 +15,7 @@ from virtual_bus.host import Host
 from virtual_bus.kernel import TIMER, Kernel
 from virtual_bus.node_station import BusDevice, NodeStation
 from virtual_bus.station import Medium
-from virtual_bus.wire import Wire
+from virtual_bus.wire import FrameFaults, Wire
 
 US = 1_000
 MS = 1_000_000
@@ -34,7 +34,8 @@ class Mechanics(Protocol):
 class Bench:
     """A simulated bench, from power-on at 0 ns; `machine` is made once kernel, wire and stations are there.
 
-    `medium` is what joins the stations: the bench's own wire, unless it is served on another bus.
+    `medium` is what joins the stations: the bench's own wire, unless it is served on another bus. `judge` decides
+    on the faults of single frames; None applies those in `faults`.
     """
 
     def __init__(
@@ -50,9 +51,11 @@ class Bench:
         tx_queue: int = 64,
         restart_ns: int = 100 * MS,
         machine: Callable[[Bench], Mechanics] | None = None,
+        judge: FrameFaults | None = None,
     ) -> None:
         faults = tuple(faults)
-        judge = InjectedFaults(faults, seed) if any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults) else None
+        if judge is None and any(fault.kind in OF_A_FRAME | OF_TIME for fault in faults):
+            judge = InjectedFaults(faults, seed)
         self.kernel = Kernel()
         self.wire = Wire(self.kernel, bitrate, judge)
         self.medium: Medium = self.wire
