@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from bowden.testing import golden
 from bowden.testing.counted_faults import CountedFaults
-from bowden.testing.node import CanopenNode, Mechanics
+from bowden.testing.node import CanopenNode, DriveLoad
 from eds.dictionary import Dictionary
 from eds.frame import Frame
 from nodes import Application
@@ -45,7 +45,7 @@ class BusFrame(NamedTuple):
         return f"{self.time_ns / 1e9:.9f} {self.cob_id:03X} [{len(self.data)}] {data}".rstrip()
 
 
-class Recorder(Station):
+class FrameRecorder(Station):
     """A bus analyser: acknowledges and keeps every frame, and counts error frames."""
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ class CanBus:
         self._bench = Bench(channel=self.channel, bitrate=bitrate, judge=self.faults, tx_queue=QUEUE,
                             master_turnaround_ns=master_turnaround_ns)
         self._turnaround_ns = node_turnaround_ns
-        self._recorder = Recorder()
+        self._recorder = FrameRecorder()
         self._opened: list[BowdenBus] = []
         self.kernel, self.wire = self._bench.kernel, self._bench.wire
         self.wire.attach(self._recorder)
@@ -98,7 +98,7 @@ class CanBus:
 
     def add_node(
         self, eds: str | Path | Dictionary, node_id: int | None = None, *, profile: Application | None = None,
-        store: Path | None = None, mechanics: Mechanics | None = None,
+        store: Path | None = None, mechanics: DriveLoad | None = None,
     ) -> CanopenNode:
         """Add a node that boots now, as its EDS or DCF says; `profile` puts `nodes.Drive` or the like behind it.
 

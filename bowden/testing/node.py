@@ -34,7 +34,7 @@ ObjectName = int | tuple[int, int] | str
 STRINGS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 
 
-class Mechanics(Protocol):
+class DriveLoad(Protocol):
     """What a drive moves: torque in, position and velocity out, SI at the axis."""
 
     def step(self, torque: float, for_ns: int) -> tuple[float, float]:
@@ -65,7 +65,7 @@ class CanopenNode:
     """
 
     def __init__(self, bus: CanBus, eds: str | Path | Dictionary, node_id: int | None, profile: Application | None,
-                 store: Path | None, mechanics: Mechanics | None, turnaround_ns: int) -> None:
+                 store: Path | None, mechanics: DriveLoad | None, turnaround_ns: int) -> None:
         dictionary, self._mended = _read(eds, node_id)
         node_id = node_id if node_id is not None else dictionary.node_id
         if node_id is None:
