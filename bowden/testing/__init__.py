@@ -15,12 +15,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bowden.testing.bus import BusFrame, CanBus
+    from bowden.testing.can_bus import BusFrame, CanBus
+    from bowden.testing.canopen_node import CanopenNode
     from bowden.testing.golden import assert_same_frames, assert_same_trial
-    from bowden.testing.node import CanopenNode
 
 _HOMES = {
-    "BusFrame": "bus", "CanBus": "bus", "CanopenNode": "node", "assert_same_frames": "golden",
+    "BusFrame": "can_bus", "CanBus": "can_bus", "CanopenNode": "canopen_node", "assert_same_frames": "golden",
     "assert_same_trial": "golden",
 }
 """Each public name and the module of this package that defines it."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import canopen
 
 if TYPE_CHECKING:
-    from bowden.testing.bus import CanBus
+    from bowden.testing.can_bus import CanBus
 
 
 

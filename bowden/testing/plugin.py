@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from bowden.testing.bus import CanBus
-    from bowden.testing.node import CanopenNode
+    from bowden.testing.can_bus import CanBus
+    from bowden.testing.canopen_node import CanopenNode
 
 SHOWN = 20
 """Frames of the bus that the report of a failed test shows, the newest last."""
@@ -35,7 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def can_bus(request: pytest.FixtureRequest) -> Iterator[CanBus]:
     """A virtual CAN bus of its own for this test, at 0 ns; its seed is that of the test's name."""
-    from bowden.testing.bus import CanBus
+    from bowden.testing.can_bus import CanBus
 
     marker = request.node.get_closest_marker("can_bus")
     seed = zlib.crc32(request.node.nodeid.encode()) + request.config.getoption("--can-seed")

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bowden.testing import golden
+from bowden.testing.canopen_node import CanopenNode, DriveLoad
 from bowden.testing.counted_faults import CountedFaults
-from bowden.testing.node import CanopenNode, DriveLoad
 from eds.dictionary import Dictionary
 from eds.frame import Frame
 from nodes import Application

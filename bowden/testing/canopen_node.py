@@ -26,7 +26,7 @@ from virtual_bus.kernel import TICK
 from virtual_bus.node_station import NodeStation
 
 if TYPE_CHECKING:
-    from bowden.testing.bus import CanBus
+    from bowden.testing.can_bus import CanBus
 
 ObjectName = int | tuple[int, int] | str
 """An object: index, (index, sub-index), the EDS's name, or hexadecimal text such as "1018:01"."""
