@@ -126,7 +126,7 @@ def _cells(found: Sequence[Mapping[str, Any]], axes: Sequence[str]) -> list[dict
     import statistics
     from collections import Counter
 
-    names = [name for name in axes if name not in REPEATED]
+    names = [name for name in axes if name not in REPEATED and len({str(row.get(name)) for row in found}) > 1]
     gathered: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for row in found:
         gathered.setdefault(tuple(str(row.get(name, "")) for name in names), []).append(row)

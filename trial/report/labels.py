@@ -30,7 +30,7 @@ def label(key: str) -> str:
 def shown(told: Mapping[str, object]) -> dict[str, object]:
     """Return what is shown at once, by label: known keys with a value, and keys of others' files."""
     return {label(key): value for key, value in told.items()
-            if key not in ALWAYS_FOLDED and value not in (None, "", [], {})}
+            if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}")}
 
 
 def folded(told: Mapping[str, object]) -> dict[str, object]:
