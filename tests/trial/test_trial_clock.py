@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from parameters import InputError
 from trial.convert import clock
 
 S = 1_000_000_000
@@ -42,9 +44,23 @@ def test_an_epoch_loses_no_nanosecond() -> None:
     assert spread[2] == epoch + 7
 
 
-@given(st.lists(st.integers(0, 10**18), max_size=60))
+@given(st.lists(st.integers(0, 10**17), max_size=60))
 def test_times_rise_whatever_came_in(stamps: list[int]) -> None:
     given_times = np.array(stamps, np.int64)
     times, replaced = clock.rising(given_times)
     assert (np.diff(times) > 0).all()
     assert np.count_nonzero(times != given_times) <= len(times) if replaced else np.array_equal(times, given_times)
+
+
+@pytest.mark.parametrize("times", [
+    [0, 4 * 10**18, 0, 4 * 10**18, 0, 5 * S],  # its leaps add up to more than int64 holds
+    [-9 * 10**18, 9 * 10**18],
+])
+def test_a_clock_that_leaps_beyond_int64_is_refused(times: list[int]) -> None:
+    with pytest.raises(InputError, match=r"own\.log: its clock leaps to and fro"):
+        clock.mend(np.array(times, np.int64), "own.log")
+
+
+def test_a_coarse_clock_whose_last_stamps_go_on_beyond_int64_is_refused() -> None:
+    with pytest.raises(InputError, match="its clock leaps to and fro"):
+        clock.rising(np.array([0, 3 * 10**18, *[3 * 10**18] * 10], np.int64))

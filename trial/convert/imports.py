@@ -184,7 +184,7 @@ def _ordered(
         raise InputError(f"{source}: row {table.rows[row]}: time_s = {seconds[row]:g} does not rise; "
                          "sort or cut the file.")
     times = np.rint(seconds[kept] * 1e9).astype(np.int64)
-    mended = clock.mend(times)
+    mended = clock.mend(times, source)
     report.counts["shifted_ns"] = mended.shift_ns
     return mended.times, {name: column[kept] for name, column in columns.items()}
 
@@ -236,7 +236,7 @@ def _from_log(source: Path, frames: LoggedFrames, report: Imported, wire: WireLa
             raise InputError(f"{source}: holds {fd_frames} CAN FD frame{'s' if fd_frames > 1 else ''} and no classical "
                              "one; a bench and its trials are of classical CAN, give such a log.")
         raise InputError(f"{source}: holds no CAN frame; give a log in the format that its ending names.")
-    return _from_frames(frames, report, wire)
+    return _from_frames(source, frames, report, wire)
 
 
 def _from_python_can(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
@@ -248,11 +248,11 @@ def _from_python_can(source: Path, report: Imported, asked: ImportRequest) -> Tr
 def _from_mcap(source: Path, report: Imported, asked: ImportRequest) -> TrialContent:
     found = foreign_mcap.read(source)
     report.left_out = found.left_out
-    content = _from_frames(found.frames, report, asked.wire)
+    content = _from_frames(source, found.frames, report, asked.wire)
     if found.columns:
         columns = _mapped_columns(source, found, asked.mapped, report)
         content.columns = columns
-        content.times, coarse = clock.rising(clock.mend(found.times).times)
+        content.times, coarse = clock.rising(clock.mend(found.times, source).times, source)
         report.counts["coarse_stamps"] = coarse
         report.counts["cycles"] = len(content.times)
     elif asked.mapped:
@@ -280,8 +280,8 @@ def _mapped_columns(
     return columns
 
 
-def _from_frames(frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
-    mended = clock.mend(frames.rows["time_ns"])
+def _from_frames(source: Path, frames: LoggedFrames, report: Imported, wire: WireLayout) -> TrialContent:
+    mended = clock.mend(frames.rows["time_ns"], source)
     frames.rows["time_ns"] = mended.times
     report.counts |= frames.counts | oddities(frames.rows)
     report.counts |= {"frames": len(frames.rows), "clock_steps": mended.steps, "shifted_ns": mended.shift_ns}

@@ -19,7 +19,7 @@ import numpy as np
 
 from parameters import InputError
 from parameters.files import READ_LIMIT, refuse_special
-from trial.convert import csv_file
+from trial.convert import csv_file, unpacked_size
 from trial.convert.lab_table import Floats, LabTable, unique
 
 TEXT = (".csv", ".tsv", ".dat", ".txt")
@@ -62,8 +62,12 @@ def parquet(path: Path) -> LabTable:
         from pyarrow import parquet as format_
     except ImportError:
         raise missing(path, "Parquet needs pyarrow", "parquet") from None
-    table = format_.read_table(path)
-    columns: Arrays = {}
+    with format_.ParquetFile(path) as file:
+        unpacked_size.check_parquet(path, file.metadata)
+        # text is left out unread: one long word in a thousand rows is kept once in the file, but not in memory
+        table = file.read([field.name for field in file.schema_arrow if _fixed_width(field.type)])
+        left_out = [field.name for field in file.schema_arrow if not _fixed_width(field.type)]
+    columns: Arrays = {name: np.empty(0, object) for name in left_out}
     units: dict[str, str] = {}
     for field in table.schema:
         values = np.asarray(table.column(field.name).to_numpy())
@@ -72,12 +76,20 @@ def parquet(path: Path) -> LabTable:
     return _sheet(path, columns, units, [])
 
 
+def _fixed_width(kind: Any) -> bool:
+    """Say whether a column of Arrow type `kind` holds numbers, truth values or times."""
+    from pyarrow import types
+
+    return bool(types.is_primitive(kind) or (types.is_dictionary(kind) and types.is_primitive(kind.value_type)))
+
+
 def excel(path: Path) -> LabTable:
     """Read the first sheet of an Excel file as its CSV would be: header, perhaps a row of units, then numbers."""
     try:
         load_workbook = importlib.import_module("openpyxl").load_workbook
     except ImportError:
         raise missing(path, "Excel needs openpyxl", "xlsx") from None
+    unpacked_size.check_zip(path)
     book = load_workbook(path, read_only=True, data_only=True)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -139,6 +151,7 @@ def matlab(path: Path) -> LabTable:
 def _matlab5(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    unpacked_size.check_matlab5(path)
     found = loadmat(path, simplify_cells=True)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
@@ -149,6 +162,7 @@ def _hdf(path: Path) -> dict[str, Any]:
     except ImportError:
         raise missing(path, "MATLAB v7.3 needs h5py", "mat73") from None
     with h5py.File(path, "r") as file:
+        unpacked_size.check_hdf(path, file)
         return _group(file)
 
 
