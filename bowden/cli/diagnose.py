@@ -231,25 +231,25 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
             _say(sentence)
     if not found.candidates:
         print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
-    _tell_relations(result["relations"])
+    _tell_relations(result["relations"], "signal" if found.evidence else "relation")
     for warning in found.warnings:
         _say(f"Warning: {warning}")
 
 
-def _tell_relations(relations: dict[str, Any]) -> None:
-    """Print what each relation leaves, RMS; names are never cut at 80 columns."""
+def _tell_relations(relations: dict[str, Any], word: str) -> None:
+    """Print what is left of each relation, or signal, RMS; names are never cut at 80 columns."""
     figure = terminal.number
     checked = {name: row for name, row in relations.items() if row["checked"]}
     if not checked:
         return
-    terminal.table("what each relation leaves (RMS, on cycles that the fit has not seen)", (
-        "relation", "unit", "floor", "before", "after", "gain (%)"), [
+    terminal.table(f"what is left of each {word} (RMS, on cycles that the fit has not seen)", (
+        word, "unit", "floor", "before", "after", "gain (%)"), [
         (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
          figure(row["gain_percent"], 1)) for name, row in checked.items()])
     _say("floor: what a healthy bench leaves; before: the simulation as it was; after: with what was found.")
     held = {name: row for name, row in checked.items() if row["holdout_before"] is not None}
     if held:
-        terminal.table("on the trials held out, to which nothing was fitted", ("relation", "unit", "before", "after"), [
+        terminal.table("on the trials held out, to which nothing was fitted", (word, "unit", "before", "after"), [
             (name, row["unit"], figure(row["holdout_before"], 4), figure(row["holdout_after"], 4))
             for name, row in held.items()])
     missing = [name for name, row in relations.items() if not row["checked"]]
