@@ -44,13 +44,9 @@ def _cpu_s() -> float:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the marker `exhaustive`, leave its tests out unless `-m` selects, and compile before workers start."""
+    """Compile what a trial needs before workers start, so that they do not compile side by side."""
     if config.getoption("numprocesses", None) and not hasattr(config, "workerinput"):
         warm()
-    config.addinivalue_line("markers", "exhaustive: whole tables, foreign readers, browsers, other rigs: "
-                            "left to make test-all; run them with -m exhaustive")
-    if config.option.markexpr == "not socketcan and not faults and not hidden":
-        config.option.markexpr += " and not exhaustive"
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -13,7 +13,7 @@ from diagnosis.findings import Findings
 DATA = Path(__file__).parents[3] / "shared" / "data" / "cable_drive"
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.exhaustive,
     pytest.mark.skipif(not DATA.is_dir(), reason="the cable drive's recordings are not beside the repository")]
 
 

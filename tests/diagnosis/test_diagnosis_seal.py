@@ -14,7 +14,7 @@ from diagnosis.findings import Findings
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SEAL, TRIBOMETER = DATA / "pneumatic_seal", DATA / "tribometer"
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.exhaustive
 
 
 @pytest.fixture(scope="module")
