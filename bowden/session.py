@@ -197,7 +197,11 @@ def perform(
             sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
-            result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            try:
+                result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            except InputError as error:  # of a plant's plug-in: what was recorded until then is kept
+                recorder.close({"outcome": "stopped", "stop_reason": str(error)})
+                raise
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
         if watch is not None:

@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 from diagnosis.findings import Findings
 from diagnosis.judgement.verdict import Figures
 from diagnosis.report.plots import MEANING
+from diagnosis.report.words import refused_because
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
@@ -45,7 +46,7 @@ def headline(found: Findings) -> Headline:
 
 def _wrong(found: Findings) -> str:
     if found.verdict == "refused":
-        return "These data contradict themselves, so nothing is said about the bench: " + (
+        return f"{refused_because(found).rstrip('.')}: " + (
             found.warnings[0] if found.warnings else "no reason was given.")
     if found.verdict == "unexplained":
         return "Something is wrong that no effect of the catalogue explains; no cause is named."

@@ -23,12 +23,22 @@ def paragraph(found: Findings) -> str:
     opening = {
         "none": "Nothing was found that the simulation gets wrong: no effect of the catalogue pays on cycles it was "
                 "not fitted on.",
-        "refused": "These data contradict themselves, so nothing is said about the bench.",
+        "refused": refused_because(found),
         "unexplained": "The simulation leaves out something that no effect of the catalogue explains.",
     }.get(found.verdict, "")
     sentences = [opening, *(_cause(cause) for cause in found.causes), _gain(found), _class(found), _next(found),
                  _unchecked(found)]
     return " ".join(sentence for sentence in sentences if sentence)
+
+
+def refused_because(found: Findings) -> str:
+    """Return why trials were refused: missing columns, trials too short, or data that contradict themselves."""
+    reason = found.warnings[0] if found.warnings else ""
+    if "no relation can be checked" in reason:
+        return "Columns are missing, so nothing can be checked about the bench."
+    if "; expected at least " in reason:
+        return "The trials are too short, so nothing can be checked about the bench."
+    return "These data contradict themselves, so nothing is said about the bench."
 
 
 def _cause(cause: Mapping[str, Any]) -> str:

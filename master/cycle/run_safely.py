@@ -31,6 +31,7 @@ from master.network.host_computer import collector_frozen
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
 from master.settings import Limits
+from parameters import InputError
 
 ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
                       if hasattr(signal, name))
@@ -108,6 +109,9 @@ def _attempt(exchange: Exchange, described: WireLayout, perform: Callable[[Excha
         return None
     except StopError as error:
         stop = error
+    except InputError:  # a plug-in behind a simulated bus: no bench to stop
+        let_go(exchange)
+        raise
     except (bringup.BringUpError, SdoError) as error:
         stop = StopError(Condition.REFUSED, str(error))
     except LinkError as error:

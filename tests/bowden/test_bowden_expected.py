@@ -129,6 +129,29 @@ def test_what_raises_unexpectedly_is_one_line_without_a_traceback(
     assert not (here / "a.mcap").exists()
 
 
+LATER = """from physics.plant import create as own
+
+
+class Later:
+    def __init__(self, parameters, seed):
+        self.within = own(parameters, seed)
+        self.reset, self.truth = self.within.reset, self.within.truth
+
+    def advance(self, until_ns, servo_nm, knee_nm):
+        if until_ns > 300_000_000:
+            raise RuntimeError("the valve is stuck")
+        return self.within.advance(until_ns, servo_nm, knee_nm)
+"""
+
+
+def test_a_plant_that_raises_in_a_trial_is_named_and_ends_with_2(here: Path, bowden: Bowden) -> None:
+    (here / "folder").mkdir()
+    (here / "folder" / "later.py").write_text(LATER)
+    status, out, err = bowden("trial", *SHORT, "--plant", "folder/later.py:Later", "-o", "a.mcap")
+    assert (status, out, "Traceback" in err) == (2, "", False)
+    assert "plant 'folder/later.py:Later' raised RuntimeError (the valve is stuck) at 0.3" in err
+
+
 def test_a_controller_is_found_by_the_path_of_its_file(here: Path, bowden: Bowden) -> None:
     (here / "own.py").write_text("from master.control.packaged import PaperController as Own\n")
     (here / "work").mkdir()

@@ -27,6 +27,7 @@ from physics.effects.catalogue import CATALOGUE
 from physics.relations.relation import RELATIONS
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
+from trial.report.page import Page
 
 
 @pytest.fixture(scope="module")
@@ -245,3 +246,30 @@ def test_a_rig_that_nothing_is_known_of_is_not_told_to_use_this_bench(found: Fin
     elsewhere = dataclasses.replace(found, reference="none", experiment="two_peaks")
     assert "bowden trial" not in words.paragraph(elsewhere)
     assert "bowden trial --experiment two_peaks" in words.paragraph(dataclasses.replace(found, experiment="two_peaks"))
+
+
+@pytest.mark.parametrize(("warning", "reason"), [
+    ("a.csv: no relation can be checked (servo_position_m is missing).", "Columns are missing"),
+    ("a.csv: 2 cycles; expected at least 3, so that some stay unseen.", "The trials are too short"),
+    ("a.csv: velocity is no derivative.", "These data contradict themselves")])
+def test_missing_too_short_and_contradicting_are_three_reasons(warning: str, reason: str) -> None:
+    found = Findings("refused", warnings=[warning])
+    assert headline(found).wrong.startswith(reason)
+    assert warning in headline(found).wrong
+    assert words.paragraph(found).startswith(reason)
+
+
+def test_a_relation_without_its_columns_has_no_row_and_a_nominal_trial_no_gain(found: Findings) -> None:
+    page = Page("a")
+    page.section("b")
+    name = next(name for name, one in found.relations.items() if one.checked)
+    unseen = dataclasses.replace(found, relations={
+        **found.relations, "unheard_of": dataclasses.replace(found.relations[name], checked=False)})
+    figure_tables.relations(page, unseen)
+    assert "unheard_of" not in page.html()
+    assert "gain (%)" in page.html()
+    nominal = Page("a")
+    nominal.section("b")
+    figure_tables.relations(nominal, dataclasses.replace(found, candidates=[{"effect": "slack"}]))
+    assert name in nominal.html()
+    assert "gain (%)" not in nominal.html()
