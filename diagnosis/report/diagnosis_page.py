@@ -64,7 +64,7 @@ def build(
 
 
 def _against(found: Findings) -> str:
-    if found.found is None and found.causes:
+    if found.found is None and found.causes and not found.evidence:
         return "what a sound wire and converter give"
     return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
             "healthy": "what healthy trials of this rig taught",
