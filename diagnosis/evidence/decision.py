@@ -85,3 +85,8 @@ def misfits(found: Searched, residual: Array) -> dict[str, float]:
 def none(decided: Decision) -> Decision:
     """Return the decision without a cause named."""
     return Decision("none", (), (), None, decided.gains, decided.misfit)
+
+
+def unexplained(decided: Decision) -> Decision:
+    """Return the decision as one that no effect of the catalogue explains."""
+    return Decision("unexplained", (), (), decided.part, decided.gains, decided.misfit)

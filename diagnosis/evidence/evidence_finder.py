@@ -85,8 +85,13 @@ class EvidenceFinder:
         observed = reference.observe(*read)
         found = search(observed, reference.prior)
         decided = decision.decide(found)
-        figures = _held_out(found, decided, reference, trials, read)
+        bench = named(_bench(reference))
         said = list(warnings)
+        beyond = _beyond(found, decided, bench)
+        if beyond:
+            said.append(beyond)
+            decided = decision.unexplained(decided)
+        figures = _held_out(found, decided, reference, trials, read)
         if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
             said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
                         "seen; it is not named.")
@@ -103,7 +108,6 @@ class EvidenceFinder:
             unseen = reference.observe(*(Recording(_only(t, outputs)) for t in holdout))
             left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
             kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
-        bench = named(_bench(reference))
         error = {"reference": reference.rmse_n, "before": before, "after": after}
         evidence = {"log_bayes_factors": decided.gains, "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
@@ -150,6 +154,19 @@ def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
     if len(decided.chosen) == 1:
         return found.single[decided.chosen[0]]
     return found.pair[(decided.chosen[0], decided.chosen[1])]
+
+
+def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> str:
+    """Return, as a sentence, which chosen effect explains the trial only beyond what it can be; "" where none does."""
+    constants = named(_mode_of(found, decided).q)
+    for name in decided.chosen:
+        parameter, read = next(iter(HYPOTHESES[name].reads.items()))
+        bounds = next(p for p in CATALOGUE[name].parameters if p.name == parameter)
+        value = read(constants, bench)
+        if not bounds.low <= value <= bounds.high:
+            return (f"{name} would explain the trial with {parameter} = {value:.3g} {bounds.unit}".rstrip()
+                    + f", which is outside {bounds.low:g} … {bounds.high:g}: it is not named.")
+    return ""
 
 
 def _variants(found: Searched, decided: Decision) -> list[Variant]:
