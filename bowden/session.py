@@ -76,6 +76,28 @@ class Prepared:
         return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 
+def entered(sections: dict[str, Any], logbook: Path | None, config: Path | None) -> Path | None:
+    """Return the logbook that trials are entered in: `logbook`, or the one that `[record]` names beside `config`.
+
+    It is taken out of the sections: no path of a machine stands in a trial.  Raises `InputError` where none is there.
+    """
+    told = sections["record"].logbook
+    sections["record"] = dataclasses.replace(sections["record"], logbook="")
+    found = logbook
+    if found is None and told:
+        found = Path(told) if config is None else config.parent / told
+    refuse_no_logbook(found)
+    return found
+
+
+def refuse_no_logbook(folder: Path | None) -> None:
+    """Raise `InputError` for a folder that holds no logbook, before anything runs."""
+    if folder is not None:
+        from logbook.database import open_logbook
+
+        open_logbook(folder).close()
+
+
 def reference(
     gait: Gait, knee: Path | None, desired: Path | None, *, period_given: bool, peak_given: bool
 ) -> tuple[Reference, Gait, list[str]]:

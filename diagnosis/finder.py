@@ -44,14 +44,16 @@ class Finder:
     `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
     `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `core`: see `CORES`; None takes
     evidence where there are reference trials, and rope, knee and START are recorded of a rig that the model fits.
+    `session_sd`: 1σ of each constant between sessions, from a logbook (None: the published one).
     Raises `InputError` for a core that is none.
     """
 
     def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
-                 core: str | None = None) -> None:
+                 core: str | None = None, session_sd: Mapping[str, float] | None = None) -> None:
         if core not in (None, *CORES):
             raise InputError(f"--core {core} is no core of the diagnosis; expected {' or '.join(CORES)}.")
         self.calibration, self.lowpass, self.core = _calibration(calibration), lowpass, core
+        self.session_sd = session_sd
         self._evidence: EvidenceFinder | None = None
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
@@ -77,7 +79,8 @@ class Finder:
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
-        self._evidence = EvidenceFinder(self._healthy.tables) if self._healthy and self.core != "relations" else None
+        by_evidence = self._healthy and self.core != "relations"
+        self._evidence = EvidenceFinder(self._healthy.tables, self.session_sd) if by_evidence else None
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:

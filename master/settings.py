@@ -103,3 +103,4 @@ class Record:
     rope: str = parameter("", "", "rope and sheath: kind, batch, days in use", source="said by the operator")
     operator: str = parameter("", "", "who runs the bench", source="said by the operator")
     notes: str = parameter("", "", "whatever else matters", source="said by the operator")
+    logbook: str = parameter("", "", "folder of the logbook that trials are entered in", source="said by the operator")

@@ -6,7 +6,7 @@ import importlib
 
 MODULES = (
     "trial", "replay", "identify", "sweep", "bench", "commission", "acknowledge", "doctor", "node", "files", "diagnose",
-    "fit", "simulate", "verify", "report", "live", "convert", "recordings", "record", "setup",
+    "fit", "simulate", "verify", "report", "live", "convert", "recordings", "record", "setup", "logbook",
 )
 
 

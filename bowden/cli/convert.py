@@ -9,6 +9,7 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,7 +21,9 @@ Source = Annotated[Path, typer.Argument(
     help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
 Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
-B = Annotated[Path, typer.Argument(metavar="B", help="Another one.", show_default=False)]
+B = Annotated[Path | None, typer.Argument(metavar="B", help="Another one.", show_default=False)]
+History = Annotated[Path | None, typer.Option(
+    "--logbook", metavar="DIR", help="In place of B: the bench's own history.")]
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
 Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
 Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
@@ -128,12 +131,14 @@ def export(
 
 @app.command()
 def compare(
-    a: A, b: B, report: Page = None, everything: Everything = False, overwrite: options.Overwrite = False,
+    a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
+    overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Compare two trials: their four figures, and in five lines what differs.
 
-    Exit status 1 if any channel differs.
+    Exit status 1 if any channel differs.  With --logbook: the bench's constants in A against their scatter between
+    sessions; exit status 1 if fewer than 1 in 1,000 healthy sessions depart as far.
 
     Example: bowden compare a.mcap b.mcap --report compared.html
     """
@@ -141,6 +146,10 @@ def compare(
     from trial.compare import compare as compared
     from trial.read import open as opened
 
+    if (b is None) == (logbook is None):
+        raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
+    if b is None:
+        return _against_history(a, logbook, report, json)
     output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
     from trial.report.compare_page import judged
@@ -160,6 +169,32 @@ def compare(
     if report is not None and not json:
         print(f"Page: {report}")
     return 0 if found.same else 1
+
+
+RARE = 1e-3
+"""Share of healthy sessions that depart as far as one that is told apart: one session in a thousand."""
+
+
+def _against_history(trial: Path, logbook: Path | None, report: Path | None, json: bool) -> int:
+    """Compare one trial with its bench's history; 1 where it departs from it."""
+    from bowden import logbook_entries
+    from parameters import InputError
+
+    assert logbook is not None
+    if report is not None:
+        raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
+    with terminal.waiting("fitting", shown=not json):
+        found = logbook_entries.against_history(logbook, trial)
+    if json:
+        terminal.emit(found)
+    else:
+        rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
+        terminal.table(f"{trial} against {found['sessions']} sessions, farthest first", (
+            "constant", "departure", "over 1σ of sessions"), [
+            (name, f"{row['departure']:.3g}" + (" (ln)" if row["form"] == "log" else f" {row['unit']}"),
+             terminal.number(row["scatters"])) for name, row in rows[:10]])
+        print(f"Probability that a healthy session departs as far: {found['probability']:.2g}.")
+    return 1 if found["probability"] < RARE else 0
 
 
 def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:

@@ -49,6 +49,8 @@ Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noi
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
 """Shares of a diagnosis that are done when its steps begin."""
+ENTERED = ("verdict", "causes", "class", "experiment")
+"""Keys of a diagnosis that its logbook keeps."""
 WIDTH = 80
 """Columns of a terminal that every line but a table's fits in."""
 
@@ -68,6 +70,9 @@ def diagnose(
     workers: Workers = None,
     scheduler: Scheduler = None,
     core: Core = None,
+    logbook: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Logbook of the bench: enters the verdict; with --core evidence also in place of "
+        "--healthy.")] = None,
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,
@@ -85,8 +90,9 @@ def diagnose(
     from bowden import output_files
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
-    given = {"TRIAL": trials, "-o": output, "--report": report, "--figures": figures, "--lowpass": lowpass,
-             "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers, "--scheduler": scheduler}
+    given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
+             "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers,
+             "--scheduler": scheduler}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
@@ -101,16 +107,39 @@ def diagnose(
         from diagnosis.report import figure_export
 
         figure_export.refuse(figures, overwrite=overwrite)
+    deviations: dict[str, float] | None = None
+    if logbook is not None:
+        healthy, deviations = _of_logbook(logbook, healthy, chosen, core)
     began = time.perf_counter()
     with _steps(shown=not json) as step:
         found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
-                           figures, core, overwrite=overwrite)
+                           figures, core, deviations, overwrite=overwrite)
     result = found.as_json() | {"seconds": time.perf_counter() - began}
+    if logbook is not None and found.verdict != "refused":
+        from bowden import logbook_entries
+
+        kept: dict[str, Any] = {name: result[name] for name in ENTERED if name in result}
+        for trial in chosen:
+            logbook_entries.add_verdict(logbook, trial, kept)
     if json:
         terminal.emit(result)
     else:
         _tell(found, result)
     return 2 if found.verdict == "refused" else 0
+
+
+def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path],
+                core: str | None) -> tuple[list[Path] | None, dict[str, float] | None]:
+    """Return reference trials and deviations between sessions, by the logbook where the evidence core has none."""
+    from bowden import logbook_entries, session
+
+    session.refuse_no_logbook(logbook)
+    if core == "relations":
+        return healthy, None
+    found, deviations = logbook_entries.reference_trials(logbook) if not healthy else (
+        healthy, logbook_entries.deviations(logbook))
+    same = {trial.resolve() for trial in trials}
+    return [path for path in found if path.resolve() not in same], deviations
 
 
 def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
@@ -128,7 +157,7 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
         raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
                                 "diagnose: no trial given; name at least one, or an experiment with --plan.")
     if given["--each"]:
-        _leave_out(given, ("-o", "--report", "--figures", "--tracked"),
+        _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook"),
                    "--each gives a verdict for every trial and writes none")
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:
@@ -188,7 +217,7 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, core: str | None, *, overwrite: bool,
+    figures: Path | None, core: str | None, deviations: dict[str, float] | None, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing
@@ -202,7 +231,7 @@ def _diagnosed(
         step(f"reading {path.name}", READING * done / len(paths))
         groups[group].append(table.read(path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
-    finder = Finder(calibration, lowpass, core).examine(groups[1])
+    finder = Finder(calibration, lowpass, core, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
     found = finder.diagnose(groups[0], groups[2])
     found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))

@@ -27,6 +27,7 @@ def fit(
     output: Output,
     calibration: Start = None,
     lowpass: Lowpass = None,
+    logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -36,15 +37,20 @@ def fit(
 
     Example: bowden fit good.mcap -o model.toml
     """
-    from bowden import output_files
+    from bowden import output_files, session
     from diagnosis import bench_fit
     from parameters.files import write_whole
 
+    session.refuse_no_logbook(logbook)
     output_files.refuse([output], overwrite=overwrite, inputs=[*trials, calibration])
     output_files.refuse_ending(output, ".toml", what="a bench model")
     with terminal.waiting("fitting", shown=not json):
         found = bench_fit.fit(trials, calibration, lowpass)
     write_whole(output, found.text(), overwrite=True)
+    if logbook is not None:
+        from bowden import logbook_entries
+
+        logbook_entries.add_model(logbook, "fit", output)
     result: dict[str, Any] = {"model": str(output), **found.as_json()}
     terminal.emit(result) if json else _tell(output, found)
     return 0

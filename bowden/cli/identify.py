@@ -40,6 +40,7 @@ def identify(
     simulated: SimulatedOptions,
     reached: Bus,
     config: options.Config = None,
+    logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -49,8 +50,9 @@ def identify(
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
-    from bowden import identification, output_files
+    from bowden import identification, output_files, session
 
+    session.refuse_no_logbook(logbook)
     _drawable(what, picture)
     output_files.refuse_ending(output, ".toml", what="a calibration")
     output_files.refuse_picture(picture)
@@ -60,8 +62,11 @@ def identify(
         _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
         output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
         found = identification.again(what, recorded, calibration, date=today, progress=progress)
-        return _ended(found, output, ", ".join(map(str, recorded)), picture, json)
+        status = _ended(found, output, ", ".join(map(str, recorded)), picture, json)
+        _enter(logbook, found, output)
+        return status
     sections = reached.sections(config, rate)
+    logbook = session.entered(sections, logbook, config)
     chosen = reached.chosen(simulated)
     recording = output.with_suffix(".mcap")
     output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
@@ -69,9 +74,18 @@ def identify(
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
     status = _ended(found, output, str(recording), picture, json)
+    _enter(logbook, found, output)
     if not json:
         print(f"Bench: {chosen.told}")
     return status
+
+
+def _enter(logbook: Path | None, found: Identified, output: Path) -> None:
+    """Enter the calibration in a logbook, where both are there."""
+    if logbook is not None and found.calibration is not None:
+        from bowden import logbook_entries
+
+        logbook_entries.add_model(logbook, "calibration", output)
 
 
 def _drawable(what: str, picture: Path | None) -> None:

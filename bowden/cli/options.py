@@ -26,6 +26,11 @@ Json = Annotated[bool, _given("One JSON object on stdout, nothing else.", "--jso
 Config = Annotated[Path | None, _file("bench.toml; bowden init writes one.", "--config")]
 Picture = Annotated[Path | None, _file("Draw desired, START and END force (png, svg, pdf).")]
 
+Logbook = Annotated[Path | None, typer.Option(
+    metavar="DIR", help="Logbook to enter it in (default: [record] logbook of the configuration).")]
+Session = Annotated[str | None, _given(
+    "Session of the logbook (default: the date; simulated: the day).", metavar="LABEL")]
+
 Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).", metavar="N")]
 Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
 Cycles = Annotated[int | None, _given("Gait cycles to run (default 10).", metavar="COUNT")]

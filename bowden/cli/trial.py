@@ -38,6 +38,8 @@ def trial(
     config: options.Config = None,
     picture: options.Picture = None,
     web: Web = None,
+    logbook: options.Logbook = None,
+    label: options.Session = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -56,6 +58,7 @@ def trial(
     output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
+    entered = session.entered(sections, logbook, config)
     reference, sections["gait"], notes = session.reference(
         walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
         peak_given=walk.peak is not None)
@@ -68,12 +71,19 @@ def trial(
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
             progress=terminal.Terminal(shown=not json), watch=watch)
+    if entered is not None and result["trial"] is not None:
+        from bowden import logbook_entries
+
+        with terminal.waiting("entering the trial in the logbook", shown=not json):
+            result["logbook"] = logbook_entries.entered(entered, output, logbook_entries.label(label, chosen), result)
     if json:
         terminal.emit(result)
     elif result["trial"] is None:
         print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
     else:
         _show(result, output, picture, chosen.told, dry_run=dry_run)
+        if "logbook" in result:
+            print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
     return ending.status_of(result["outcome"], result["stop_reason"])
 
 

@@ -35,12 +35,16 @@ FARTHEST: Final = 6.0
 class EvidenceFinder:
     """Diagnoses trials of one bench by evidence: the reference trials are fitted once for each set of outputs."""
 
-    def __init__(self, reference: Sequence[Table]) -> None:
-        """`reference`: at least one trial of the bench in the reference condition; raises `InputError`."""
+    def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None) -> None:
+        """`reference`: at least one trial of the bench in the reference condition; raises `InputError`.
+
+        `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
+        """
         if not reference:
             raise InputError("the evidence core needs reference trials of this bench; name at least one with "
                              "--healthy, or say --core relations.")
         self._tables = reference
+        self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
 
     def lacking(self, trials: Sequence[Table]) -> str:
@@ -125,7 +129,7 @@ class EvidenceFinder:
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
         if outputs not in self._fits:
-            self._fits[outputs] = fit_reference([Recording(_only(t, outputs)) for t in self._tables])
+            self._fits[outputs] = fit_reference([Recording(_only(t, outputs)) for t in self._tables], self._session_sd)
         return self._fits[outputs]
 
 

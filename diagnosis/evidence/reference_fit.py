@@ -157,9 +157,12 @@ def features(states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
     return out
 
 
-def fit_reference(trials: Sequence[Recording]) -> ReferenceFit:
-    """Fit the reference trials of one bench, which all have the same outputs."""
-    return _Fit(trials).run()
+def fit_reference(trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None) -> ReferenceFit:
+    """Fit the reference trials of one bench, which all have the same outputs.
+
+    `session_sd`: 1σ between sessions by constant, in coordinates, as a logbook measured it (None: the published one).
+    """
+    return _Fit(trials, session_sd).run()
 
 
 class _Linear(NamedTuple):
@@ -173,8 +176,11 @@ class _Linear(NamedTuple):
 class _Fit:
     """State of the reference fit: linearised trials, model error, scaling."""
 
-    def __init__(self, trials: Sequence[Recording]) -> None:
+    def __init__(self, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None) -> None:
         self.trials = trials
+        self.session_sd = SESSION_SD.copy()
+        for name, sd in (session_sd or {}).items():
+            self.session_sd[INDEX[name]] = sd
         self.outputs = trials[0].outputs
         self.origin = _origin(trials[0])
         self.amplitude = np.full(len(self.outputs), 0.2)
@@ -232,7 +238,7 @@ class _Fit:
         return np.concatenate([BENCH_SD[list(FREE)] ** 2, np.repeat(self.amplitude**2, FEATURES)])
 
     def _session(self) -> Array:
-        return np.concatenate([SESSION_SD[list(FREE)] ** 2,
+        return np.concatenate([self.session_sd[list(FREE)] ** 2,
                                SESSION_SHARE**2 * np.repeat(self.amplitude**2, FEATURES)])
 
     def _posterior(self, which: Sequence[int]) -> Gaussian:

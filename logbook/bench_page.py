@@ -1,0 +1,172 @@
+"""A bench over months as one offline HTML page: alarms first, a sparkline per constant, trials one click away."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from logbook.bench_state import BenchState, ConstantCourse
+from logbook.change_search import Change
+from logbook.database import Logbook, TrialEntry
+from logbook.session_model import CONSTANTS
+from parameters.files import write_whole
+
+WIDTH, HEIGHT = 420.0, 44.0
+TRIALS: Final = 500
+"""Newest trials on the page: the whole list is what `bowden logbook export` writes."""
+STYLE: Final = """
+body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#1c2430}
+h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}table{border-collapse:collapse;width:100%}
+td,th{padding:.25em .6em;text-align:left;border-bottom:1px solid #e3e7ec;vertical-align:middle}
+.alarm{background:#fdecea;border-left:5px solid #c62828;padding:.6em 1em;margin:.6em 0}
+.calm{background:#e8f5e9;border-left:5px solid #2e7d32;padding:.6em 1em;margin:.6em 0}
+.number{text-align:right;font-variant-numeric:tabular-nums}.missing{color:#c62828}
+svg{display:block}.band{fill:#1f6fb2;opacity:.18}.line{fill:none;stroke:#1f6fb2;stroke-width:1.4}
+.change{stroke:#c62828;stroke-width:1.6}.note{stroke:#8a6d00;stroke-width:1.2;stroke-dasharray:3 2}
+.point{fill:#1f6fb2}.moved td{background:#fff6f5}small{color:#5b6673}
+"""
+
+
+def write(book: Logbook, state: BenchState, path: Path) -> int:
+    """Write the page whole; return its bytes."""
+    text = page(book, state)
+    write_whole(path, text, overwrite=True)
+    return len(text.encode())
+
+
+def page(book: Logbook, state: BenchState) -> str:
+    """Return the page as HTML."""
+    counts = state.counts
+    head = (f"{counts['trial']} trials in {counts['session']} sessions, {state.hours:.1f} h recorded, "
+            f"{min(state.references, len(state.sessions))} reference sessions, {counts['note']} maintenance entries.")
+    body = [f"<h1>Bench {escape(state.name)}</h1><p>{head}</p>", _alarms(state), _notes(state), _constants(state),
+            _changes(state), _trials(book)]
+    return ("<!doctype html><html lang='en'><head><meta charset='utf-8'><meta name='viewport' "
+            f"content='width=device-width'><title>Bench {escape(state.name)}</title><style>{STYLE}</style></head>"
+            f"<body>{''.join(body)}</body></html>\n")
+
+
+def _alarms(state: BenchState) -> str:
+    if not state.model:
+        return "<p class='calm'>No session is fitted yet: no statement about changes.</p>"
+    if not state.alarms:
+        return "<p class='calm'>No alarm: no change beyond the scatter between sessions.</p>"
+    best = state.alarms[0]
+    told = state.told(best)
+    since = (f"since session <a href='#session-{best.since}'>{escape(str(told['since']))}</a> (95 %: "
+             f"{escape(str(told['since_interval'][0]))} … {escape(str(told['since_interval'][1]))})")
+    others = [c.name for c in state.alarms[1:]]
+    among = f"; not separated from {escape(', '.join(others))}" if others else ""
+    ahead = "".join(f"<br>{_forecast(f)}" for f in state.forecasts)
+    return (f"<p class='alarm'><b>Changed: {escape(best.name)}</b>, as a {best.course}, {since}; "
+            f"{best.nats:.1f} nats{among}.{ahead}</p>")
+
+
+def _forecast(f: Any) -> str:
+    if f.sessions is None:
+        return f"{escape(f.constant)} is not forecast to reach {f.limit:g}."
+    high = "no limit" if f.high is None else f"{f.high:.0f}"
+    return (f"{escape(f.constant)} reaches {f.limit:g} in {f.sessions:.0f} sessions (95 %: {f.low or 0:.0f} … {high}).")
+
+
+def _notes(state: BenchState) -> str:
+    if not state.notes:
+        return ""
+    rows = "".join(f"<tr><td>{escape(n.made[:10])}</td><td>after {escape(str(state.labels.get(n.after, 'none')))}</td>"
+                   f"<td>{escape(n.text)}</td><td>{escape(', '.join(n.resets) or 'nothing')}</td></tr>"
+                   for n in state.notes)
+    return ("<h2>Maintenance</h2><table><tr><th>entered</th><th>session</th><th>entry</th><th>resets</th></tr>"
+            f"{rows}</table>")
+
+
+def _constants(state: BenchState) -> str:
+    if not state.courses:
+        return ""
+    changed: Change | None = state.alarms[0] if state.alarms else None
+    moved = set() if changed is None else {CONSTANTS[k] for k in np.flatnonzero(changed.departure)}
+    rows = []
+    for name in sorted(state.courses, key=lambda n: n not in moved):
+        course = state.courses[name]
+        rows.append(
+            f"<tr id='constant-{name}'{' class=moved' if name in moved else ''}><td><b>{name}</b><br><small>"
+            f"{escape(course.meaning)}</small></td><td>{_sparkline(state, course, changed if name in moved else None)}"
+            f"</td><td class='number'>{course.value[-1]:.4g} {escape(course.unit)}<br><small>{course.low[-1]:.4g} … "
+            f"{course.high[-1]:.4g}</small></td><td class='number'>{course.scatter:.2g}<br><small>published "
+            f"{course.published:.2g}</small></td></tr>")
+    return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change. "
+            "Dashed: maintenance.</small></p><table><tr><th>constant</th><th>sessions</th><th>now, 95 %</th>"
+            f"<th>1σ between sessions</th></tr>{''.join(rows)}</table>")
+
+
+def _sparkline(state: BenchState, course: ConstantCourse, change: Change | None) -> str:
+    """Return one constant as SVG; each point leads to its session's trials."""
+    count = course.value.size
+    low, high = float(course.low.min()), float(course.high.max())
+    span = (high - low) or 1.0
+
+    def x(k: float) -> float:
+        return 4.0 + (WIDTH - 8.0) * (k / max(count - 1, 1))
+
+    def y(v: float) -> float:
+        return HEIGHT - 3.0 - (HEIGHT - 6.0) * (v - low) / span
+
+    line = " ".join(f"{x(k):.1f},{y(float(v)):.1f}" for k, v in enumerate(course.value))
+    band = " ".join([*(f"{x(k):.1f},{y(float(v)):.1f}" for k, v in enumerate(course.high)),
+                     *(f"{x(k):.1f},{y(float(course.low[k])):.1f}" for k in range(count - 1, -1, -1))])
+    marks = []
+    numbers = np.array(state.sessions)
+    for note in state.notes:
+        if course.name in note.resets and numbers[0] <= note.after < numbers[-1]:
+            marks.append(("note", float(np.searchsorted(numbers, note.after, side="right")) - 0.5))
+    if change is not None:
+        marks.append(("change", float(np.searchsorted(numbers, change.since)) - 0.5))
+    drawn = "".join(f"<line class='{kind}' x1='{x(k):.1f}' x2='{x(k):.1f}' y1='0' y2='{HEIGHT:.0f}'/>"
+                    for kind, k in marks)
+    points = "".join(
+        f"<a href='#session-{number}'><circle class='point' cx='{x(k):.1f}' cy='{y(float(course.value[k])):.1f}' r='2'>"
+        f"<title>{escape(state.labels.get(number, str(number)))}: {course.value[k]:.4g}</title></circle></a>"
+        for k, number in enumerate(state.sessions))
+    return (f"<svg width='{WIDTH:.0f}' height='{HEIGHT:.0f}' role='img' aria-label='{course.name} over sessions'>"
+            f"<polygon class='band' points='{band}'/><polyline class='line' points='{line}'/>{drawn}{points}</svg>")
+
+
+def _changes(state: BenchState) -> str:
+    if not state.changes:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(c.name)}{'' if c.known else ' <small>(not in the catalogue)</small>'}</td><td>{c.course}</td>"
+        f"<td>{escape(str(state.labels.get(c.since)))}</td><td class='number'>{c.nats:.1f}</td></tr>"
+        for c in state.changes[:8])
+    return ("<h2>Evidence of a change</h2><table><tr><th>effect</th><th>course</th><th>likeliest begin</th>"
+            f"<th class='number'>ln B (nats)</th></tr>{rows}</table>")
+
+
+def _trials(book: Logbook) -> str:
+    """Return the newest trials by session, each a link to its file; a file that is gone is told."""
+    groups: dict[int, list[TrialEntry]] = {}
+    for entry in book.trials(TRIALS):
+        groups.setdefault(entry.session, []).append(entry)
+    parts = [f"<h2>Trials</h2><p><small>The newest {TRIALS} at most.</small></p><table><tr><th>session</th><th>trial"
+             "</th><th>experiment</th><th>outcome</th><th class='number'>RMSE (%)</th></tr>"]
+    for session, entries in groups.items():
+        for k, entry in enumerate(entries):
+            place = f" id='session-{session}'" if k == 0 else ""
+            link = f"<a href='{escape(book.place(entry.path).absolute().as_uri())}'>{escape(entry.path)}</a>"
+            gone = "" if entry.there else " <span class='missing'>file not found</span>"
+            unfit = "" if entry.estimated else f"<br><small>{escape(entry.remark)}</small>"
+            parts.append(f"<tr{place}><td>{escape(entry.label)}</td><td>{entry.id} {link}{gone}{unfit}</td><td>"
+                         f"{escape(entry.experiment)}</td><td>{escape(entry.outcome or '–')}</td><td class='number'>"
+                         f"{_figure(entry.figures)}</td></tr>")
+    return "".join([*parts, "</table>"])
+
+
+def _figure(figures: Mapping[str, Any]) -> str:
+    value = figures.get("relative_rmse_percent")
+    return "–" if not isinstance(value, float) else f"{value:.2f}"
+
+
+__all__: Sequence[str] = ("page", "write")

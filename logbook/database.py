@@ -1,0 +1,449 @@
+"""The logbook's file: trials, sessions, estimates, verdicts and maintenance in one SQLite database.
+
+Every entry is one transaction in write-ahead mode with full synchronisation: an entry that was acknowledged survives
+kill −9.  A second process waits for the first, at most `PATIENCE_S`.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from parameters import InputError
+from physics.laws import Array
+
+FILE: Final = "logbook.sqlite"
+PATIENCE_S: Final = 60.0
+"""Longest wait for another process's entry, s; an entry itself takes milliseconds."""
+APPLICATION: Final = 0x424F5744
+"""SQLite's application_id of a logbook: "BOWD"."""
+REFERENCES: Final = 10
+"""Sessions from the first on that are reference sessions unless `bowden logbook init --references` says otherwise."""
+MIGRATIONS: Final = ("""
+CREATE TABLE setting (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE session (id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, began TEXT NOT NULL);
+CREATE TABLE trial (
+    id INTEGER PRIMARY KEY, session INTEGER NOT NULL REFERENCES session(id), digest TEXT NOT NULL UNIQUE,
+    path TEXT NOT NULL, added TEXT NOT NULL, experiment TEXT NOT NULL, outcome TEXT, seconds REAL NOT NULL,
+    conditions TEXT NOT NULL, figures TEXT NOT NULL, software TEXT NOT NULL);
+CREATE TABLE reference (
+    id INTEGER PRIMARY KEY, made TEXT NOT NULL, constants TEXT NOT NULL, trials TEXT NOT NULL, bench BLOB NOT NULL,
+    model BLOB NOT NULL);
+CREATE TABLE estimate (
+    trial INTEGER PRIMARY KEY REFERENCES trial(id), reference INTEGER REFERENCES reference(id), remark TEXT NOT NULL,
+    mean BLOB, covariance BLOB, prior_sd BLOB, rmse_n REAL);
+CREATE TABLE verdict (
+    id INTEGER PRIMARY KEY, trial INTEGER NOT NULL REFERENCES trial(id), made TEXT NOT NULL, content TEXT NOT NULL);
+CREATE TABLE model (
+    id INTEGER PRIMARY KEY, made TEXT NOT NULL, kind TEXT NOT NULL, path TEXT NOT NULL, content TEXT NOT NULL);
+CREATE TABLE note (
+    id INTEGER PRIMARY KEY, made TEXT NOT NULL, after INTEGER NOT NULL, text TEXT NOT NULL, resets TEXT NOT NULL);
+""", """
+CREATE INDEX trial_of_session ON trial(session);
+CREATE INDEX verdict_of_trial ON verdict(trial);
+""")
+"""SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them."""
+
+
+class TrialEntry(NamedTuple):
+    """One trial as the logbook keeps it; `path` as recorded, `there` whether the file is at it now."""
+
+    id: int
+    session: int
+    label: str
+    path: str
+    there: bool
+    added: str
+    experiment: str
+    outcome: str | None
+    seconds: float
+    conditions: dict[str, str]
+    figures: dict[str, Any]
+    software: str
+    estimated: bool
+    remark: str
+
+
+class NewTrial(NamedTuple):
+    """A trial to enter; `digest`: SHA-256 of its file."""
+
+    path: Path
+    digest: str
+    experiment: str
+    outcome: str | None
+    seconds: float
+    conditions: Mapping[str, str]
+    figures: Mapping[str, Any]
+    software: str
+
+
+class Estimate(NamedTuple):
+    """Bench constants of one trial: posterior `mean` and `covariance` under the prior N(0, `prior_sd`²).
+
+    Coordinates relative to the reference model; `rmse_n`: RMS of START and END that the model leaves, N.
+    """
+
+    mean: Array
+    covariance: Array
+    prior_sd: Array
+    rmse_n: float
+
+
+class StoredEstimate(NamedTuple):
+    """An estimate with the session that it belongs to."""
+
+    session: int
+    trial: int
+    estimate: Estimate
+
+
+class SessionEntry(NamedTuple):
+    """One session: its number from 1 in the order of entry, label, first entry, trials and recorded seconds."""
+
+    id: int
+    label: str
+    began: str
+    trials: int
+    seconds: float
+
+
+class Note(NamedTuple):
+    """A maintenance entry: made after session `after`; `resets`: constants that it changed."""
+
+    id: int
+    made: str
+    after: int
+    text: str
+    resets: tuple[str, ...]
+
+
+class Reference(NamedTuple):
+    """A reference model: names of its constants, the trials it was fitted to, its coordinates, its encoded content."""
+
+    id: int
+    constants: tuple[str, ...]
+    trials: tuple[int, ...]
+    bench: Array
+    model: bytes
+
+
+class Logbook:
+    """One open logbook; use it as a context manager."""
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
+        self.folder = folder
+        self._connection = connection
+
+    def __enter__(self) -> Logbook:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the database."""
+        self._connection.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """Hold the write lock for one transaction: all of it is kept, or nothing."""
+        with _told(self.folder / FILE):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._connection
+            except BaseException:
+                self._connection.execute("ROLLBACK")
+                raise
+            self._connection.execute("COMMIT")
+
+    def _rows(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
+        with _told(self.folder / FILE):
+            return self._connection.execute(query, given).fetchall()
+
+    # -- settings ------------------------------------------------------------------------------------------------
+
+    @property
+    def references(self) -> int:
+        """Number of reference sessions."""
+        return int(self._rows("SELECT value FROM setting WHERE key = 'references'")[0][0])
+
+    @property
+    def name(self) -> str:
+        """Name of the bench."""
+        return str(self._rows("SELECT value FROM setting WHERE key = 'name'")[0][0])
+
+    # -- entries -------------------------------------------------------------------------------------------------
+
+    def enter_trial(self, new: NewTrial, session: str) -> tuple[int, bool]:
+        """Enter a trial in the session of that label; return its number and whether it is new.
+
+        A file of the same content is entered once; where it was moved, its path is brought up to date.
+        """
+        path = self._stored(new.path)
+        with self._writing() as db:
+            known = db.execute("SELECT id FROM trial WHERE digest = ?", (new.digest,)).fetchone()
+            if known is not None:
+                db.execute("UPDATE trial SET path = ? WHERE id = ?", (path, known[0]))
+                return int(known[0]), False
+            db.execute("INSERT OR IGNORE INTO session(label, began) VALUES (?, ?)", (session, now()))
+            of = db.execute("SELECT id FROM session WHERE label = ?", (session,)).fetchone()[0]
+            entered = db.execute(
+                "INSERT INTO trial(session, digest, path, added, experiment, outcome, seconds, conditions, figures, "
+                "software) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (of, new.digest, path, now(), new.experiment, new.outcome, new.seconds, _json(new.conditions),
+                 _json(new.figures), new.software))
+            return int(entered.lastrowid or 0), True
+
+    def enter_reference(self, constants: Sequence[str], trials: Sequence[int], bench: Array, model: bytes,
+                        after: int | None) -> bool:
+        """Enter a reference model unless another one than `after` is the newest; return whether it was entered."""
+        with self._writing() as db:
+            newest = db.execute("SELECT max(id) FROM reference").fetchone()[0]
+            if newest != after:
+                return False
+            db.execute("INSERT INTO reference(made, constants, trials, bench, model) VALUES (?, ?, ?, ?, ?)", (
+                now(), json.dumps(list(constants)), json.dumps(list(trials)), _packed(bench), model))
+            return True
+
+    def enter_estimate(self, trial: int, reference: int, found: Estimate) -> bool:
+        """Enter the estimate of a trial; False, and nothing entered, where a newer reference model is there."""
+        with self._writing() as db:
+            if db.execute("SELECT max(id) FROM reference").fetchone()[0] != reference:
+                return False
+            db.execute("INSERT OR REPLACE INTO estimate VALUES (?, ?, '', ?, ?, ?, ?)", (
+                trial, reference, _packed(found.mean), _packed(found.covariance[np.triu_indices(found.mean.size)]),
+                _packed(found.prior_sd), found.rmse_n))
+            return True
+
+    def enter_remark(self, trial: int, remark: str) -> None:
+        """Enter why a trial has no estimate."""
+        with self._writing() as db:
+            db.execute("INSERT OR REPLACE INTO estimate(trial, remark) VALUES (?, ?)", (trial, remark))
+
+    def enter_verdict(self, trial: int, content: Mapping[str, Any]) -> None:
+        """Enter what a diagnosis decided of a trial."""
+        with self._writing() as db:
+            db.execute("INSERT INTO verdict(trial, made, content) VALUES (?, ?, ?)", (trial, now(), _json(content)))
+
+    def enter_model(self, kind: str, path: Path, content: str) -> None:
+        """Enter a bench model file: `kind` "calibration" of identify, "fit" of fit."""
+        with self._writing() as db:
+            db.execute("INSERT INTO model(made, kind, path, content) VALUES (?, ?, ?, ?)",
+                       (now(), kind, self._stored(path), content))
+
+    def enter_note(self, text: str, resets: Sequence[str]) -> Note:
+        """Enter maintenance done after the newest session."""
+        with self._writing() as db:
+            after = db.execute("SELECT coalesce(max(id), 0) FROM session").fetchone()[0]
+            made = now()
+            entered = db.execute("INSERT INTO note(made, after, text, resets) VALUES (?, ?, ?, ?)",
+                                 (made, after, text, json.dumps(list(resets))))
+            return Note(int(entered.lastrowid or 0), made, after, text, tuple(resets))
+
+    # -- reading -------------------------------------------------------------------------------------------------
+
+    def counts(self) -> dict[str, int]:
+        """Return how many trials, sessions and notes there are."""
+        return {what: int(self._rows(f"SELECT count(*) FROM {what}")[0][0]) for what in ("trial", "session", "note")}
+
+    def hours(self) -> float:
+        """Return the recorded time of all trials, h."""
+        return float(self._rows("SELECT coalesce(sum(seconds), 0) FROM trial")[0][0]) / 3600.0
+
+    def trials(self, most: int | None = None, *, session: int | None = None, trial: int | None = None
+               ) -> list[TrialEntry]:
+        """Return the newest `most` trials (None: all), newest first; of one session or one number where given."""
+        where, given = "", []
+        for column, value in (("t.session", session), ("t.id", trial)):
+            if value is not None:
+                where, given = f"WHERE {column} = ?", [value]
+        rows = self._rows(
+            "SELECT t.id, t.session, s.label, t.path, t.added, t.experiment, t.outcome, t.seconds, t.conditions, "
+            "t.figures, t.software, e.mean IS NOT NULL, coalesce(e.remark, 'not fitted yet') FROM trial t "
+            f"JOIN session s ON s.id = t.session LEFT JOIN estimate e ON e.trial = t.id {where} "
+            "ORDER BY t.id DESC LIMIT ?", (*given, -1 if most is None else most))
+        return [TrialEntry(r[0], r[1], r[2], r[3], self.place(r[3]).exists(), r[4], r[5], r[6], r[7], json.loads(r[8]),
+                           json.loads(r[9]), r[10], bool(r[11]), r[12]) for r in rows]
+
+    def session_of(self, digest: str) -> int | None:
+        """Return the session of the trial whose file has that SHA-256."""
+        rows = self._rows("SELECT session FROM trial WHERE digest = ?", (digest,))
+        return rows[0][0] if rows else None
+
+    def place(self, stored: str) -> Path:
+        """Return where a stored path is: relative ones are relative to the logbook."""
+        return self.folder / stored
+
+    def sessions(self, most: int | None = None) -> list[SessionEntry]:
+        """Return the newest `most` sessions (None: all), oldest first."""
+        rows = self._rows(
+            "SELECT s.id, s.label, s.began, count(t.id), coalesce(sum(t.seconds), 0) FROM (SELECT * FROM session "
+            "ORDER BY id DESC LIMIT ?) s LEFT JOIN trial t ON t.session = s.id GROUP BY s.id ORDER BY s.id",
+            (-1 if most is None else most,))
+        return [SessionEntry(*row) for row in rows]
+
+    def notes(self) -> list[Note]:
+        """Return every maintenance entry, oldest first."""
+        rows = self._rows("SELECT id, made, after, text, resets FROM note ORDER BY id")
+        return [Note(row[0], row[1], row[2], row[3], tuple(json.loads(row[4]))) for row in rows]
+
+    def verdicts(self, trial: int) -> list[dict[str, Any]]:
+        """Return the verdicts on one trial, oldest first."""
+        rows = self._rows("SELECT made, content FROM verdict WHERE trial = ? ORDER BY id", (trial,))
+        return [{"made": made, **json.loads(content)} for made, content in rows]
+
+    def models(self) -> list[dict[str, str]]:
+        """Return the bench model files that were entered, oldest first, without their content."""
+        return [dict(zip(("made", "kind", "path"), row, strict=True))
+                for row in self._rows("SELECT made, kind, path FROM model ORDER BY id")]
+
+    def reference(self) -> Reference | None:
+        """Return the newest reference model."""
+        rows = self._rows("SELECT id, constants, trials, bench, model FROM reference ORDER BY id DESC LIMIT 1")
+        return None if not rows else Reference(rows[0][0], tuple(json.loads(rows[0][1])), tuple(json.loads(
+            rows[0][2])), np.frombuffer(rows[0][3], "<f8").copy(), rows[0][4])
+
+    def estimates(self, reference: int, most: int) -> list[StoredEstimate]:
+        """Return the estimates under one reference model of its first `references` and the newest `most` sessions."""
+        ids = {row[0] for order in ("ASC", "DESC") for row in self._rows(
+            "SELECT DISTINCT t.session FROM estimate e JOIN trial t ON t.id = e.trial WHERE e.reference = ? "
+            f"ORDER BY t.session {order} LIMIT ?", (reference, self.references if order == "ASC" else most))}
+        if not ids:
+            return []
+        rows = self._rows(
+            "SELECT t.session, e.trial, e.mean, e.covariance, e.prior_sd, e.rmse_n FROM estimate e JOIN trial t "
+            f"ON t.id = e.trial WHERE e.reference = ? AND t.session IN ({','.join('?' * len(ids))}) "
+            "ORDER BY t.session, e.trial", (reference, *sorted(ids)))
+        return [StoredEstimate(row[0], row[1], _estimate(*row[2:])) for row in rows]
+
+    def unfitted(self) -> list[int]:
+        """Return the numbers of trials that were entered but not fitted, under the newest reference model."""
+        rows = self._rows(
+            "SELECT t.id FROM trial t LEFT JOIN estimate e ON e.trial = t.id WHERE e.trial IS NULL OR (e.mean IS NOT "
+            "NULL AND e.reference < (SELECT max(id) FROM reference)) ORDER BY t.id")
+        return [row[0] for row in rows]
+
+    def table(self, name: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+        """Return header and rows of one table without its binary columns."""
+        names = [row[1] for row in self._rows(f"PRAGMA table_info({name})") if row[2] != "BLOB"]
+        return names, self._rows(f"SELECT {', '.join(names)} FROM {name} ORDER BY 1")
+
+    def _stored(self, path: Path) -> str:
+        full = Path(os.path.abspath(path))
+        home = Path(os.path.abspath(self.folder))
+        return str(full.relative_to(home)) if full.is_relative_to(home) else str(full)
+
+
+def create(folder: Path, name: str, references: int = REFERENCES) -> None:
+    """Make an empty logbook in `folder`, which is made where it is absent; raises `InputError` where one is there."""
+    place = folder / FILE
+    if place.exists():
+        raise InputError(f"{folder}: there is a logbook already; give another folder.")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give the name of one.")
+    if references < 2:
+        raise InputError(f"--references {references}: expected at least 2 sessions; one has no variance.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); give a writable place.") from None
+    with _told(place):
+        db = _connected(place)
+        try:
+            db.execute("PRAGMA journal_mode = WAL")
+            _migrate(db, place, {"name": name or folder.name, "references": str(references)})
+        finally:
+            db.close()
+
+
+def open_logbook(folder: Path) -> Logbook:
+    """Open the logbook of a folder, brought to this version's schema; raises `InputError` where there is none."""
+    place = folder / FILE
+    if not place.is_file():
+        raise InputError(f"{folder}: holds no logbook; say bowden logbook init {folder} first.")
+    with _told(place):
+        db = _connected(place)
+        try:
+            _migrate(db, place, {})
+        except BaseException:
+            db.close()
+            raise
+    return Logbook(folder, db)
+
+
+def _connected(place: Path) -> sqlite3.Connection:
+    db = sqlite3.connect(place, timeout=PATIENCE_S, isolation_level=None)
+    db.execute("PRAGMA synchronous = FULL")
+    db.execute("PRAGMA foreign_keys = ON")
+    return db
+
+
+def _migrate(db: sqlite3.Connection, place: Path, settings: Mapping[str, str]) -> None:
+    version = db.execute("PRAGMA user_version").fetchone()[0]
+    if version > len(MIGRATIONS):
+        raise InputError(f"{place}: is of schema {version}, this version knows {len(MIGRATIONS)}; update bowden-bench.")
+    if version == len(MIGRATIONS):
+        return
+    db.execute("BEGIN IMMEDIATE")
+    try:
+        version = db.execute("PRAGMA user_version").fetchone()[0]  # another process may have been first
+        if version and db.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
+            raise InputError(f"{place}: is a database of another program; give a folder made by bowden logbook init.")
+        for script in MIGRATIONS[version:]:
+            for statement in filter(str.strip, script.split(";")):
+                db.execute(statement)
+        db.executemany("INSERT INTO setting VALUES (?, ?)", settings.items())
+        db.execute(f"PRAGMA application_id = {APPLICATION}")
+        db.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+    except BaseException:
+        db.execute("ROLLBACK")
+        raise
+    db.execute("COMMIT")
+
+
+@contextmanager
+def _told(place: Path) -> Iterator[None]:
+    """Raise `InputError` where the database cannot be used."""
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        raise InputError(f"{place}: cannot be used ({error}); check the disk, or wait for the other process.") from None
+    except sqlite3.DatabaseError as error:
+        raise InputError(f"{place}: is no whole logbook ({error}); restore it from a copy.") from None
+
+
+def now() -> str:
+    """Return the present time, UTC, ISO 8601."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def _json(content: Mapping[str, Any]) -> str:
+    return json.dumps(_finite(dict(content)), ensure_ascii=False, allow_nan=False, default=str)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    return [_finite(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _packed(values: Array) -> bytes:
+    return np.ascontiguousarray(values, dtype="<f8").tobytes()
+
+
+def _estimate(mean: bytes, covariance: bytes, prior_sd: bytes, rmse_n: float) -> Estimate:
+    middle = np.frombuffer(mean, "<f8").copy()
+    whole = np.zeros((middle.size, middle.size))
+    whole[np.triu_indices(middle.size)] = np.frombuffer(covariance, "<f8")
+    whole += np.triu(whole, 1).T
+    return Estimate(middle, whole, np.frombuffer(prior_sd, "<f8").copy(), rmse_n)

@@ -1,0 +1,342 @@
+"""The logbook through the command line: entries, crashes, a second process, moved files, changes over sessions.
+
+Changes are shown on sessions drawn about one simulated bench with the accuracy of its own estimate.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from bowden.cli.app import run
+from logbook import database
+from logbook.database import Estimate, NewTrial, open_logbook
+from logbook.session_model import CONSTANTS, resets_named
+from physics.laws import Array
+from physics.path_constants import FREE, SESSION_SD
+
+DAYS = 3
+PUBLISHED = SESSION_SD[list(FREE)]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A logbook of three days of one simulated bench, entered by `bowden trial --logbook` and by `[record]`."""
+    place = tmp_path_factory.mktemp("bench")
+    assert run(["logbook", "init", str(place / "book"), "--name", "left leg", "--references", "2"]) == 0
+    (place / "bench.toml").write_text('[record]\nlogbook = "book"\n', encoding="utf-8")
+    for day in range(DAYS):
+        how = ["--config", str(place / "bench.toml")] if day else ["--logbook", str(place / "book")]
+        assert run(["trial", "--cycles", "3", "--serial", "3", "--day", str(day), *how, "-o",
+                    str(place / f"{day}.mcap"), "--json"]) == 0
+    return place
+
+
+def told(bowden: Callable[..., Any], *words: object) -> dict[str, Any]:
+    """Return the JSON object of a command that ended with 0."""
+    status, out, err = bowden(*words, "--json")
+    assert status == 0, err
+    found: dict[str, Any] = json.loads(out)
+    return found
+
+
+def test_every_day_is_a_session_with_constants(bench: Path, bowden: Callable[..., Any]) -> None:
+    listed = told(bowden, "logbook", "list", bench / "book")
+    assert [(row["label"], row["estimated"]) for row in listed["newest"]] == [
+        (f"day {day}", True) for day in reversed(range(DAYS))]
+    assert listed["newest"][0]["figures"]["relative_rmse_percent"] < 5.0
+    shown = told(bowden, "logbook", "show", bench / "book", "--limit", "cable=0.5")
+    assert shown["bench"] == "left leg"
+    assert shown["reference_sessions"] == 2
+    stiffness = shown["constants"]["stiffness"]
+    assert stiffness["low"] < stiffness["value"] < stiffness["high"]
+    assert shown["forecasts"][0]["sessions"] is None
+    assert shown["alarms"] == []
+
+
+def test_the_path_of_the_logbook_is_not_in_the_trial(bench: Path) -> None:
+    from trial.read import open as opened
+
+    recorded = opened(bench / "1.mcap")
+    assert "logbook" not in recorded.metadata
+    assert b'logbook = ""' in recorded.attachments["bench.toml"]
+
+
+def test_a_session_against_the_bench_s_history(bench: Path, bowden: Callable[..., Any]) -> None:
+    found = told(bowden, "compare", bench / "2.mcap", "--logbook", bench / "book")
+    assert found["sessions"] == DAYS - 1  # its own session is left out
+    assert found["probability"] > 1e-3
+
+
+def test_export_as_csv_and_parquet(bench: Path, bowden: Callable[..., Any], here: Path) -> None:
+    constants = told(bowden, "logbook", "export", bench / "book", "--table", "constants", "-o", here / "c.csv")
+    assert constants["rows"] % DAYS == 0
+    assert (here / "c.csv").read_text(encoding="utf-8").startswith("session,label,constant,unit,value,low,high\n")
+    assert told(bowden, "logbook", "export", bench / "book", "-o", here / "t.parquet")["rows"] == DAYS
+
+
+def test_the_page_shows_constants_and_leads_to_trials(bench: Path, browser: Any, bowden: Callable[..., Any],
+                                                      here: Path) -> None:
+    told(bowden, "logbook", "report", bench / "book", "-o", here / "page.html")
+    browser.open(here / "page.html")
+    assert browser.complaints == []
+    assert browser.run("document.querySelector('p.calm') !== null")
+    assert browser.run("document.querySelectorAll('svg circle').length") == DAYS * browser.run(
+        "document.querySelectorAll('svg').length")
+    assert browser.run("document.querySelectorAll('tr[id^=session-] a').length") == DAYS
+    assert browser.run("getComputedStyle(document.querySelector('.point')).fill") == "rgb(31, 111, 178)"
+
+
+@pytest.mark.exhaustive
+def test_a_diagnosis_by_the_logbook_is_kept(bench: Path, bowden: Callable[..., Any]) -> None:
+    found = told(bowden, "diagnose", bench / "2.mcap", "--core", "evidence", "--logbook", bench / "book")
+    kept = told(bowden, "logbook", "show", bench / "book", "--trial", DAYS)["verdicts"]
+    assert [row["verdict"] for row in kept] == [found["verdict"]]
+
+
+def test_maintenance_resets_what_it_names(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    assert "cable" in told(bowden, "logbook", "note", "book", "Cable replaced at the end of the day")["resets"]
+    assert told(bowden, "logbook", "note", "book", "moved the table")["resets"] == []
+    assert told(bowden, "logbook", "note", "book", "swapped", "--resets", "start")["resets"] == [
+        "start_gain", "start_offset", "start_lag"]
+
+
+LAB = "time_s,tension_start_n\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(200))
+
+
+def test_a_moved_file_is_told_and_found_again(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    Path("a.csv").write_text(LAB, encoding="utf-8")
+    told(bowden, "logbook", "add", "book", "a.csv", "--session", "monday")
+    Path("a.csv").rename("b.csv")
+    assert [row["there"] for row in told(bowden, "logbook", "list", "book")["newest"]] == [False]
+    assert "not found" in bowden("logbook", "list", "book").stdout
+    told(bowden, "logbook", "report", "book", "-o", "page.html")
+    assert "file not found" in Path("page.html").read_text(encoding="utf-8")
+    told(bowden, "logbook", "add", "book", "b.csv")
+    again = told(bowden, "logbook", "list", "book")["newest"]
+    assert [(row["there"], row["label"]) for row in again] == [(True, "monday")]
+
+
+def test_lab_data_without_what_a_fit_needs_are_kept_with_the_reason(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    Path("lab.csv").write_text(LAB, encoding="utf-8")
+    added = told(bowden, "logbook", "add", "book", "lab.csv")["added"][0]
+    assert not added["estimated"]
+    assert "has no column servo_position_m" in added["remark"]
+
+
+ENTER = """
+import sys
+from pathlib import Path
+from logbook import database
+with database.open_logbook(Path(sys.argv[1])) as book:
+    for k in range(int(sys.argv[3])):
+        digest = f"{sys.argv[2]}{k}"
+        new = database.NewTrial(Path(digest), digest, "gait", "completed", 10.0, {}, {}, "")
+        print(book.enter_trial(new, f"{sys.argv[2]} {k // 5}")[0], flush=True)
+"""
+
+
+def entering(name: str, count: int) -> subprocess.Popen[str]:
+    """Start a process that enters `count` trials and prints the number of each once it is acknowledged."""
+    return subprocess.Popen([sys.executable, "-c", ENTER, "book", name, str(count)], stdout=subprocess.PIPE, text=True)
+
+
+def test_two_processes_enter_at_once(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    numbers = [process.communicate()[0].split() for process in [entering("a", 40), entering("b", 40)]]
+    assert len({*numbers[0], *numbers[1]}) == 80
+    assert told(bowden, "logbook", "list", "book")["trials"] == 80
+
+
+def test_a_killed_process_loses_nothing_acknowledged(here: Path, bowden: Callable[..., Any]) -> None:
+    told(bowden, "logbook", "init", "book")
+    for turn in range(3):
+        with entering(f"k{turn}", 100000) as process:
+            assert process.stdout is not None
+            acknowledged = [int(process.stdout.readline()) for _ in range(7 + turn)]
+            process.kill()
+            acknowledged += [int(line) for line in process.stdout if line.endswith("\n")]
+        with database.open_logbook(Path("book")) as book:
+            assert all(book.trials(1, trial=number) for number in acknowledged)
+    assert sqlite3.connect("book/logbook.sqlite").execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+def test_an_older_schema_is_brought_up_and_a_newer_one_refused(here: Path, bowden: Callable[..., Any]) -> None:
+    Path("book").mkdir()
+    db = sqlite3.connect("book/logbook.sqlite")
+    db.executescript(database.MIGRATIONS[0])
+    db.execute("INSERT INTO setting VALUES ('name', 'old'), ('references', '5')")
+    db.execute(f"PRAGMA application_id = {database.APPLICATION}")
+    db.execute("PRAGMA user_version = 1")
+    db.commit()
+    assert told(bowden, "logbook", "list", "book")["bench"] == "old"
+    assert db.execute("PRAGMA user_version").fetchone() == (len(database.MIGRATIONS),)
+    db.execute("PRAGMA user_version = 99")
+    db.close()
+    status, out, err = bowden("logbook", "list", "book")
+    assert (status, out) == (2, "")
+    assert "is of schema 99" in err
+
+
+class Accuracy(NamedTuple):
+    """What one trial estimates: covariance and prior of its estimate, coordinates and encoded reference model."""
+
+    covariance: Array
+    prior_sd: Array
+    bench: Array
+    model: bytes
+
+
+@pytest.fixture(scope="module")
+def accuracy(bench: Path) -> Accuracy:
+    """The estimate of the bench's last day."""
+    with open_logbook(bench / "book") as book:
+        kept = book.reference()
+        assert kept is not None
+        found = book.estimates(kept.id, 1)[-1].estimate
+        return Accuracy(found.covariance, found.prior_sd, kept.bench, kept.model)
+
+
+def drawn(of: Accuracy, seed: int, sessions: int, course: Callable[[int], dict[str, float]]) -> Iterator[Estimate]:
+    """Yield estimates of sessions that scatter as published and depart by `course(session)`, coordinates."""
+    random = np.random.default_rng(seed)
+    precision = np.linalg.inv(of.covariance)
+    information = precision - np.diag(of.prior_sd**-2.0)
+    for k in range(sessions):
+        q = PUBLISHED * random.normal(size=PUBLISHED.size)
+        for name, size in course(k).items():
+            q[CONSTANTS.index(name)] += size
+        lengths, axes = np.linalg.eigh(information)
+        noise = axes @ (np.sqrt(np.maximum(lengths, 0.0)) * random.normal(size=q.size))
+        yield Estimate(of.covariance @ (information @ q + noise), of.covariance, of.prior_sd, 0.1)
+
+
+def written(folder: Path, of: Accuracy, estimates: Iterator[Estimate], notes: dict[int, str] | None = None) -> Path:
+    """Write a logbook of these sessions; `notes`: resets after a session."""
+    database.create(folder, "drawn")
+    with open_logbook(folder) as book:
+        assert book.enter_reference(CONSTANTS, [], of.bench, of.model, None)
+        for k, found in enumerate(estimates):
+            new = NewTrial(Path(f"{k}.mcap"), str(k), "gait", "completed", 10.0, {}, {}, "")
+            number, _ = book.enter_trial(new, f"day {k}")
+            assert book.enter_estimate(number, 1, found)
+            for text in filter(None, [(notes or {}).get(k)]):
+                book.enter_note(text, resets_named(text))
+    return folder
+
+
+def shown(bowden: Callable[..., Any], folder: Path, *words: object) -> dict[str, Any]:
+    """Return the JSON object of `bowden logbook show`."""
+    status, out, err = bowden("logbook", "show", folder, *words, "--json")
+    assert status == 0, err
+    found: dict[str, Any] = json.loads(out)
+    return found
+
+
+def test_healthy_sessions_raise_no_alarm_and_their_scatter_is_measured(accuracy: Accuracy, here: Path,
+                                                                      bowden: Callable[..., Any]) -> None:
+    found = shown(bowden, written(here / "book", accuracy, drawn(accuracy, 3, 30, lambda k: {})))
+    assert found["alarms"] == []
+    stiffness = found["constants"]["stiffness"]
+    assert 0.5 < stiffness["session_sd"] / stiffness["published_session_sd"] < 2.0
+
+
+def test_measured_scatter_replaces_the_published_one(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]
+                                                     ) -> None:
+    offset = CONSTANTS.index("start_offset")
+    estimates = list(drawn(accuracy, 1, 12, lambda k: {"start_offset": 0.0}))
+    wild = np.random.default_rng(2).normal(size=12)
+    moved = [one._replace(mean=one.mean + 0.4 * wild[k] * np.eye(one.mean.size)[offset]) for k, one in
+             enumerate(estimates)]
+    found = shown(bowden, written(here / "book", accuracy, iter(moved)))["constants"]["start_offset"]
+    assert found["session_sd"] > 2.0 * found["published_session_sd"]
+
+
+DRIFTS = {
+    "cable friction +10 % over 50 sessions": ("cable_friction", lambda k: {"cable": 0.095 * max(0, k - 10) / 50}),
+    "backlash 26 mrad": ("knee_backlash", lambda k: {"play": 0.013 if k >= 20 else 0.0}),
+    "stiffness -10 %": ("stiffness", lambda k: {
+        name: -0.105 * share for name, share in (("stiffness", 1.0), ("curve2", 0.4), ("curve3", 0.2)) if k >= 20}),
+    "START gain +3 %": ("start_gain", lambda k: {"start_gain": 0.03 if k >= 20 else 0.0}),
+}
+
+
+SESSIONS = {name: 60 if "50 sessions" in name else 35 for name in DRIFTS}
+
+
+@pytest.mark.parametrize("name", DRIFTS)
+def test_a_drift_is_named_and_dated(accuracy: Accuracy, here: Path, bowden: Callable[..., Any], name: str) -> None:
+    effect, course = DRIFTS[name]
+    found = shown(bowden, written(here / "book", accuracy, drawn(accuracy, 5, SESSIONS[name], course)))
+    assert len(found["alarms"]) == 1
+    assert effect in found["alarms"][0]["among"]
+    if "backlash" in name:
+        assert found["alarms"][0]["since"] == "day 20"
+
+
+def test_a_drift_is_forecast_to_a_limit(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]) -> None:
+    book = written(here / "book", accuracy, drawn(accuracy, 4, 30, lambda k: {"cable": 0.02 * max(0, k - 10)}))
+    now = shown(bowden, book)["constants"]["cable"]["value"]
+    ahead = shown(bowden, book, "--limit", f"cable={now * np.exp(0.2)}")["forecasts"][0]
+    assert ahead["low"] < 10.0 < ahead["high"]  # 0.02 a session, 0.2 to go
+
+
+def test_a_replaced_cable_is_no_alarm_if_it_is_entered(accuracy: Accuracy, here: Path, bowden: Callable[..., Any]
+                                                       ) -> None:
+    def course(k: int) -> dict[str, float]:
+        return {"cable": -0.4, "viscous": 3.0} if k >= 20 else {}
+
+    told = shown(bowden, written(here / "a", accuracy, drawn(accuracy, 6, 30, course), {19: "cable replaced"}))
+    assert told["alarms"] == []
+    assert told["notes"][0]["after"] == "day 19"
+    untold = shown(bowden, written(here / "b", accuracy, drawn(accuracy, 6, 30, course)))
+    assert untold["alarms"][0]["since"] == "day 20"
+
+
+def test_the_page_tells_the_alarm_first(accuracy: Accuracy, here: Path, browser: Any, bowden: Callable[..., Any]
+                                        ) -> None:
+    book = written(here / "book", accuracy, drawn(accuracy, 5, 30, lambda k: {"play": 0.013 if k >= 20 else 0.0}),
+                   {15: "fabric replaced"})
+    assert bowden("logbook", "report", book, "-o", "page.html").status == 0
+    browser.open(here / "page.html")
+    assert browser.complaints == []
+    assert browser.run("document.querySelector('h1 ~ p.alarm b').textContent") == "Changed: knee_backlash"
+    assert browser.run("document.querySelector('tr.moved').id") == "constant-play"
+    assert browser.run("document.querySelectorAll('tr.moved line.change').length") >= 1
+    assert browser.run("document.querySelectorAll('line.note').length") > 0
+    browser.run("document.querySelector('p.alarm a').click()")
+    assert browser.run("location.hash") == "#session-21"
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("logbook", "list", "none"), "holds no logbook"), (("logbook", "init", "book"), "there is a logbook already"),
+    (("logbook", "add", "book", "none.mcap"), "cannot be read"), (("logbook", "note", "book", " "), "text is empty"),
+    (("logbook", "note", "book", "x", "--resets", "moon"), "--resets moon"),
+    (("logbook", "show", "book", "--limit", "cable"), "expected NAME=VALUE"),
+    (("logbook", "show", "book", "--limit", "moon=1"), "is no constant of the bench"),
+    (("logbook", "show", "book", "--trial", "7"), "is not in the logbook"),
+    (("logbook", "export", "book", "--table", "moon", "-o", "x.csv"), "--table moon"),
+    (("logbook", "init", "other", "--references", "1"), "--references 1"),
+    (("trial", "--logbook", "none", "-o", "x.mcap"), "holds no logbook"),
+    (("fit", "x.mcap", "--logbook", "none", "-o", "x.toml"), "holds no logbook"),
+    (("identify", "swing", "--logbook", "none", "-o", "x.toml"), "holds no logbook"),
+    (("diagnose", "x.mcap", "--logbook", "none"), "holds no logbook"), (("compare", "x.mcap"), "give one"),
+], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
+def test_bad_input_is_one_sentence(here: Path, bowden: Callable[..., Any], words: tuple[str, ...], said: str) -> None:
+    assert bowden("logbook", "init", "book").status == 0
+    before = sorted(here.iterdir())
+    status, out, err = bowden(*words)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+    assert sorted(here.iterdir()) == before
