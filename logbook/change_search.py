@@ -32,7 +32,7 @@ LEAST_SESSIONS: Final = 3
 """Sessions before a change can be told."""
 
 
-class Direction(NamedTuple):
+class ChangeCandidate(NamedTuple):
     """A candidate for a change: name, whether it is of the catalogue, columns e·σ_a, shape (constants, sizes)."""
 
     name: str
@@ -64,7 +64,7 @@ class Forecast(NamedTuple):
     high: float | None
 
 
-def candidates(bench_q: Array) -> list[Direction]:
+def candidates(bench_q: Array) -> list[ChangeCandidate]:
     """Return what can change on a bench with coordinates `bench_q`, shape (len(TABLE),)."""
     constants = named(bench_q)
     place = {i: k for k, i in enumerate(FREE)}
@@ -82,17 +82,17 @@ def candidates(bench_q: Array) -> list[Direction]:
                 if along.any():
                     columns.append(along)
             if columns and not variant.at:
-                found.append(Direction(name, True, np.stack(columns, axis=1)))
+                found.append(ChangeCandidate(name, True, np.stack(columns, axis=1)))
     if "creep" in index:
         along = np.zeros((len(FREE), 1))
         along[index["creep"], 0] = 3e-5
-        found.append(Direction("fabric_creep", True, along))
+        found.append(ChangeCandidate("fabric_creep", True, along))
         moved.add("creep")
     for name, k in index.items():
         if name not in moved:
             along = np.zeros((len(FREE), 1))
             along[k, 0] = OTHER_SD * SESSION_SD[FREE[k]]
-            found.append(Direction(name, False, along))
+            found.append(ChangeCandidate(name, False, along))
     return found
 
 
@@ -135,7 +135,7 @@ class _Search:
         self.begins, self.weights = begins, {"step": step, "ramp": ramp}
         self.cross = np.stack([x.T @ m for x, m in zip(designs, model.information, strict=True)])
 
-    def of(self, direction: Direction) -> Change:
+    def of(self, direction: ChangeCandidate) -> Change:
         """Return the evidence of one candidate, averaged over course and begin, with the likeliest of both."""
         e = direction.columns
         h = self.model.pull @ e

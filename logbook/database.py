@@ -125,7 +125,7 @@ class Note(NamedTuple):
     resets: tuple[str, ...]
 
 
-class Reference(NamedTuple):
+class ReferenceModel(NamedTuple):
     """A reference model: names of its constants, the trials it was fitted to, its coordinates, its encoded content."""
 
     id: int
@@ -305,10 +305,10 @@ class Logbook:
         return [dict(zip(("made", "kind", "path"), row, strict=True))
                 for row in self._rows("SELECT made, kind, path FROM model ORDER BY id")]
 
-    def reference(self) -> Reference | None:
+    def reference(self) -> ReferenceModel | None:
         """Return the newest reference model."""
         rows = self._rows("SELECT id, constants, trials, bench, model FROM reference ORDER BY id DESC LIMIT 1")
-        return None if not rows else Reference(rows[0][0], tuple(json.loads(rows[0][1])), tuple(json.loads(
+        return None if not rows else ReferenceModel(rows[0][0], tuple(json.loads(rows[0][1])), tuple(json.loads(
             rows[0][2])), np.frombuffer(rows[0][3], "<f8").copy(), rows[0][4])
 
     def estimates(self, reference: int, most: int) -> list[StoredEstimate]:

@@ -99,7 +99,7 @@ class SessionModel:
         return np.array(means), np.array(sds)
 
 
-class Departure(NamedTuple):
+class SessionDeparture(NamedTuple):
     """Departure of a session from the bench: its constants and that over the scatter of sessions; `probability` that a
     healthy session departs as far."""
 
@@ -108,7 +108,7 @@ class Departure(NamedTuple):
     probability: float
 
 
-def departure_of(model: SessionModel, session: SessionData) -> Departure:
+def departure_of(model: SessionModel, session: SessionData) -> SessionDeparture:
     """Return how far a further session, which is none of the model's, lies from the bench."""
     last = model.design(len(model.sessions) - 1)
     precision, pull = model.prior(), np.zeros(len(CONSTANTS) + len(model.reset))
@@ -124,7 +124,7 @@ def departure_of(model: SessionModel, session: SessionData) -> Departure:
     lengths, axes = np.linalg.eigh(session.information + session.information @ prior @ session.information)
     kept = lengths > 1e-9 * lengths[-1]
     squared = float(np.sum((axes[:, kept].T @ residual) ** 2 / lengths[kept]))
-    return Departure(departure, departure / np.sqrt(np.diag(prior)), float(chi2.sf(squared, int(kept.sum()))))
+    return SessionDeparture(departure, departure / np.sqrt(np.diag(prior)), float(chi2.sf(squared, int(kept.sum()))))
 
 
 def sessions_of(stored: Sequence[StoredEstimate]) -> list[SessionData]:

@@ -27,7 +27,7 @@ def init(
     """Write a commented bench.toml.
 
     With every default, unit, range and source.  On a terminal it asks for specimen, rope, operator and notes, which
-    every trial with that file then carries.
+    every trial with that file then carries, and for the logbook that trials are entered in.
 
     Example: bowden init -o bench.toml
     """

@@ -275,7 +275,8 @@ DRIFTS = {
 SESSIONS = {name: 60 if "50 sessions" in name else 35 for name in DRIFTS}
 
 
-@pytest.mark.parametrize("name", DRIFTS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if "backlash" in name or "gain" in name else (
+    pytest.mark.exhaustive)) for name in DRIFTS])
 def test_a_drift_is_named_and_dated(accuracy: Accuracy, here: Path, bowden: Callable[..., Any], name: str) -> None:
     effect, course = DRIFTS[name]
     found = shown(bowden, written(here / "book", accuracy, drawn(accuracy, 5, SESSIONS[name], course)))
