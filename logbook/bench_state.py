@@ -19,6 +19,12 @@ NEWEST: Final = 120
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
 
 
+CALIBRATED: Final = 10
+"""Reference sessions with which the rate of false alarms was measured; with fewer there is evidence and no alarm.
+
+With two, the evidence of a healthy simulated bench passes the threshold."""
+
+
 @dataclass(frozen=True)
 class ConstantCourse:
     """One constant over sessions, SI: value and 95 % interval of each; `scatter` 1σ between sessions, `published` too.
@@ -96,7 +102,7 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
         return BenchState(sessions=(), courses={}, changes=(), alarms=(), forecasts=(), model=None, **common)
     model = fit_sessions(sessions, notes, book.references)
     changes = search_changes(model, kept.bench)
-    raised = alarms(changes)
+    raised = alarms(changes) if len(sessions) > CALIBRATED and book.references >= CALIBRATED else []
     ahead = forecast(model, kept.bench, changes[0], limits or {}) if raised else [
         Forecast(n, v, None, None, None) for n, v in (limits or {}).items()]
     courses = _courses(model, kept.bench, raised)
