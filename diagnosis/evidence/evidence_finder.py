@@ -87,7 +87,7 @@ class EvidenceFinder:
         reference = self._reference(outputs)
         read = [Recording(_only(t, outputs)) for t in trials]
         observed = reference.observe(*read)
-        found = search(observed, reference.prior)
+        found = search(observed, reference.prior, reference.starts())
         decided = decision.decide(found)
         bench = named(_bench(reference))
         said = list(warnings)

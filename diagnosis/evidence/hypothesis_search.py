@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import HYPOTHESES, Variant
+from physics.laws import Array
 from physics.path_constants import named
 
 FOREMOST: Final = 7
@@ -53,9 +54,13 @@ def hypotheses(outputs: tuple[str, ...], constants: Mapping[str, float]) -> dict
     return {name: h.variants(constants) for name, h in HYPOTHESES.items() if set(h.needs) <= set(outputs)}
 
 
-def search(observed: Observed, prior: Gaussian) -> Searched:
-    """Fit the null and the foremost effects, restart them from each other's modes, and try a second effect."""
-    found = Searched(observed, prior, mode(observed, prior))
+def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) -> Searched:
+    """Fit the null and the foremost effects, and restart them from each other's modes.
+
+    The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
+    """
+    found = Searched(observed, prior, max((mode(observed, prior, start=at) for at in (None, *starts)),
+                                          key=lambda m: m.log_evidence))
     offered = hypotheses(observed.outputs, named(prior.origin))
     for _ in range(RESTARTS):
         _screen(found, offered)
@@ -108,7 +113,7 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]]) -> None
         _keep(found, name, variant, fitted)
 
 
-def _fit(found: Searched, variants: list[Variant], start: np.ndarray) -> PosteriorMode | None:
+def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:
     try:
         fitted = mode(found.observed, found.prior, variants, start)
     except (np.linalg.LinAlgError, ValueError):

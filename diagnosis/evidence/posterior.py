@@ -141,6 +141,18 @@ def widened(prior: Gaussian, variants: Sequence[Variant]) -> tuple[Array, Array,
     return origin, mean, covariance, active
 
 
+def loss(residual: Array, root: Array) -> float:
+    """Return Σ ρ of residuals times the roots of their weights, ρ Huber's loss."""
+    scaled = np.abs(residual) * root
+    return float(np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2).sum())
+
+
+def bounded(residual: Array, weight: Array) -> Array:
+    """Return the weights with which squares have the slope of Huber's loss."""
+    scaled = np.abs(residual) * np.sqrt(weight)
+    return np.asarray(np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight)
+
+
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
          rounds: int = ROUNDS) -> PosteriorMode:
     """Find the mode of trials under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
@@ -158,10 +170,8 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         return q
 
     def cost(x: Array) -> float:
-        scaled = np.abs(measured - observed.predicted(at(x)) - features @ x[count:]) * root
-        loss = np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2)
         off = solve_triangular(factor, x - mean, lower=True)
-        return float(loss.sum() + off @ off)
+        return loss(measured - observed.predicted(at(x)) - features @ x[count:], root) + float(off @ off)
 
     x = mean.copy() if start is None else start.copy()
     now, damping = cost(x), 0.0
@@ -171,8 +181,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         data, slopes = observed.jacobian(at(x), active)
         design = np.concatenate([slopes, features], axis=1)
         residual = measured - data - features @ x[count:]
-        scaled = np.abs(residual) * root
-        weights = np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight
+        weights = bounded(residual, weight)
         inward = design @ factor
         square = eye + inward.T @ (inward * weights[:, None])
         pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)

@@ -1,8 +1,8 @@
 """Fit of the reference trials: bench constants, discrepancy and noise with their joint posterior.
 
-Each reference trial is linearised at its own mode under the posterior of the others (expectation propagation for
-Gaussians), so that one trial's session never counts as the bench.  The discrepancy is a Gaussian process in random
-Fourier features of states that the fitted model simulates under the trial's motion, never of its sensors.
+Bench and trials have one joint mode, each trial departing from the bench by its session: a trial's session never
+counts as the bench.  The discrepancy is a Gaussian process in random Fourier features of states that the fitted model
+simulates under the trial's motion, never of its sensors.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
 from diagnosis.evidence.likelihood_data import GRID_S, Recording
-from diagnosis.evidence.outputs import predict, predicted
-from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, mode
+from diagnosis.evidence.outputs import jacobian, predict, predicted
+from diagnosis.evidence.posterior import CLOSE, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
 from physics.laws import Array
 from physics.path_constants import BENCH_SD, FREE, INDEX, SESSION_SD, TABLE, named
 
@@ -36,7 +36,10 @@ UNRESOLVED: Final = 0.5
 MOST_TAU: Final = 12.0
 """Largest inflation of the noise by autocorrelation."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
-ROUNDS: Final = 4
+STAGES: Final = 3
+"""Estimates of noise and discrepancy, each after a descent to the joint mode."""
+ROUNDS: Final = 8
+"""Steps of a descent."""
 SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
                "friction": np.array([-0.6, 0.0, 0.6])}
 """What is simulated before the first fit: departures of the rope's zero from the regression's, m, and as logarithms
@@ -93,6 +96,10 @@ class ReferenceFit:
         """RMS of START and END, N, that a reference trial's model misses on another."""
         told = [e**2 for name, e in self.scatter_n.items() if name.startswith("tension")]
         return float(np.sqrt(np.mean(told)))
+
+    def starts(self) -> list[Array]:
+        """Return where a fit of a further trial starts besides the prior's mean: the reference trials' modes."""
+        return [np.concatenate([(q - self.origin)[list(FREE)], c]) for q, c in self.identified]
 
     def observe(self, *trials: Recording) -> Observed:
         """Return trials of one session as data of this bench."""
@@ -174,7 +181,13 @@ class _Linear(NamedTuple):
 
 
 class _Fit:
-    """State of the reference fit: linearised trials, model error, scaling."""
+    """State of the reference fit: joint mode of the bench and of each trial, linearised trials, model error, scaling.
+
+    `bench`, `at`: departures from the origin of constants and feature weights, of the bench and of each trial.
+    """
+
+    bench: Array
+    at: list[Array]
 
     def __init__(self, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None) -> None:
         self.trials = trials
@@ -184,29 +197,93 @@ class _Fit:
         self.outputs = trials[0].outputs
         self.origin = _origin(trials[0])
         self.amplitude = np.full(len(self.outputs), 0.2)
-        self.model_error = np.full((len(self.outputs), 4), 0.2**2)
+        self.model_error = np.full((len(self.outputs), 4), FINE_N**2)
         self.tau = np.ones(len(self.outputs))
         self.quarters = np.zeros(3)
         self.scatter_n: dict[str, float] = {}
-        self.linear: list[_Linear | None] = [None] * len(trials)
+        self.linear: list[_Linear] = []
         self.identified: list[tuple[Array, Array]] = []
 
     def run(self) -> ReferenceFit:
-        """Fit the first trial from several starts, then all in turn, each under the posterior of the others."""
-        modes = [self._first(at) for at in scanned(self.origin, self.trials[0])]
-        best = min(modes, key=lambda m: m.cost)
-        self._rescale(best.q)
-        for _ in range(ROUNDS):
-            found = [self._visit(k) for k in range(len(self.trials))]
-            self._noise(found)
+        """Fit the first trial from several starts, then all jointly; noise and discrepancy in turns with the mode."""
+        best = min((self._first(at) for at in scanned(self.origin, self.trials[0])), key=lambda m: m.cost)
+        self._recentre(best.q)
+        for stage in range(STAGES):
+            if stage == 1:
+                self._recentre(self._constants(self.bench))
+            self._descend()
+            self._noise()
             self._amplitudes()
-        for k in range(len(self.trials)):
-            self._reweigh(k)
+        self.linear = [self._linearised(k) for k in range(len(self.trials))]
         bench = self._posterior(range(len(self.trials)))
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
                          self.tau, self.quarters, len(self.trials), self.scatter_n, tuple(self.identified))
+
+    def _constants(self, x: Array) -> Array:
+        """Return the coordinates of all constants at a departure from the origin."""
+        q = self.origin.copy()
+        q[list(FREE)] += x[:len(FREE)]
+        return np.asarray(q)
+
+    def _descend(self) -> None:
+        """Go to the joint mode of bench and trials by Gauss–Newton steps that lower the joint cost."""
+        now = self._cost(self.bench, self.at)
+        for _ in range(ROUNDS):
+            self.linear = [self._linearised(k) for k in range(len(self.trials))]
+            bench = self._posterior(range(len(self.trials))).mean
+            at = [self._trial_given(k, bench) for k in range(len(self.trials))]
+            longest = max(float(np.abs((there - here)[:len(FREE)] / BENCH_SD[list(FREE)]).max())
+                          for here, there in zip([self.bench, *self.at], [bench, *at], strict=True))
+            share = min(1.0, LONGEST / longest)
+            while share > 0.01:
+                tried = self.bench + share * (bench - self.bench)
+                trials = [here + share * (there - here) for here, there in zip(self.at, at, strict=True)]
+                then = self._cost(tried, trials)
+                if then < now:
+                    break
+                share *= 0.4
+            else:
+                return
+            self.bench, self.at, fall, now = tried, trials, now - then, then
+            if fall < CLOSE * len(self.trials):
+                return
+
+    def _cost(self, bench: Array, at: Sequence[Array]) -> float:
+        """Return the joint cost of bench and trials: misfit, session deviations, prior of the bench."""
+        centre = -self.origin[list(FREE)] / BENCH_SD[list(FREE)]
+        for name in ORIGINAL:
+            centre[FREE.index(INDEX[name])] = 0.0
+        own = bench / np.sqrt(self._bench_variance())
+        own[:len(FREE)] -= centre
+        total = float(own @ own)
+        for k, x in enumerate(at):
+            off = (x - bench) / np.sqrt(self._session())
+            total += loss(self._residual(k, x), np.sqrt(self._weight(k))) + float(off @ off)
+        return total
+
+    def _residual(self, k: int, x: Array) -> Array:
+        trial = self.trials[k]
+        return np.asarray(trial.data - predicted(self._constants(x), trial) - self.features[k] @ x[len(FREE):])
+
+    def _weight(self, k: int) -> Array:
+        return 1.0 / self._reference()._variance(self.trials[k], self.states[k])
+
+    def _linearised(self, k: int) -> _Linear:
+        x = self.at[k]
+        data, slopes = jacobian(self._constants(x), self.trials[k], FREE)
+        design = np.concatenate([slopes, self.features[k]], axis=1)
+        residual = self.trials[k].data - data - self.features[k] @ x[len(FREE):]
+        return _Linear(design, residual + design @ x, bounded(residual, self._weight(k)))
+
+    def _trial_given(self, k: int, bench: Array) -> Array:
+        """Return the mode of a linearised trial given the bench."""
+        linear, deviation = self.linear[k], np.sqrt(self._session())
+        inward = linear.design * deviation
+        light = inward.T * linear.weight
+        inner = cho_factor(np.eye(deviation.size) + light @ inward)
+        return np.asarray(bench + deviation * cho_solve(inner, light @ (linear.error - linear.design @ bench)))
 
     def _first(self, at: Array) -> PosteriorMode:
         """Fit the first trial alone from coordinates `at`, without a discrepancy."""
@@ -217,17 +294,17 @@ class _Fit:
         rough = mode(Observed((trial,), none, np.full(trial.data.size, COARSE_N**-2)), wide, start=start, rounds=10)
         return mode(Observed((trial,), none, np.full(trial.data.size, FINE_N**-2)), wide, start=rough.x, rounds=10)
 
-    def _rescale(self, q: Array) -> None:
-        """Take `q` as the constants at which the states of the discrepancy are simulated."""
-        self.origin_of_states = q
+    def _recentre(self, q: Array) -> None:
+        """Take `q` as origin, at which the states of the discrepancy are simulated."""
         self.states = [simulated_states(q, trial) for trial in self.trials]
         every = np.concatenate(self.states, axis=1)
         self.scaling = Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6)
         self.features = [features(s, self.scaling, self.outputs) for s in self.states]
         self.quarters = np.quantile(every[LOAD], QUARTERS)
         self.origin = q
-        rest = [trial.data - predicted(q, trial) for trial in self.trials[:1]]
-        self._set_amplitude(rest, self.trials[:1])
+        self._set_amplitude([trial.data - predicted(q, trial) for trial in self.trials[:1]], self.trials[:1])
+        self.bench = np.zeros(len(FREE) + FEATURES * len(self.outputs))
+        self.at = [self.bench for _ in self.trials]
 
     def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
         self.amplitude = np.array([
@@ -255,8 +332,6 @@ class _Fit:
             pull[FREE.index(INDEX[name])] = 0.0
         for k in which:
             linear = self.linear[k]
-            if linear is None:
-                continue
             root = np.sqrt(linear.weight)
             design = linear.design * scale * root[:, None]
             square, error = design.T @ design, design.T @ (linear.error * root)
@@ -269,55 +344,36 @@ class _Fit:
         covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
         return Gaussian(self.origin, scale * ((axes / lengths) @ (axes.T @ pull)), covariance)
 
-    def _visit(self, k: int) -> PosteriorMode:
-        """Find the mode of trial `k` under the posterior of the other trials, and linearise the trial there."""
-        others = [i for i in range(len(self.trials)) if i != k]
-        cavity = self._posterior(others)
-        if all(self.linear[i] is None for i in others):
-            cavity = Gaussian(self.origin, np.zeros_like(cavity.mean), np.diag(self._bench_variance()))
-        prior = Gaussian(cavity.origin, cavity.mean, cavity.covariance + np.diag(self._session()))
-        observed = Observed((self.trials[k],), self.features[k], 1.0 / self._reference()._variance(
-            self.trials[k], self.states[k]))
-        found = mode(observed, prior, rounds=8)
-        self.linear[k] = _Linear(found.design, found.residual + found.design @ found.x, observed.weight)
-        return found
-
-    def _reweigh(self, k: int) -> None:
-        linear = self.linear[k]
-        assert linear is not None
-        weight = 1.0 / self._reference()._variance(self.trials[k], self.states[k])
-        self.linear[k] = linear._replace(weight=weight)
-
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
                          self.tau, self.quarters, len(self.trials), self.scatter_n)
 
-    def _noise(self, found: Sequence[PosteriorMode]) -> None:
+    def _noise(self) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
         more = IN_SAMPLE if len(self.trials) == 1 else HELD_OUT
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
         tau = np.zeros(len(self.outputs))
-        for at, trial, states in zip(found, self.trials, self.states, strict=True):
+        rests = [self._residual(k, x) for k, x in enumerate(self.at)]
+        for residual, trial, states in zip(rests, self.trials, self.states, strict=True):
             quarter = np.searchsorted(self.quarters, states[LOAD])
             for k, name in enumerate(self.outputs):
-                rest = trial.part(at.residual, k)
-                tau[k] += autocorrelation(rest) / len(found)
-                bounded = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - trial.noise_n[name] ** 2
+                rest = trial.part(residual, k)
+                tau[k] += autocorrelation(rest) / len(rests)
+                squared = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - trial.noise_n[name] ** 2
                 for j in range(4):
-                    squares[k, j] += float(bounded[quarter == j].sum())
+                    squares[k, j] += float(squared[quarter == j].sum())
                     counts[k, j] += int((quarter == j).sum())
         least = np.array([[LEAST_N[name] ** 2] for name in self.outputs])
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
-        self.identified = [(at.q, at.x[len(FREE):]) for at in found]
+        self.identified = [(self._constants(x), x[len(FREE):]) for x in self.at]
         self.scatter_n = self._missed()
 
     def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
         rest = []
         for linear in self.linear:
-            assert linear is not None
             part = linear.design[:, :len(FREE)]
             root = np.sqrt(linear.weight)
             scale = BENCH_SD[list(FREE)]
