@@ -27,11 +27,11 @@ class Diagnosis:
     """Finds what the simulation gets wrong about trials of one bench, as an estimator of scikit-learn does.
 
     `model`: what the bench was identified to be, or its calibration.toml (None: what each trial carries with it).
-    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.  `core`: evidence or relations (None:
-    evidence where it can), as of `bowden diagnose`.
+    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.  `core`: evidence or relations, as of
+    `bowden diagnose`.
     """
 
-    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str | None = None) -> None:
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str = "relations") -> None:
         from diagnosis.finder import Finder
 
         self.model = None if model is None else model_files.given(model)

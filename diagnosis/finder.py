@@ -24,7 +24,6 @@ from diagnosis.judgement.judge import Judge, of_experiment
 from diagnosis.judgement.verdict import Figures
 from diagnosis.judgement.wire_faults import WireFindings
 from diagnosis.problem import candidates, problem, rig
-from diagnosis.problem.healthy_reference import like_this_bench
 from diagnosis.problem.healthy_trials import HealthyTrials
 from parameters import InputError, read_toml
 from physics import bench_model
@@ -42,15 +41,15 @@ class Finder:
     """Diagnoses trials of one bench: `fit` examines healthy trials once, `diagnose` uses that for trial after trial.
 
     `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
-    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `core`: see `CORES`; None takes
-    evidence where there are reference trials, and rope, knee and START are recorded of a rig that the model fits.
+    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `core`: see `CORES`; evidence
+    needs reference trials, and rope, knee and START recorded on a rig that the model fits.
     `session_sd`: 1σ of each constant between sessions, from a logbook (None: the published one).
     Raises `InputError` for a core that is none.
     """
 
     def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
-                 core: str | None = None, session_sd: Mapping[str, float] | None = None) -> None:
-        if core not in (None, *CORES):
+                 core: str = "relations", session_sd: Mapping[str, float] | None = None) -> None:
+        if core not in CORES:
             raise InputError(f"--core {core} is no core of the diagnosis; expected {' or '.join(CORES)}.")
         self.calibration, self.lowpass, self.core = _calibration(calibration), lowpass, core
         self.session_sd = session_sd
@@ -125,16 +124,14 @@ class Finder:
         return replace(by_evidence.diagnose(groups[0], groups[1], warnings), bench=self._bench(groups[0]))
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
-        """Return the evidence core where it is asked for, or nothing is and it can simulate these trials."""
-        if self.core == "relations" or (self._evidence is None and self.core is None):
+        """Return the evidence core where it is asked for; raises `InputError` where it cannot simulate these trials."""
+        if self.core != "evidence":
             return None
         core = self._evidence or EvidenceFinder([])
-        if self.core is None and not like_this_bench(trials):
-            return None
         reason = core.lacking([*trials, *holdout]) or core.unlike([*trials, *holdout])
-        if reason and self.core == "evidence":
+        if reason:
             raise InputError(reason)
-        return None if reason else core
+        return core
 
     def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
                 ) -> Findings:
@@ -193,7 +190,7 @@ def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> 
 
 def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
-    holdout: Sequence[Given] = (), lowpass: float | None = None, core: str | None = None,
+    holdout: Sequence[Given] = (), lowpass: float | None = None, core: str = "relations",
 ) -> Findings:
     """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
     return Finder(calibration, lowpass, core).examine(healthy).diagnose(trials, holdout)

@@ -39,9 +39,8 @@ Workers = Annotated[int | None, typer.Option(
     metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
-Core = Annotated[str | None, typer.Option(
-    metavar="NAME", help="evidence: forward simulation and Bayes factors, needs --healthy; relations: any columns "
-    "(default: evidence where it can).")]
+Core = Annotated[str, typer.Option(
+    metavar="NAME", help="relations: any columns; evidence: forward simulation and Bayes factors, needs --healthy.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
     "bowden trial --experiment, would show.")]
@@ -69,7 +68,7 @@ def diagnose(
     each: Each = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    core: Core = None,
+    core: Core = "relations",
     logbook: Annotated[Path | None, typer.Option(
         metavar="DIR", help="Logbook of the bench: enters the verdict; with --core evidence also in place of "
         "--healthy.")] = None,
@@ -129,7 +128,7 @@ def diagnose(
 
 
 def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path],
-                core: str | None) -> tuple[list[Path] | None, dict[str, float] | None]:
+                core: str) -> tuple[list[Path] | None, dict[str, float] | None]:
     """Return reference trials and deviations between sessions, by the logbook where the evidence core has none."""
     from bowden import logbook_entries, session
 
@@ -169,7 +168,7 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
 
 def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    core: str | None, scheduler: str | None, workers: int | None, json: bool,
+    core: str, scheduler: str | None, workers: int | None, json: bool,
 ) -> int:
     """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
     from bowden.sweep import diagnose_each
@@ -217,7 +216,7 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, core: str | None, deviations: dict[str, float] | None, *, overwrite: bool,
+    figures: Path | None, core: str, deviations: dict[str, float] | None, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
     from bowden import diagnosing

@@ -30,7 +30,7 @@ class Given:
     healthy: tuple[Path, ...]
     holdout: tuple[Path, ...]
     lowpass: float | None
-    core: str | None = None
+    core: str = "relations"
 
 
 def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[run.Workers]:
