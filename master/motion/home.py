@@ -49,11 +49,12 @@ LIFT: Final = 1.125
 def within(homing: Homing, calibration: Calibration, peak_n: float) -> tuple[Homing, Calibration]:
     """Return homing that pulls no harder than a trial whose desired force reaches `peak_n`, N, and its calibration.
 
-    The preload falls with the top, since equation (10) fixes the same zero at any tension.  `homing.least_n` may be
-    reached whatever the trial's peak is.
+    The preload falls with the top, since equation (10) fixes the same zero at any tension.  The rope goes slower by
+    as much, so that as many cycles see START near the preload.  `homing.least_n` may be reached whatever the peak is.
     """
     top = min(homing.top_n, max(homing.least_n, LIFT * peak_n))
-    return (dataclasses.replace(homing, top_n=top),
+    slower = top / homing.top_n
+    return (dataclasses.replace(homing, top_n=top, rope_m_s=homing.rope_m_s * slower),
             dataclasses.replace(calibration, home_preload=min(calibration.home_preload, top / LOOP)))
 
 

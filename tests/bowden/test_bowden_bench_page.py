@@ -38,7 +38,7 @@ start_deadline_cycles = 100
 [limits]
 stale_cycles = 100
 [homing]
-rope_m_s = 0.03
+rope_m_s = 0.01
 """
 PATIENCE_S = 60.0
 LOOKS = {"doctor": (0, 1), "live": (0,)}
