@@ -31,6 +31,8 @@ DEVICES: dict[str, tuple[str, str]] = {
 }
 """Tables of devices that are not those of this project; they become the network's device_mappings."""
 TABLES = {**SECTIONS, **DEVICES}
+ARRAYS = ("device", "joint", "force_path")
+"""Arrays of tables that declare the bench; `eds.declaration` reads them."""
 
 
 def declaration(section: str) -> type[Any]:
@@ -40,18 +42,52 @@ def declaration(section: str) -> type[Any]:
     return found
 
 
-def read(path: Path | None) -> dict[str, Any]:
-    """Every section as its checked dataclass; sections absent from the file, or no file, give the defaults."""
+def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
+    """Return every section as its checked dataclass; sections absent from the file, or no file, give the defaults.
+
+    Raises `InputError` for a declared bench of another shape than the packaged one, unless `any_shape`: the wire of
+    every shape can be planned, and only the packaged shape runs.
+    """
     given = read_toml(path) if path else {}
+    arrays = {name: given.pop(name) for name in ARRAYS if name in given}
     for name, content in given.items():
         if name not in TABLES:
-            raise InputError(f"{path}: unknown table [{name}]; expected one of {', '.join(TABLES)}.")
+            raise InputError(
+                f"{path}: unknown table [{name}]; expected one of {', '.join((*TABLES, *ARRAYS))}.")
         if not isinstance(content, dict):
             raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
             for name in TABLES if name in SECTIONS or name in given}
     device_mappings = tuple((_node(name), _beside(path, read.pop(name))) for name in DEVICES if name in read)
-    return read | {"network": dataclasses.replace(read["network"], device_mappings=device_mappings)}
+    network = dataclasses.replace(read["network"], device_mappings=device_mappings)
+    return read | {"network": _with_bench(network, arrays, path, any_shape) if path and arrays else network}
+
+
+def _with_bench(network: Any, arrays: Mapping[str, Any], path: Path, any_shape: bool) -> Any:
+    """Return the network of a declared bench."""
+    from eds.bench_network import NAMES
+    from eds.declaration import declared, packaged
+
+    bench, paper, tables = declared(arrays, where=str(path), folder=path.parent), packaged(), network.device_mappings
+    same = bench.shape == paper.shape
+    mapped = [(device.node_id, device.mapping) for device in bench.devices
+              if device.mapping != device.type.mapping()]
+    for node_id, _ in tables:
+        if not same or node_id in dict(mapped):
+            name = NAMES[node_id]
+            raise InputError(f"{path}: [{name}] stands beside [[device]]; move its keys into the [[device]] of "
+                             f"{name}.")
+    if same:
+        return dataclasses.replace(network, device_mappings=(*tables, *mapped))
+    if not any_shape:
+        raise InputError(f"{path}: the declared bench is not the packaged one ({_named(paper)}); this version plans "
+                         "the wire of other benches (bowden check config) and runs the packaged one: leave [[device]], "
+                         "[[joint]] and [[force_path]] out.")
+    return dataclasses.replace(network, bench=bench)
+
+
+def _named(bench: Any) -> str:
+    return ", ".join(f"{device.name} {device.node_id}" for device in bench.devices)
 
 
 def homing(section: Any, least_n: float | None) -> Any:
@@ -113,7 +149,9 @@ def _quoted(text: str) -> str:
 
 def as_template(told: Mapping[str, str] | None = None) -> str:
     """A commented bench.toml with every default, unit, range and source; `told` fills `[record]`."""
-    text = "\n".join(template(declaration(name), name) for name in SECTIONS)
+    from eds.declaration import text_of
+
+    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), text_of("bench")))
     for field, said in (told or {}).items():
         text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
     return text

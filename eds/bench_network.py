@@ -1,7 +1,7 @@
-"""This bench's network: node ids, COB-IDs, PDO plans, and what bring-up writes into each node.
+"""Wire of a declared bench: node ids, COB-IDs, PDO plans, and the SDO writes that set each node up.
 
-The rule of this file: one declaration of the wire, from which master, devices, checks and docs/wire.md
-take theirs. A cycle is 590 bit times at worst: SYNC, four TPDOs, one frame of targets for both drives.
+Master, devices, checks and docs/wire.md read the wire here. It follows from `eds.declaration` alone. A cycle of the
+paper's bench is 590 bit times at worst: SYNC, four TPDOs, one frame of targets for both drives.
 """
 
 from __future__ import annotations
@@ -12,42 +12,29 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
-from eds.device_mapping import DeviceMapping, KneeMapping, MappedPart, SensorMapping, ServoMapping, part
+from eds.declaration import DeclaredDevice, packaged
+from eds.device_mapping import DeviceMapping, MappedPart, ServoMapping, part
 from eds.dictionary import Dictionary, key
 from eds.network import Network as Network
 from eds.pdo_plan import PdoPlan, compile_plan, overlay
 from eds.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from parameters import InputError
 
-SERVO, KNEE, START, END, MASTER = 1, 2, 3, 4, 127
-DRIVES: Final = (SERVO, KNEE)
-SENSORS: Final = (START, END)
-NAMES: Final = MappingProxyType({SERVO: "servo", KNEE: "knee", START: "start", END: "end", MASTER: "master"})
-FILES: Final = MappingProxyType({
-    SERVO: "servo_drive", KNEE: "knee_drive", START: "tension_sensor", END: "tension_sensor",
-})
-FITTINGS: Final[Mapping[int, DeviceMapping]] = MappingProxyType({
-    SERVO: ServoMapping(), KNEE: KneeMapping(), START: SensorMapping(), END: SensorMapping(),
-})
+MASTER: Final = 127
+_PAPER: Final = packaged()
+SERVO, KNEE, START, END = (_PAPER.named(name).node_id for name in ("servo", "knee", "start", "end"))
+DRIVES: Final = tuple(device.node_id for device in _PAPER.devices if device.type.taken)
+SENSORS: Final = tuple(device.node_id for device in _PAPER.devices if not device.type.taken)
+NAMES: Final = MappingProxyType({**{device.node_id: device.name for device in _PAPER.devices}, MASTER: "master"})
+FILES: Final = MappingProxyType({device.node_id: device.type.file for device in _PAPER.devices})
+"""Node ids, names and packaged EDS of the paper's bench, for modules that run this shape only."""
 
-TARGETS_COB_ID: Final = 0x201
-CONTROLWORDS_COB_ID: Final = 0x301
+TARGETS_COB_ID: Final = cia301.RPDO_BASE + DRIVES[0]
+CONTROLWORDS_COB_ID: Final = cia301.RPDO_BASE + 0x100 + DRIVES[0]
+FRAME_BITS: Final = 64
+"""Bits that one frame carries; targets beyond it go into a further frame."""
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 
-_SENT: Final = MappingProxyType({
-    SERVO: ("statusword", "position", "torque"), KNEE: ("statusword", "position"), START: ("value",), END: ("value",),
-})
-_TAKEN: Final = MappingProxyType({
-    SERVO: ("target", "controlword"), KNEE: ("target", "controlword"), START: (), END: (),
-})
-
-_SAFE_STOP: Final = MappingProxyType({
-    SERVO: ((0x6007, cia402.AbortConnection.DISABLE_VOLTAGE), (0x605A, cia402.Stop.QUICK_STOP_RAMP),
-            (0x605E, cia402.Stop.DISABLE)),
-    KNEE: ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP_HOLD),
-           (0x605E, cia402.Stop.QUICK_STOP_RAMP)),
-})
-"""The servo never ends a stop by holding the rope, for the knee would load it; the knee drive holds."""
 STEP_LIMIT: Final = 0x2017
 """Greatest step of a drive's position target, in its position unit; 0: none."""
 STEP_US: Final = 10_000
@@ -57,16 +44,16 @@ _IF_PRESENT: Final = frozenset({key(0x1006), key(0x1015), key(STEP_LIMIT)})
 
 
 class NodeEntry(NamedTuple):
-    """One device of the bench; without a fitting of its own the profile's objects play its parts."""
+    """One device of the bench: its dictionary, and the mapping that names the objects of its parts."""
 
     node_id: int
     name: str
     dictionary: Dictionary
-    fitting: DeviceMapping | None = None
+    fitting: DeviceMapping
 
     def part(self, name: str) -> MappedPart:
         """Find the object that plays a part; `InputError` where there is none."""
-        return part(self.dictionary, self.fitting or FITTINGS[self.node_id], name)
+        return part(self.dictionary, self.fitting, name)
 
     def lacks(self, names: Sequence[str]) -> Iterator[str]:
         """Say in a sentence each which of these parts nobody can play."""
@@ -80,18 +67,33 @@ class NodeEntry(NamedTuple):
 class WireLayout:
     """Everything that both ends of the wire must know, built once; treat it as read-only.
 
-    `tpdo` maps COB-ID to plan (181h servo, 182h knee, 183h START, 184h END), `targets` and `controlwords` are the
-    master's frames to both drives, servo first. Plans carry SI scales: m, rad, N·m at the motor shaft, N.
+    `tpdo` maps COB-ID to plan, in the order of the declaration (paper's bench: 181h servo, 182h knee, 183h START,
+    184h END). `target_frames` and `controlword_frames` are the master's frames to the drives, as many drives in each
+    as 8 bytes hold. Plans carry SI scales: m, rad, N·m at the motor shaft, N.
     """
 
     def __init__(self, network: Network, nodes: Mapping[int, NodeEntry]) -> None:
         self.network = network
         self.period_ns = network.period_us * 1000
         self.nodes = MappingProxyType(dict(nodes))
+        self._devices = {device.node_id: device for device in network.bench.devices}
         self.tpdo: Mapping[int, PdoPlan] = MappingProxyType(
-            {tpdo_cob_id(n): self._plan(n, self._sent(n), tpdo_cob_id(n)) for n in _SENT})
-        self.targets = self._overlay("target", TARGETS_COB_ID)
-        self.controlwords = self._overlay("controlword", CONTROLWORDS_COB_ID)
+            {tpdo_cob_id(n): self._plan(n, self._sent(n), tpdo_cob_id(n)) for n in self._devices})
+        self.drives = tuple(node for node, device in self._devices.items() if device.type.taken)
+        self.target_frames = self._frames("target", cia301.RPDO_BASE)
+        self.controlword_frames = self._frames("controlword", cia301.RPDO_BASE + 0x100)
+
+    @property
+    def targets(self) -> PdoPlan:
+        """The only frame of targets, on a bench of two drives; servo first."""
+        (plan,) = self.target_frames
+        return plan
+
+    @property
+    def controlwords(self) -> PdoPlan:
+        """The only frame of controlwords, on a bench of up to four drives."""
+        (plan,) = self.controlword_frames
+        return plan
 
     def setup(self, node_id: int) -> list[Write]:
         """List the SDO writes that bring-up makes in PRE-OPERATIONAL, in order, as (index, sub-index, value).
@@ -114,38 +116,60 @@ class WireLayout:
     def pdos(self, node_id: int) -> Sequence[Pdo]:
         """List the PDOs that a node is to hold."""
         sent = Pdo(TPDO, 1, tpdo_cob_id(node_id), self._sent(node_id), 1)
-        if node_id in SENSORS:
+        if node_id not in self.drives:
             return (sent,)
-        network = self.network
-        targets = Pdo(RPDO, 1, TARGETS_COB_ID, self._shared(node_id, "target"), 1, network.targets_deadline_ms)
-        words = Pdo(RPDO, 2, CONTROLWORDS_COB_ID, self._shared(node_id, "controlword"), cia301.EVENT_PROFILE)
+        targets_group, words_group = self._group(node_id, "target"), self._group(node_id, "controlword")
+        targets = Pdo(RPDO, 1, cia301.RPDO_BASE + targets_group[0], self._shared(node_id, "target", targets_group), 1,
+                      self.network.targets_deadline_ms)
+        words = Pdo(RPDO, 2, cia301.RPDO_BASE + 0x100 + words_group[0],
+                    self._shared(node_id, "controlword", words_group), cia301.EVENT_PROFILE)
         return sent, targets, words, *self._tension(node_id)
 
     def _tension(self, node_id: int) -> Iterator[Pdo]:
-        """The servo's own watch over START's tension, taken straight from START's frame."""
-        fitting = self.nodes[node_id].fitting or FITTINGS[node_id]
-        if not isinstance(fitting, ServoMapping) or not fitting.tension:
+        """Yield the RPDO by which a rope drive watches its path's START, straight from START's frame."""
+        fitting, cell = self.nodes[node_id].fitting, self.network.bench.start_of(self._devices[node_id].name)
+        if not isinstance(fitting, ServoMapping) or not fitting.tension or cell is None:
             return
-        mine, told = self.nodes[node_id].part("tension"), self.nodes[START].part("value")
+        mine, told = self.nodes[node_id].part("tension"), self.nodes[cell.node_id].part("value")
         if (mine.entry.data_type, mine.scale) != (told.entry.data_type, told.scale):
             raise InputError(f"{self.nodes[node_id].dictionary.path}: {fitting.tension} (tension) counts "
                              f"{mine.unit('N')}, START sends {told.unit('N')}; make them agree.")
-        yield Pdo(RPDO, 3, tpdo_cob_id(START), (mine.word,), cia301.EVENT_PROFILE, self.network.start_deadline_ms)
+        yield Pdo(RPDO, 3, tpdo_cob_id(cell.node_id), (mine.word,), cia301.EVENT_PROFILE,
+                  self.network.start_deadline_ms)
 
     def _sent(self, node_id: int) -> tuple[int, ...]:
-        return tuple(self.nodes[node_id].part(name).word for name in _SENT[node_id])
+        return tuple(self.nodes[node_id].part(name).word for name in self._devices[node_id].type.sent)
 
-    def _shared(self, node_id: int, name: str) -> tuple[int, ...]:
-        """One drive's map of a frame for both: its own object, and a dummy of the other's type."""
-        parts = {n: self.nodes[n].part(name) for n in DRIVES}
+    def _groups(self, name: str) -> Iterator[tuple[int, ...]]:
+        """Yield the drives that share a frame of this part: in declared order, as many as `FRAME_BITS` hold."""
+        group: list[int] = []
+        free = FRAME_BITS
+        for node in self.drives:
+            bits = self.nodes[node].part(name).entry.data_type.bits
+            if group and bits > free:
+                yield tuple(group)
+                group, free = [], FRAME_BITS
+            group.append(node)
+            free -= bits
+        yield tuple(group)
+
+    def _group(self, node_id: int, name: str) -> tuple[int, ...]:
+        return next(group for group in self._groups(name) if node_id in group)
+
+    def _shared(self, node_id: int, name: str, group: Sequence[int]) -> tuple[int, ...]:
+        """Return one drive's map of a shared frame: its own object, and a dummy of each other drive's type."""
+        parts = {n: self.nodes[n].part(name) for n in group}
         return tuple(p.word if n == node_id else p.dummy for n, p in parts.items())
 
-    def _overlay(self, name: str, cob_id: int) -> PdoPlan:
-        return overlay([self._plan(n, self._shared(n, name), cob_id) for n in DRIVES], cob_id)
+    def _frames(self, name: str, base: int) -> tuple[PdoPlan, ...]:
+        """Return the frames of a part; each has the COB-ID of its first drive."""
+        return tuple(
+            overlay([self._plan(n, self._shared(n, name, group), base + group[0]) for n in group], base + group[0])
+            for group in self._groups(name))
 
     def _plan(self, node_id: int, mapping: Sequence[int], cob_id: int) -> PdoPlan:
         entry = self.nodes[node_id]
-        parts = (entry.part(name) for name in (*_SENT[node_id], *_TAKEN[node_id]))
+        parts = (entry.part(name) for name in _parts(self._devices[node_id]))
         return compile_plan(entry.dictionary, mapping, cob_id, {p.entry.key: p.scale for p in parts})
 
     def _writes(self, node_id: int) -> Iterator[Write]:
@@ -155,7 +179,7 @@ class WireLayout:
         yield 0x1016, 1, MASTER << 16 | network.heartbeat_timeout_ms
         yield 0x1017, 0, network.heartbeat_ms
         yield from pdo_writes(self.nodes[node_id].dictionary, self.pdos(node_id))
-        if node_id in SENSORS:
+        if node_id not in self.drives:
             yield 0x6114, 1, network.sampling_us
             return
         value, index = interpolation_period(network.period_us)
@@ -164,7 +188,7 @@ class WireLayout:
         if key(0x607F) in self.nodes[node_id].dictionary.entries:
             yield STEP_LIMIT, 0, self._step_limit(node_id)
         yield 0x6060, 0, int(cia402.Mode.CSP)
-        for option, code in _SAFE_STOP[node_id]:
+        for option, code in self._devices[node_id].type.safe_stop:
             yield option, 0, int(code)
 
     def _step_limit(self, node_id: int) -> int:
@@ -190,23 +214,32 @@ def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None =
         raise InputError(f"rate_hz = {network.rate_hz} makes no whole number of microseconds a cycle; choose a divisor "
                          "of 1000000 such as 1000, 500, 250 or 100.")
     interpolation_period(network.period_us)
-    device_mappings = dict(network.device_mappings) if device_mappings is None else device_mappings
-    return WireLayout(network, {node: _entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES})
+    return WireLayout(network, _entries(network, device_mappings))
 
 
 def lacks(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> list[str]:
-    """Say in a sentence each what the devices lack for their places; empty where all of them fit."""
-    device_mappings = dict(network.device_mappings) if device_mappings is None else device_mappings
-    entries = [_entry(node, device_mappings.get(node, FITTINGS[node])) for node in FILES]
-    unfit = [said for entry in entries for said in entry.lacks((*_SENT[entry.node_id], *_TAKEN[entry.node_id]))]
-    return unfit or [said for node in FILES for said in wire(network, device_mappings).missing(node)]
+    """List in a sentence each what the devices lack for their places; empty if all of them fit."""
+    entries = _entries(network, device_mappings)
+    unfit = [said for device in network.bench.devices for said in entries[device.node_id].lacks(_parts(device))]
+    return unfit or [said for node in entries for said in wire(network, device_mappings).missing(node)]
 
 
-def _entry(node_id: int, fitting: DeviceMapping) -> NodeEntry:
-    device = dictionary.read(fitting.file, node_id) if fitting.file else _packaged(node_id)
-    return NodeEntry(node_id, NAMES[node_id], device, fitting)
+def _parts(device: DeclaredDevice) -> tuple[str, ...]:
+    return device.type.sent + device.type.taken
+
+
+def _entries(network: Network, device_mappings: Mapping[int, DeviceMapping] | None) -> dict[int, NodeEntry]:
+    given = dict(network.device_mappings) if device_mappings is None else device_mappings
+    return {device.node_id: _entry(device, given.get(device.node_id, device.mapping))
+            for device in network.bench.devices}
+
+
+def _entry(device: DeclaredDevice, fitting: DeviceMapping) -> NodeEntry:
+    read = (dictionary.read(fitting.file, device.node_id) if fitting.file
+            else _packaged(device.type.file, device.node_id))
+    return NodeEntry(device.node_id, device.name, read, fitting)
 
 
 @functools.cache
-def _packaged(node_id: int) -> Dictionary:
-    return dictionary.read(dictionary.packaged(FILES[node_id]), node_id)
+def _packaged(file: str, node_id: int) -> Dictionary:
+    return dictionary.read(dictionary.packaged(file), node_id)

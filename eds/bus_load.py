@@ -11,16 +11,21 @@ that cycle its deadline, which the master counts as a miss, and `responses` tell
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
 from eds import cia301
-from eds.bench_network import DRIVES, MASTER, NAMES, WireLayout
+from eds.bench_network import MASTER, WireLayout
+from eds.pdo_plan import PdoPlan
+from eds.setup import fits_one_byte
 from parameters import InputError
 
 LOAD_GOAL_PERCENT: Final = 60.0
+LEAST_RATE_HZ: Final = 10
+"""Smallest control rate that `rate_hz` may have."""
 EMCY_SIZE: Final = 8
 SDO_SIZE: Final = 8
 
@@ -122,7 +127,7 @@ def budget(wire: WireLayout) -> Budget:
     blocking = bit * max(s.bits() for s in found if s.kind in (Kind.EVENT, Kind.HEARTBEAT))
     sync = bit * frame_bits(0)
     inputs = bit * sum(frame_bits(plan.size) for plan in wire.tpdo.values())
-    targets = blocking + bit * frame_bits(wire.targets.size)
+    targets = blocking + bit * sum(frame_bits(plan.size) for plan in wire.target_frames)
     compute = network.compute_budget_us * 1000
     return Budget(
         load_percent=load_percent(wire),
@@ -143,8 +148,25 @@ def refuse(wire: WireLayout) -> Budget:
         raise InputError(
             f"[network] rate_hz = {network.rate_hz} at bitrate = {network.bitrate}: the last input comes {late} µs "
             f"after SYNC at worst, but is due at {due} µs ({cycle} less {frame} for the targets' frame and {compute} "
-            "for compute_budget_us); lower rate_hz, raise bitrate or lower compute_budget_us.")
+            f"for compute_budget_us); lower rate_hz{_to(rate_that_fits(wire))}, raise bitrate or lower "
+            "compute_budget_us.")
     return found
+
+
+def rate_that_fits(wire: WireLayout) -> int | None:
+    """Return the largest control rate up to the present one, Hz, that keeps deadline and load goal; None if none."""
+    network = wire.network
+    for rate in range(network.rate_hz, LEAST_RATE_HZ - 1, -1):
+        if 1_000_000 % rate or not fits_one_byte(1_000_000 // rate):
+            continue
+        found = budget(WireLayout(dataclasses.replace(network, rate_hz=rate), wire.nodes))
+        if found.holds and found.load_percent <= LOAD_GOAL_PERCENT:
+            return rate
+    return None
+
+
+def _to(rate: int | None) -> str:
+    return f" to {rate}" if rate else ""
 
 
 def _demand(stream: Stream, window_ns: int, bit: int) -> int:
@@ -155,15 +177,23 @@ def _streams(wire: WireLayout) -> Iterator[Stream]:
     network, cycle = wire.network, wire.period_ns
     latch = network.node_turnaround_us * 1000
     yield Stream("SYNC", cia301.SYNC_COB_ID, 0, cycle, Kind.CYCLIC)
-    for node, plan in zip(wire.nodes, wire.tpdo.values(), strict=True):
-        yield Stream(f"TPDO1 {NAMES[node]}", plan.cob_id, plan.size, cycle, Kind.CYCLIC, latch)
+    for entry, plan in zip(wire.nodes.values(), wire.tpdo.values(), strict=True):
+        yield Stream(f"TPDO1 {entry.name}", plan.cob_id, plan.size, cycle, Kind.CYCLIC, latch)
     compute = network.compute_budget_us * 1000
-    yield Stream("targets", wire.targets.cob_id, wire.targets.size, cycle, Kind.CYCLIC, compute)
-    yield Stream("controlwords", wire.controlwords.cob_id, wire.controlwords.size, cycle, Kind.EVENT)
+    for plan, which in _numbered(wire.target_frames):
+        yield Stream(f"targets{which}", plan.cob_id, plan.size, cycle, Kind.CYCLIC, compute)
+    for plan, which in _numbered(wire.controlword_frames):
+        yield Stream(f"controlwords{which}", plan.cob_id, plan.size, cycle, Kind.EVENT)
     inhibit, heartbeat = network.emcy_inhibit_ms * 1_000_000, network.heartbeat_ms * 1_000_000
-    for node in wire.nodes:
-        yield Stream(f"EMCY {NAMES[node]}", cia301.EMCY_BASE + node, EMCY_SIZE, inhibit, Kind.EMCY)
-    yield Stream("SDO response", cia301.SDO_RESPONSE_BASE + DRIVES[0], SDO_SIZE, cycle, Kind.SDO)
-    yield Stream("SDO request", cia301.SDO_REQUEST_BASE + DRIVES[0], SDO_SIZE, cycle, Kind.SDO)
-    for node in (*wire.nodes, MASTER):
-        yield Stream(f"heartbeat {NAMES[node]}", cia301.HEARTBEAT_BASE + node, 1, heartbeat, Kind.HEARTBEAT)
+    for node, entry in wire.nodes.items():
+        yield Stream(f"EMCY {entry.name}", cia301.EMCY_BASE + node, EMCY_SIZE, inhibit, Kind.EMCY)
+    yield Stream("SDO response", cia301.SDO_RESPONSE_BASE + wire.drives[0], SDO_SIZE, cycle, Kind.SDO)
+    yield Stream("SDO request", cia301.SDO_REQUEST_BASE + wire.drives[0], SDO_SIZE, cycle, Kind.SDO)
+    for node, name in (*((node, entry.name) for node, entry in wire.nodes.items()), (MASTER, "master")):
+        yield Stream(f"heartbeat {name}", cia301.HEARTBEAT_BASE + node, 1, heartbeat, Kind.HEARTBEAT)
+
+
+def _numbered(plans: Sequence[PdoPlan]) -> Iterator[tuple[PdoPlan, str]]:
+    """Yield each frame with the number that its name ends in, from 1; a single frame has none."""
+    for number, plan in enumerate(plans, 1):
+        yield plan, f" {number}" if len(plans) > 1 else ""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from eds.declaration import DeclaredBench, packaged
 from eds.device_mapping import DeviceMapping
 from parameters import apart, parameter
 
@@ -36,6 +37,8 @@ class Network:
     compute_budget_us: int = parameter(100, "µs", "time the master may take from the last input to its targets", low=1,
                                        high=100_000, source="assumed: controller step and socket calls")
 
+    bench: DeclaredBench = apart(packaged())  # noqa: RUF009 - read once, frozen
+    """Devices, joints and force paths: arrays of tables of their own in the configuration."""
     device_mappings: tuple[tuple[int, DeviceMapping], ...] = apart(())
     """By node id, the devices that are not those of this project: tables of their own in the configuration."""
 

@@ -64,9 +64,20 @@ def pdo_writes(dictionary: Dictionary, pdos: Sequence[Pdo]) -> Iterator[Write]:
 
 def interpolation_period(period_us: int) -> tuple[int, int]:
     """Give 0x60C2:01 and :02 for a period: value × 10^index seconds; `InputError` where one byte cannot hold it."""
+    value, index = _decimal(period_us)
+    if not fits_one_byte(period_us):
+        raise InputError(f"rate_hz: a cycle of {period_us} µs does not fit 0x60C2; choose 1000, 500, 250 or 100 Hz.")
+    return value, index
+
+
+def fits_one_byte(period_us: int) -> bool:
+    """Return whether 0x60C2:01, one byte, can express a period."""
+    return 1 <= _decimal(period_us)[0] <= 255
+
+
+def _decimal(period_us: int) -> tuple[int, int]:
+    """Return the period as value and power of ten, in seconds, with the smallest value."""
     value, index = period_us, -6
     while value % 10 == 0 and index < 0:
         value, index = value // 10, index + 1
-    if not 1 <= value <= 255:
-        raise InputError(f"rate_hz: a cycle of {period_us} µs does not fit 0x60C2; choose 1000, 500, 250 or 100 Hz.")
     return value, index

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from eds import bus_load, cia402
-from eds.bench_network import NAMES, SENSORS, Network, WireLayout, wire
+from eds.bench_network import MASTER, Network, WireLayout, wire
 from eds.bus_load import Kind
 from eds.pdo_plan import PdoPlan
 from eds.setup import TPDO, Pdo
@@ -76,7 +76,7 @@ stateDiagram-v2
 def page(network: Network = Network()) -> str:  # noqa: B008
     """Give the whole page for a network."""
     built = wire(network)
-    return "".join((_head(network), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n"))
+    return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n"))
 
 
 def diagram() -> str:
@@ -96,8 +96,9 @@ def _arrows() -> Iterator[str]:
             yield f"{source.name if source else '[*]'} --> {row.target.name}: {row.number} {words}"
 
 
-def _head(network: Network) -> str:
-    nodes = ", ".join(f"{name} {node}" for node, name in NAMES.items())
+def _head(built: WireLayout) -> str:
+    network = built.network
+    nodes = ", ".join((*(f"{entry.name} {node}" for node, entry in built.nodes.items()), f"master {MASTER}"))
     return _HEAD.format(nodes=nodes, heartbeat=network.heartbeat_ms, timeout=network.heartbeat_timeout_ms)
 
 
@@ -115,8 +116,8 @@ def _cycle(built: WireLayout) -> str:
 
 def _plans(built: WireLayout) -> str:
     rows: Sequence[tuple[str, PdoPlan]] = (
-        *((NAMES[plan.cob_id & 0x7F], plan) for plan in built.tpdo.values()),
-        ("master", built.targets), ("master", built.controlwords),
+        *((built.nodes[plan.cob_id & 0x7F].name, plan) for plan in built.tpdo.values()),
+        *(("master", plan) for plan in (*built.target_frames, *built.controlword_frames)),
     )
     return _PLANS + "".join(f"| {plan.cob_id:03X}h | {sender} | {_fields(plan)} |\n" for sender, plan in rows)
 
@@ -128,8 +129,7 @@ def _fields(plan: PdoPlan) -> str:
 
 
 def _pdos(built: WireLayout) -> str:
-    nodes = (node for node in built.nodes if node not in SENSORS)
-    return _PDOS + "".join(_pdo(NAMES[node], pdo) for node in nodes for pdo in built.pdos(node))
+    return _PDOS + "".join(_pdo(built.nodes[node].name, pdo) for node in built.drives for pdo in built.pdos(node))
 
 
 def _pdo(name: str, pdo: Pdo) -> str:

@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import eds
 import nodes
-from eds.bench_network import END, KNEE, SENSORS, SERVO, START, Network, NodeEntry
+from eds.bench_network import END, KNEE, SENSORS, SERVO, START, Network
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
 from parameters.plugins import load
@@ -132,7 +132,7 @@ def trimmed(wire: eds.WireLayout, gains: Mapping[str, float]) -> eds.WireLayout:
         entry = entries[place]
         entries[place] = dataclasses.replace(entry, default=round(cast(int, entry.initial) * ratio))
     dictionary = dataclasses.replace(servo.dictionary, entries=entries)
-    return eds.WireLayout(wire.network, {**wire.nodes, SERVO: NodeEntry(SERVO, servo.name, dictionary)})
+    return eds.WireLayout(wire.network, {**wire.nodes, SERVO: servo._replace(dictionary=dictionary)})
 
 
 def _gauge(station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:

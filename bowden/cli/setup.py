@@ -58,20 +58,23 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     """
     from bowden import configuration
     from eds.bench_network import lacks, wire
-    from eds.bus_load import LOAD_GOAL_PERCENT, refuse
+    from eds.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
 
-    sections = configuration.read(file)
+    sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
     missing = lacks(network)
     if missing:
         terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
         return 1
     above = limits.above_packaged()
-    found = refuse(wire(network))
+    built = wire(network)
+    found = refuse(built)
+    fits = rate_that_fits(built)
     if json:
         terminal.emit({
             "limits_above_packaged": above, "limits_raised": limits.raised,
-            "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "inputs_ns": found.inputs_ns,
+            "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
+            "inputs_ns": found.inputs_ns,
             "deadline_ns": found.deadline_ns, "streams": [
                 {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
                  "response_ns": response} for stream, response in found.responses]})
@@ -86,6 +89,9 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
                 (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
                  terminal.number(None if response is None else response / 1e3, 0))
                 for stream, response in found.responses])
+        if fits != network.rate_hz:
+            print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
+                f"{fits} Hz would fit." if fits else "no rate would fit."))
     return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not above) else 1
 
 

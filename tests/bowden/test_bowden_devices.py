@@ -12,6 +12,7 @@ import pytest
 
 from bowden import configuration
 from eds.bench_network import KNEE, WireLayout, wire
+from eds.declaration import text_of
 from eds.dictionary import key
 from trial.convert.frames import rows_of
 from trial.decode import cycles
@@ -77,3 +78,45 @@ def test_a_bought_drive_is_seen_in_a_log(bench: Path) -> None:
     described = wire(configuration.read(bench)["network"])
     rows = rows_of([(at, can_id, 0, len(data), 0, False, data) for at, can_id, data in heard(described)])
     assert cycles(rows, described).columns["knee_angle_rad"][0] == pytest.approx(-0.5, abs=COUNT)
+
+
+def test_the_packaged_declaration_gives_the_packaged_network(here: Path) -> None:
+    (here / "bench.toml").write_text(text_of("bench"))
+    assert configuration.read(here / "bench.toml") == configuration.read(None)
+
+
+def test_a_declared_device_may_be_a_bought_one(bench: Path) -> None:
+    mapped = f'type = "joint_drive"\n{TABLE.removeprefix("[knee]")}'
+    own = configuration.read(bench)
+    bench.write_text(text_of("bench").replace('type = "joint_drive"\n', mapped))
+    assert configuration.read(bench) == own
+
+
+def test_a_device_is_mapped_in_one_table(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    declared = text_of("bench").replace('type = "joint_drive"\n', 'type = "joint_drive"\nposition_scale = 1e-5\n')
+    bench.write_text(TABLE + declared)
+    status, out, err = bowden("check", "config", bench)
+    assert (status, out) == (2, "")
+    assert "[knee] stands beside [[device]]" in err
+
+
+def test_the_wire_of_another_bench_is_planned(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    (here / "legs.toml").write_text(text_of("bench_two_legs"))
+    status, out, _ = bowden("check", "config", "legs.toml", "--json")
+    told = json.loads(out)
+    assert (status, told["rate_that_fits_hz"]) == (0, 500)
+    assert {"TPDO1 right_end", "targets 2", "EMCY left_start"} <= {stream["name"] for stream in told["streams"]}
+
+
+def test_a_bench_that_does_not_fit_is_refused(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    (here / "legs.toml").write_text(text_of("bench_two_legs").replace("rate_hz = 500", "rate_hz = 1000"))
+    status, out, err = bowden("check", "config", "legs.toml")
+    assert (status, out) == (2, "")
+    assert "lower rate_hz to 500" in err
+
+
+def test_another_bench_does_not_run_yet(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    (here / "one.toml").write_text(text_of("bench_start_only"))
+    status, out, err = bowden("trial", "--config", "one.toml", "-o", "trial.mcap")
+    assert (status, out, list(here.glob("*.mcap"))) == (2, "", [])
+    assert "runs the packaged one" in err

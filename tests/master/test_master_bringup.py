@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
-from eds.bench_network import Network, NodeEntry, WireLayout, wire
+from eds.bench_network import Network, WireLayout, wire
 from eds.cia301 import NmtCommand, NmtState
 from master.cycle import drives
 from master.cycle.exchange import Exchange
@@ -57,7 +57,7 @@ def test_a_late_node_is_waited_for(composer: Composer) -> None:
 
 def test_another_devices_identity_is_refused(composer: Composer) -> None:
     right = wire(Network())
-    swapped = {**right.nodes, 2: NodeEntry(2, "knee", right.nodes[1].dictionary)}
+    swapped = {**right.nodes, 2: right.nodes[2]._replace(dictionary=right.nodes[1].dictionary)}
     with pytest.raises(bringup.BringUpError, match=r"knee \(node 2\): (device type|product code) is 0x"):
         brought_up(composer, WireLayout(Network(), swapped))
 

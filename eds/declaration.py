@@ -1,0 +1,214 @@
+"""Declaration of a bench: its devices, its joints and its force paths, read from `bench.toml`.
+
+A declaration states what is connected to what. `eds.bench_network` derives the wire from it: COB-IDs, PDO plans,
+shared frames, set-up. Without `[[device]]` tables the packaged `bench.toml` holds, which is the bench of the paper.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
+
+from eds import cia402
+from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
+from parameters import InputError, from_table
+
+T = TypeVar("T")
+TABLES: Final = ("device", "joint", "force_path")
+"""Arrays of tables that declare a bench; a file has all of them or none."""
+LAST_NODE_ID: Final = 126
+"""Largest node id of a device; 127 is the master's."""
+
+
+@dataclass(frozen=True)
+class DeviceType:
+    """Kind of device: its packaged EDS, its mapping table, the parts that it sends and takes, its safe stop.
+
+    `safe_stop` lists (object, code) pairs that bring-up writes; a type that takes a target is a drive.
+    """
+
+    name: str
+    file: str
+    mapping: Callable[[], DeviceMapping]
+    sent: tuple[str, ...]
+    taken: tuple[str, ...] = ()
+    safe_stop: tuple[tuple[int, int], ...] = ()
+
+
+ROPE_DRIVE: Final = DeviceType(
+    "rope_drive", "servo_drive", ServoMapping, ("statusword", "position", "torque"), ("target", "controlword"),
+    ((0x6007, cia402.AbortConnection.DISABLE_VOLTAGE), (0x605A, cia402.Stop.QUICK_STOP_RAMP),
+     (0x605E, cia402.Stop.DISABLE)))
+"""Drive of a rope, in m. It never ends a stop by holding the rope, because the joint would load the rope."""
+JOINT_DRIVE: Final = DeviceType(
+    "joint_drive", "knee_drive", KneeMapping, ("statusword", "position"), ("target", "controlword"),
+    ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP_HOLD),
+     (0x605E, cia402.Stop.QUICK_STOP_RAMP)))
+"""Drive of a joint, in rad. It holds the joint after a stop."""
+LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("value",))
+"""Tension sensor, in N."""
+TYPES: Final[Mapping[str, DeviceType]] = MappingProxyType(
+    {one.name: one for one in (ROPE_DRIVE, JOINT_DRIVE, LOAD_CELL)})
+
+
+@dataclass(frozen=True)
+class DeclaredDevice:
+    """One node of the bench; `mapping` names the objects that play its parts."""
+
+    name: str
+    node_id: int
+    type: DeviceType
+    mapping: DeviceMapping
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint and the name of the device that drives and measures it."""
+
+    name: str
+    driven_by: str
+
+
+@dataclass(frozen=True)
+class ForcePath:
+    """One rope: names of its actuator, its joint and its load cells; an empty name means no such load cell."""
+
+    name: str
+    actuator: str
+    joint: str
+    start: str = ""
+    end: str = ""
+
+
+@dataclass(frozen=True)
+class DeclaredBench:
+    """A declared bench, checked: every name resolves, and every device has exactly one place."""
+
+    devices: tuple[DeclaredDevice, ...]
+    joints: tuple[Joint, ...]
+    force_paths: tuple[ForcePath, ...]
+
+    def named(self, name: str) -> DeclaredDevice:
+        """Return the device of a name."""
+        return next(device for device in self.devices if device.name == name)
+
+    def start_of(self, actuator: str) -> DeclaredDevice | None:
+        """Return the START load cell of the path that a device actuates; None if there is none."""
+        path = next((path for path in self.force_paths if path.actuator == actuator), None)
+        return self.named(path.start) if path is not None and path.start else None
+
+    @property
+    def shape(self) -> tuple[object, ...]:
+        """Everything but the mappings: two benches of one shape differ in their devices' files, objects and scales."""
+        return tuple((d.name, d.node_id, d.type) for d in self.devices), self.joints, self.force_paths
+
+
+@functools.cache
+def packaged(name: str = "bench") -> DeclaredBench:
+    """Read a declaration that ships with this project; `bench` is the paper's."""
+    return declared(tomllib.loads(text_of(name)), where=name)
+
+
+def text_of(name: str) -> str:
+    """Return the text of a declaration that ships with this project."""
+    return (resources.files("eds") / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def declared(tables: Mapping[str, Any], *, where: str, folder: Path | None = None) -> DeclaredBench:
+    """Build the bench that `[[device]]`, `[[joint]]` and `[[force_path]]` declare; `where` names the file in messages.
+
+    Files of devices are looked up from `folder`. Raises `InputError` for a name that does not resolve, a device
+    without a place or with two, and a path without a load cell.
+    """
+    lacking = [name for name in TABLES if not tables.get(name)]
+    if lacking:
+        raise InputError(f"{where}: no [[{lacking[0]}]]; a declared bench has [[device]], [[joint]] and "
+                         "[[force_path]], or none of them for the packaged bench.")
+    bench = DeclaredBench(
+        tuple(_device(row, at, folder) for row, at in _rows(tables, "device", where)),
+        tuple(_texts(Joint, row, at) for row, at in _rows(tables, "joint", where)),
+        tuple(_texts(ForcePath, row, at) for row, at in _rows(tables, "force_path", where)))
+    _check(bench, where)
+    return bench
+
+
+def _rows(tables: Mapping[str, Any], name: str, where: str) -> Iterable[tuple[dict[str, Any], str]]:
+    rows = tables[name]
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f"{where}: {name} is no array of tables; write each as [[{name}]].")
+    for number, row in enumerate(rows, 1):
+        yield row, f"{where} [[{name}]] {number}"
+
+
+def _device(row: dict[str, Any], where: str, folder: Path | None) -> DeclaredDevice:
+    mapped = dict(row)
+    name, node_id, kind = (mapped.pop(key, None) for key in ("name", "node_id", "type"))
+    _refuse_name(name, where)
+    if not isinstance(node_id, int) or isinstance(node_id, bool) or not 1 <= node_id <= LAST_NODE_ID:
+        raise InputError(f"{where}: node_id = {node_id!r} is no whole number from 1 to {LAST_NODE_ID}; give the "
+                         "device's node id.")
+    if kind not in TYPES:
+        raise InputError(f"{where}: type = {kind!r} is unknown; expected one of {', '.join(TYPES)}.")
+    if folder is not None and isinstance(mapped.get("file"), str) and mapped["file"]:
+        mapped["file"] = str(folder / mapped["file"])
+    mapping: Any = TYPES[kind].mapping
+    return DeclaredDevice(str(name), node_id, TYPES[kind], from_table(mapping, mapped, where=where))
+
+
+def _texts(cls: type[T], row: dict[str, Any], where: str) -> T:
+    for key, value in row.items():
+        if not isinstance(value, str):
+            raise InputError(f"{where}: {key} = {value!r} is not a text; give a name.")
+    _refuse_name(row.get("name"), where)
+    return from_table(cls, row, where=where)
+
+
+def _refuse_name(name: object, where: str) -> None:
+    if not isinstance(name, str) or not name.isidentifier() or name == "master":
+        raise InputError(f"{where}: name = {name!r} is no name of letters, digits and _ (master is taken); give one.")
+
+
+def _check(bench: DeclaredBench, where: str) -> None:
+    for what, names in (("device", [d.name for d in bench.devices]), ("node_id", [d.node_id for d in bench.devices]),
+                        ("joint", [j.name for j in bench.joints]), ("force_path", [p.name for p in bench.force_paths])):
+        _refuse_twice(where, what, names)
+    used = [device for joint in bench.joints for device in _of(bench, where, f"joint {joint.name}", JOINT_DRIVE,
+                                                               {"driven_by": joint.driven_by})]
+    for path in bench.force_paths:
+        used += _of(bench, where, f"force_path {path.name}", ROPE_DRIVE, {"actuator": path.actuator})
+        cells = {key: name for key, name in (("start", path.start), ("end", path.end)) if name}
+        if not cells:
+            raise InputError(f"{where}: force_path {path.name} has neither start nor end; name a load cell.")
+        used += _of(bench, where, f"force_path {path.name}", LOAD_CELL, cells)
+        if path.joint not in [joint.name for joint in bench.joints]:
+            raise InputError(f"{where}: force_path {path.name} has joint = {path.joint!r}, which no [[joint]] "
+                             "declares; name a declared joint.")
+    _refuse_twice(where, "place of the device", used)
+    for device in bench.devices:
+        if device.name not in used:
+            raise InputError(f"{where}: no joint and no force path names the device {device.name}; give it a place or "
+                             "leave it out.")
+
+
+def _of(bench: DeclaredBench, where: str, place: str, kind: DeviceType, named: Mapping[str, str]) -> list[str]:
+    """Return the names of devices that a place names; refuse a name that is no device of that type."""
+    fit = [device.name for device in bench.devices if device.type is kind]
+    for key, name in named.items():
+        if name not in fit:
+            raise InputError(f"{where}: {place} has {key} = {name!r}, which is no {kind.name}; expected one of "
+                             f"{', '.join(fit) or 'none declared'}.")
+    return list(named.values())
+
+
+def _refuse_twice(where: str, what: str, names: Iterable[object]) -> None:
+    seen: set[object] = set()
+    for name in names:
+        if name in seen:
+            raise InputError(f"{where}: {what} {name} is given twice; each has one.")
+        seen.add(name)
