@@ -83,13 +83,13 @@ class WireLayout:
         self.target_frames = self._frames("target", cia301.RPDO_BASE)
         self.controlword_frames = self._frames("controlword", cia301.RPDO_BASE + 0x100)
 
-    @property
+    @functools.cached_property
     def targets(self) -> PdoPlan:
         """The only frame of targets, on a bench of two drives; servo first."""
         (plan,) = self.target_frames
         return plan
 
-    @property
+    @functools.cached_property
     def controlwords(self) -> PdoPlan:
         """The only frame of controlwords, on a bench of up to four drives."""
         (plan,) = self.controlword_frames
