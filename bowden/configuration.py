@@ -29,7 +29,7 @@ DEVICES: dict[str, tuple[str, str]] = {
     "start": ("eds.device_mapping", "SensorMapping"),
     "end": ("eds.device_mapping", "SensorMapping"),
 }
-"""Tables of devices that are not those of this project; they become the network's device_mappings."""
+"""Tables of devices that are not those of this project; they map the devices of these names."""
 TABLES = {**SECTIONS, **DEVICES}
 ARRAYS = ("device", "joint", "force_path")
 """Arrays of tables that declare the bench; `eds.declaration` reads them."""
@@ -58,32 +58,26 @@ def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
             raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
             for name in TABLES if name in SECTIONS or name in given}
-    device_mappings = tuple((_node(name), _beside(path, read.pop(name))) for name in DEVICES if name in read)
-    network = dataclasses.replace(read["network"], device_mappings=device_mappings)
-    return read | {"network": _with_bench(network, arrays, path, any_shape) if path and arrays else network}
+    mappings = {name: _beside(path, read.pop(name)) for name in DEVICES if name in read}
+    return read | {"network": dataclasses.replace(read["network"], bench=_bench(mappings, arrays, path, any_shape))}
 
 
-def _with_bench(network: Any, arrays: Mapping[str, Any], path: Path, any_shape: bool) -> Any:
-    """Return the network of a declared bench."""
-    from eds.bench_network import NAMES
+def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | None, any_shape: bool) -> Any:
+    """Return the declared bench, or the packaged one, with the devices of the tables `mappings`."""
     from eds.declaration import declared, packaged
 
-    bench, paper, tables = declared(arrays, where=str(path), folder=path.parent), packaged(), network.device_mappings
+    paper = packaged()
+    bench = paper if path is None or not arrays else declared(arrays, where=str(path), folder=path.parent)
     same = bench.shape == paper.shape
-    mapped = [(device.node_id, device.mapping) for device in bench.devices
-              if device.mapping != device.type.mapping()]
-    for node_id, _ in tables:
-        if not same or node_id in dict(mapped):
-            name = NAMES[node_id]
+    for name in mappings:
+        if not same or name in bench.other_devices:
             raise InputError(f"{path}: [{name}] stands beside [[device]]; move its keys into the [[device]] of "
                              f"{name}.")
-    if same:
-        return dataclasses.replace(network, device_mappings=(*tables, *mapped))
-    if not any_shape:
+    if not same and not any_shape:
         raise InputError(f"{path}: the declared bench is not the packaged one ({_named(paper)}); this version plans "
                          "the wire of other benches (bowden check config) and runs the packaged one: leave [[device]], "
                          "[[joint]] and [[force_path]] out.")
-    return dataclasses.replace(network, bench=bench)
+    return bench.mapped({bench.named(name).node_id: mapping for name, mapping in mappings.items()})
 
 
 def _named(bench: Any) -> str:
@@ -105,12 +99,6 @@ def refuse_raised(limits: Any, where: str) -> None:
                          "--raise-limits REASON.")
 
 
-def _node(name: str) -> int:
-    from eds.bench_network import NAMES
-
-    return next(node for node, called in NAMES.items() if called == name)
-
-
 def _beside(path: Path | None, mapping: Any) -> Any:
     """A device's file is named from where the configuration lies."""
     file = Path(mapping.file)
@@ -127,9 +115,7 @@ def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
 
 def as_text(sections: Mapping[str, Any]) -> str:
     """The configuration that was used, as TOML: what a trial carries with it."""
-    from eds.bench_network import NAMES
-
-    devices = {NAMES[node]: mapping for node, mapping in sections["network"].device_mappings}
+    devices = sections["network"].bench.other_devices
     return "\n".join(f"[{name}]\n{_lines(section)}" for name, section in {**sections, **devices}.items())
 
 

@@ -63,7 +63,7 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
 
     devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(FILES.values()))}
     devices |= {Path(mapping.file).name: Path(mapping.file).read_bytes()
-                for _, mapping in sections["network"].device_mappings if mapping.file}
+                for mapping in sections["network"].bench.other_devices.values() if mapping.file}
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),

@@ -203,7 +203,7 @@ def tpdo_cob_id(node_id: int) -> int:
 
 
 def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> WireLayout:
-    """Build the wire of a network; `device_mappings` (else the network's own) put other devices in a node's place.
+    """Build the wire of a network; `device_mappings` put other devices than the declared ones in a node's place.
 
     Raises `InputError` for a bit rate or cycle that the objects cannot express, or a device that cannot play its part.
     """
@@ -229,9 +229,8 @@ def _parts(device: DeclaredDevice) -> tuple[str, ...]:
 
 
 def _entries(network: Network, device_mappings: Mapping[int, DeviceMapping] | None) -> dict[int, NodeEntry]:
-    given = dict(network.device_mappings) if device_mappings is None else device_mappings
-    return {device.node_id: _entry(device, given.get(device.node_id, device.mapping))
-            for device in network.bench.devices}
+    bench = network.bench.mapped(device_mappings or {})
+    return {device.node_id: _entry(device, device.mapping) for device in bench.devices}
 
 
 def _entry(device: DeclaredDevice, fitting: DeviceMapping) -> NodeEntry:

@@ -6,7 +6,9 @@ shared frames, set-up. Without `[[device]]` tables the packaged `bench.toml` hol
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import json
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from typing import Any, Final, TypeVar
 
 from eds import cia402
 from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
-from parameters import InputError, from_table
+from parameters import InputError, declarations, from_table
 
 T = TypeVar("T")
 TABLES: Final = ("device", "joint", "force_path")
@@ -103,6 +105,17 @@ class DeclaredBench:
         path = next((path for path in self.force_paths if path.actuator == actuator), None)
         return self.named(path.start) if path is not None and path.start else None
 
+    def mapped(self, mappings: Mapping[int, DeviceMapping]) -> DeclaredBench:
+        """Return this bench with other mappings of some devices, by node id."""
+        return dataclasses.replace(self, devices=tuple(
+            dataclasses.replace(device, mapping=mappings.get(device.node_id, device.mapping))
+            for device in self.devices))
+
+    @property
+    def other_devices(self) -> dict[str, DeviceMapping]:
+        """Mappings, by name, of the devices that are not those of this project."""
+        return {device.name: device.mapping for device in self.devices if device.mapping != device.type.mapping()}
+
     @property
     def shape(self) -> tuple[object, ...]:
         """Everything but the mappings: two benches of one shape differ in their devices' files, objects and scales."""
@@ -136,6 +149,30 @@ def declared(tables: Mapping[str, Any], *, where: str, folder: Path | None = Non
         tuple(_texts(ForcePath, row, at) for row, at in _rows(tables, "force_path", where)))
     _check(bench, where)
     return bench
+
+
+def as_tables(bench: DeclaredBench) -> dict[str, list[dict[str, Any]]]:
+    """Return the tables that declare a bench, as `declared` reads them; keys that keep their default are left out."""
+    devices = [{"name": one.name, "node_id": one.node_id, "type": one.type.name} | _given(one.mapping)
+               for one in bench.devices]
+    return {"device": devices, "joint": [dataclasses.asdict(one) for one in bench.joints],
+            "force_path": [{key: name for key, name in dataclasses.asdict(one).items() if name}
+                           for one in bench.force_paths]}
+
+
+def _given(mapping: DeviceMapping) -> dict[str, Any]:
+    return {name: getattr(mapping, name) for name, default, _ in declarations(type(mapping))
+            if getattr(mapping, name) != default}
+
+
+def as_json(bench: DeclaredBench) -> str:
+    """Return the tables of a bench as one JSON text; empty for the packaged bench."""
+    return "" if bench == packaged() else json.dumps(as_tables(bench))
+
+
+def from_json(text: str, *, where: str) -> DeclaredBench:
+    """Return the bench that `as_json` wrote; `where` names its source in messages."""
+    return declared(json.loads(text), where=where) if text else packaged()
 
 
 def _rows(tables: Mapping[str, Any], name: str, where: str) -> Iterable[tuple[dict[str, Any], str]]:

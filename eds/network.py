@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from eds.declaration import DeclaredBench, packaged
-from eds.device_mapping import DeviceMapping
 from parameters import apart, parameter
 
 
@@ -39,8 +38,6 @@ class Network:
 
     bench: DeclaredBench = apart(packaged())  # noqa: RUF009 - read once, frozen
     """Devices, joints and force paths: arrays of tables of their own in the configuration."""
-    device_mappings: tuple[tuple[int, DeviceMapping], ...] = apart(())
-    """By node id, the devices that are not those of this project: tables of their own in the configuration."""
 
     @property
     def period_us(self) -> int:

@@ -21,11 +21,11 @@ import numpy as np
 
 from bowden import configuration, session
 from bowden.sweep.departure import Departure
-from eds import bus_load
+from eds import bus_load, declaration
 from eds.bench_network import Network, wire
 from master.control import controller
 from master.settings import Gait
-from parameters import InputError, checked, parameter
+from parameters import InputError, checked, declarations, parameter
 from physics.reference import Reference
 from virtual_bus.build import GROUPS, steady
 from virtual_bus.bus_options import Options
@@ -39,6 +39,8 @@ SHORT = {"peak": "gait.peak_n", "period": "gait.period_s", "cycles": "gait.cycle
          "seed": "bench.seed", "calibration": "files.calibration"}
 """The options of `bowden trial`, by the parameters they set."""
 LARGEST_SWEEP = 1_000_000
+DECLARED = "network.bench"
+"""Key of a row that holds the tables of its bench as JSON text, "" for the packaged bench; it cannot be varied."""
 
 
 def _option(name: str) -> Any:
@@ -88,7 +90,8 @@ class Draw(NamedTuple):
 def kinds() -> Mapping[str, type[Any]]:
     """Type of every parameter that can be varied, by its full name."""
     tables = {**ALWAYS, **GROUPS}
-    return {f"{table}.{key}": hint for table, cls in tables.items() for key, hint in typing.get_type_hints(cls).items()}
+    return {f"{table}.{key}": typing.get_type_hints(cls)[key]
+            for table, cls in tables.items() for key, _, _ in declarations(cls)}
 
 
 def full_name(name: str) -> str:
@@ -158,7 +161,8 @@ def rows(
     base: Row = {}
     for table, cls in ALWAYS.items():
         given = sections.get(table) or cls()
-        base |= {f"{table}.{field.name}": getattr(given, field.name) for field in dataclasses.fields(given)}
+        base |= {f"{table}.{key}": getattr(given, key) for key, _, _ in declarations(cls)}
+    base[DECLARED] = declaration.as_json((sections.get("network") or Network()).bench)
     trials = math.prod(len(values) for _, values in axes) * (count if draws else 1)
     if trials > LARGEST_SWEEP:
         raise InputError(f"{trials} trials, expected at most {LARGEST_SWEEP}; vary less.")
@@ -188,7 +192,10 @@ def _between(each: Draw, u: float) -> Value:
 def table(row: Row, name: str) -> Any:
     """Return one table of a row as its checked dataclass."""
     cls = ALWAYS[name]
-    return checked(cls(**{field.name: row[f"{name}.{field.name}"] for field in dataclasses.fields(cls)}), where=name)
+    given: dict[str, Any] = {key: row[f"{name}.{key}"] for key, _, _ in declarations(cls)}
+    if name == "network":
+        given["bench"] = declaration.from_json(str(row[DECLARED]), where=DECLARED)
+    return checked(cls(**given), where=name)
 
 
 def plant_model(row: Row) -> dict[str, dict[str, Value]]:
@@ -206,7 +213,7 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
 
     A period or peak that is not in `varied` comes from the knee or desired-force file, where there is one.
     """
-    row = {name: float(given) if kinds()[name] is float else given for name, given in row.items()}
+    row = {name: float(given) if kinds().get(name) is float else given for name, given in row.items()}
     files, bench = table(row, "files"), table(row, "bench")
     for file in (files.knee, files.desired, files.calibration):
         if file not in ("", NOMINAL, IDENTIFIED) and not Path(file).is_file():

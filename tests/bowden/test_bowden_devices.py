@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from bowden import configuration
+from bowden.sweep import rows
 from eds.bench_network import KNEE, WireLayout, wire
 from eds.declaration import text_of
 from eds.dictionary import key
@@ -54,10 +55,10 @@ def test_check_says_what_a_device_lacks(bench: Path, bowden: Callable[..., tuple
 
 
 def test_a_key_that_no_table_gives_is_unknown(bench: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
-    bench.write_text("[network]\ndevice_mappings = []\n")
+    bench.write_text("[network]\nbench = []\n")
     status, out, err = bowden("check", "config", bench)
     assert (status, out) == (2, "")
-    assert "unknown key device_mappings" in err
+    assert "unknown key bench" in err
 
 
 def heard(described: WireLayout) -> list[tuple[int, int, bytes]]:
@@ -98,6 +99,14 @@ def test_a_device_is_mapped_in_one_table(bench: Path, bowden: Callable[..., tupl
     status, out, err = bowden("check", "config", bench)
     assert (status, out) == (2, "")
     assert "[knee] stands beside [[device]]" in err
+
+
+def test_a_row_of_a_sweep_holds_its_bench_as_text(bench: Path) -> None:
+    sections = configuration.read(bench)
+    (row,) = json.loads(json.dumps(rows.rows(sections, {}, [])))
+    assert rows.table(row, "network") == sections["network"]
+    (paper,) = rows.rows(configuration.read(None), {}, [])
+    assert (paper[rows.DECLARED], rows.table(paper, "network")) == ("", configuration.read(None)["network"])
 
 
 def test_the_wire_of_another_bench_is_planned(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:

@@ -8,7 +8,7 @@ import pytest
 import eds
 from eds import bus_load, setup
 from eds.bench_network import Network
-from eds.declaration import declared, packaged, text_of
+from eds.declaration import as_json, declared, from_json, packaged, text_of
 from parameters import InputError
 
 SHAPES = {"bench": (1000, 4), "bench_start_only": (1000, 3), "bench_antagonists": (500, 7), "bench_two_legs": (500, 8)}
@@ -27,6 +27,11 @@ def test_a_packaged_bench_keeps_its_deadline_at_its_rate(name: str) -> None:
     assert found.load_percent <= bus_load.LOAD_GOAL_PERCENT
     assert [list(wire.missing(node)) for node in wire.nodes] == [[]] * nodes
     assert len({stream.can_id for stream, _ in found.responses}) == len(found.responses)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_bench_is_read_back_from_its_one_text(name: str) -> None:
+    assert from_json(as_json(packaged(name)), where="a row") == packaged(name)
 
 
 @pytest.mark.parametrize("name", ["bench_antagonists", "bench_two_legs"])
