@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from parameters import InputError
 
 if TYPE_CHECKING:
+    from eds.network import Network
     from physics.bench_model import BenchModel
 
 VIRTUAL = "bowden"
@@ -102,10 +103,18 @@ def bus(interface: str, channel: str | None = None, **options: Any) -> BusSettin
     return BusSettings({"interface": interface, "channel": channel, **options}, False, None)
 
 
-def rated(chosen: BusSettings, bitrate: int, rate_hz: int) -> BusSettings:
-    """The same bus with its bit rate; a simulated bench also knows how often SYNC will come."""
-    more = {"rate_hz": rate_hz} if chosen.simulated else {}
+def rated(chosen: BusSettings, bitrate: int, network: Network) -> BusSettings:
+    """Return the bus with its bit rate; a simulated bench also with what follows from the configuration."""
+    more = simulating(network) if chosen.simulated else {}
     return replace(chosen, arguments={**chosen.arguments, **more, "bitrate": bitrate})
+
+
+def simulating(network: Network) -> dict[str, Any]:
+    """Return the options of a simulated bench that follow from the configuration; its devices are this project's."""
+    from eds.declaration import as_tables, packaged
+
+    bench = network.bench.bare
+    return {"rate_hz": network.rate_hz, "declaration": None if bench == packaged() else as_tables(bench)}
 
 
 @contextmanager
@@ -172,8 +181,9 @@ def _open(arguments: dict[str, Any]) -> Any:
 
 
 @contextmanager
-def opened(chosen: BusSettings, *, bitrate: int, rate_hz: int, truth: Path | None) -> Iterator[Opened]:
+def opened(chosen: BusSettings, network: Network, *, truth: Path | None = None) -> Iterator[Opened]:
     """Open the master's bus and the tap; both are closed at the end."""
+    bitrate = network.bitrate
     from master.network.host_computer import prepared
     from master.network.link import WANTED
 
@@ -184,7 +194,7 @@ def opened(chosen: BusSettings, *, bitrate: int, rate_hz: int, truth: Path | Non
         return
     if chosen.own_bench:
         chosen = replace(chosen, arguments={**chosen.arguments, "channel": f"{BENCH} {next(_NUMBERS)}"})
-    more = {"rate_hz": rate_hz, "truth": None if truth is None else str(truth)} if chosen.simulated else {}
+    more = {**simulating(network), "truth": None if truth is None else str(truth)} if chosen.simulated else {}
     with opened_one(chosen, bitrate, **more) as bus, opened_one(chosen, bitrate) as tap:
         if chosen.simulated:
             yield Opened(bus, tap, bus.time_ns, lambda: nullcontext([]))

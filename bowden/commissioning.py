@@ -24,7 +24,7 @@ def perform(chosen: BusSettings, sections: Mapping[str, Any], procedure: Procedu
     network = sections["network"]
     found: dict[str, Any] = {}
     session.compile_laws(simulated=chosen.simulated)
-    with opened(chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus, bus.host():
+    with opened(chosen, network) as bus, bus.host():
         outcome = run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, sections["limits"],
                              lambda exchange: found.update(procedure(exchange)))
     return outcome, found

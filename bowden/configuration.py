@@ -45,8 +45,8 @@ def declaration(section: str) -> type[Any]:
 def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
     """Return every section as its checked dataclass; sections absent from the file, or no file, give the defaults.
 
-    Raises `InputError` for a declared bench of another shape than the packaged one, unless `any_shape`: the wire of
-    every shape can be planned, and only the packaged shape runs.
+    Raises `InputError` for a declared bench of a shape that does not run, unless `any_shape`: the wire of every shape
+    can be planned.
     """
     given = read_toml(path) if path else {}
     arrays = {name: given.pop(name) for name in ARRAYS if name in given}
@@ -73,10 +73,10 @@ def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | 
         if not same or name in bench.other_devices:
             raise InputError(f"{path}: [{name}] stands beside [[device]]; move its keys into the [[device]] of "
                              f"{name}.")
-    if not same and not any_shape:
-        raise InputError(f"{path}: the declared bench is not the packaged one ({_named(paper)}); this version plans "
-                         "the wire of other benches (bowden check config) and runs the packaged one: leave [[device]], "
-                         "[[joint]] and [[force_path]] out.")
+    if not bench.runs and not any_shape:
+        raise InputError(f"{path}: the declared bench is neither the packaged one ({_named(paper)}) nor that without "
+                         "end; this version plans the wire of other benches (bowden check config) and does not run "
+                         "them: leave [[device]], [[joint]] and [[force_path]] out.")
     return bench.mapped({bench.named(name).node_id: mapping for name, mapping in mappings.items()})
 
 
@@ -115,17 +115,29 @@ def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
 
 def as_text(sections: Mapping[str, Any]) -> str:
     """The configuration that was used, as TOML: what a trial carries with it."""
-    devices = sections["network"].bench.other_devices
-    return "\n".join(f"[{name}]\n{_lines(section)}" for name, section in {**sections, **devices}.items())
+    from eds.declaration import as_tables, packaged
+
+    bench = sections["network"].bench
+    same = bench.shape == packaged().shape
+    tables = {**sections, **(bench.other_devices if same else {})}
+    return "\n".join((*(f"[{name}]\n{_lines(section)}" for name, section in tables.items()),
+                      *(() if same else _arrays(as_tables(bench)))))
+
+
+def _arrays(tables: Mapping[str, Any]) -> list[str]:
+    return [f"[[{name}]]\n" + "".join(f"{key} = {_shown(value)}\n" for key, value in row.items())
+            for name, rows in tables.items() for row in rows]
 
 
 def _lines(section: Any) -> str:
     lines = []
     for field, _, _ in declarations(type(section)):
-        value = getattr(section, field)
-        shown = str(value).lower() if isinstance(value, bool) else _quoted(value) if isinstance(value, str) else value
-        lines.append(f"{field} = {shown}\n")
+        lines.append(f"{field} = {_shown(getattr(section, field))}\n")
     return "".join(lines)
+
+
+def _shown(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else _quoted(value) if isinstance(value, str) else str(value)
 
 
 def _quoted(text: str) -> str:
@@ -133,11 +145,16 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def as_template(told: Mapping[str, str] | None = None) -> str:
-    """A commented bench.toml with every default, unit, range and source; `told` fills `[record]`."""
-    from eds.declaration import text_of
+def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> str:
+    """Return a commented bench.toml with every default, unit, range and source, and the packaged declaration `shape`.
 
-    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), text_of("bench")))
+    `told` fills `[record]`.  Raises `InputError` for a shape that commands do not run.
+    """
+    from eds.declaration import RUNNING, text_of
+
+    if shape not in RUNNING:
+        raise InputError(f"--shape {shape}: expected one of {', '.join(RUNNING)}; choose the shape of the bench.")
+    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), text_of(shape)))
     for field, said in (told or {}).items():
         text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
     return text

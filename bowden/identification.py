@@ -47,7 +47,7 @@ def perform(
         what=what, guess=_calibration(guess) or nominal(), network=network, limits=sections["limits"],
         homing=sections["homing"])
     session.compile_laws(simulated=chosen.simulated, progress=progress)
-    with opened(chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=None) as bus:
+    with opened(chosen, network) as bus:
         recorder = Recorder(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),

@@ -204,7 +204,7 @@ def perform(
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
-    with opened(prepared.chosen, bitrate=network.bitrate, rate_hz=network.rate_hz, truth=truth) as bus:
+    with opened(prepared.chosen, network, truth=truth) as bus:
         recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
                                               **provenance.metadata(prepared.experiment, prepared.script)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),

@@ -19,11 +19,13 @@ from typing import Any, Final, TypeVar
 
 from eds import cia402
 from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
-from parameters import InputError, declarations, from_table
+from parameters import InputError, declarations, from_table, read_toml
 
 T = TypeVar("T")
 TABLES: Final = ("device", "joint", "force_path")
 """Arrays of tables that declare a bench; a file has all of them or none."""
+RUNNING: Final = ("bench", "bench_start_only")
+"""Packaged declarations whose shape commands run; of the others the wire is planned."""
 LAST_NODE_ID: Final = 126
 """Largest node id of a device; 127 is the master's."""
 
@@ -112,6 +114,21 @@ class DeclaredBench:
             for device in self.devices))
 
     @property
+    def bare(self) -> DeclaredBench:
+        """Return this bench with the devices of this project in every place."""
+        return self.mapped({device.node_id: device.type.mapping() for device in self.devices})
+
+    @property
+    def measures_end(self) -> bool:
+        """Whether every force path has an END load cell."""
+        return all(path.end for path in self.force_paths)
+
+    @property
+    def runs(self) -> bool:
+        """Whether commands run this bench: `RUNNING` has its shape."""
+        return self.shape in [packaged(name).shape for name in RUNNING]
+
+    @property
     def other_devices(self) -> dict[str, DeviceMapping]:
         """Mappings, by name, of the devices that are not those of this project."""
         return {device.name: device.mapping for device in self.devices if device.mapping != device.type.mapping()}
@@ -131,6 +148,14 @@ def packaged(name: str = "bench") -> DeclaredBench:
 def text_of(name: str) -> str:
     """Return the text of a declaration that ships with this project."""
     return (resources.files("eds") / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def read(given: str | Path | Mapping[str, Any], *, where: str) -> DeclaredBench:
+    """Read the declared bench of a TOML file or of its tables; `where` names tables in messages."""
+    if isinstance(given, Mapping):
+        return declared(given, where=where)
+    tables = read_toml(Path(given))
+    return declared({name: tables.get(name) for name in TABLES}, where=str(given), folder=Path(given).parent)
 
 
 def declared(tables: Mapping[str, Any], *, where: str, folder: Path | None = None) -> DeclaredBench:

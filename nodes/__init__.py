@@ -5,7 +5,12 @@ The rule of this room: frames, samples and times go in, frames and torques come 
 
 from __future__ import annotations
 
-from eds.bench_network import KNEE, SENSORS, SERVO, WireLayout
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from eds.bench_network import WireLayout
+from eds.declaration import JOINT_DRIVE, LOAD_CELL, ROPE_DRIVE
 from nodes.axis_law import prepare
 from nodes.core.device import Application, Device
 from nodes.drive import Drive
@@ -16,19 +21,18 @@ from parameters import InputError
 
 __all__ = ["Application", "Device", "Drive", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
 
+APPLICATIONS: Final[Mapping[str, Callable[[], Drive | TensionSensor]]] = MappingProxyType(
+    {ROPE_DRIVE.name: ServoDrive, JOINT_DRIVE.name: KneeDrive, LOAD_CELL.name: TensionSensor})
+"""The application behind a simulated device of each declared type."""
+
 
 def build(node_id: int, wire: WireLayout) -> tuple[Device, Drive | TensionSensor]:
     """Make the bench's device `node_id`, not yet powered on, and the application behind it.
 
     Raises `InputError` for a node id that is no device of the bench.
     """
-    made: Drive | TensionSensor
-    if node_id == SERVO:
-        made = ServoDrive()
-    elif node_id == KNEE:
-        made = KneeDrive()
-    elif node_id in SENSORS:
-        made = TensionSensor()
-    else:
+    declared = next((device for device in wire.network.bench.devices if device.node_id == node_id), None)
+    if declared is None:
         raise InputError(f"node {node_id} is no device of this bench; expected one of {sorted(wire.nodes)}.")
+    made = APPLICATIONS[declared.type.name]()
     return Device(wire.nodes[node_id].dictionary, node_id, made), made

@@ -70,7 +70,7 @@ def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
     """Return what every PDO of a bench carries: the nodes' TPDOs, then the targets."""
     found = []
     radius = drum_radius_m(wire.nodes[SERVO].dictionary)
-    for node in (SERVO, KNEE, START, END):
+    for node in (node for node in (SERVO, KNEE, START, END) if node in wire.nodes):
         plan, signals = wire.tpdo[tpdo_cob_id(node)], inputs_of(wire, node)
         places = [Place(signals[field.key], field.scale, radius if signals[field.key] == "servo_force_n" else 1.0,
                         field.key >> 8 == TENSION, field, bit)

@@ -12,7 +12,8 @@ from typing import Any, cast
 
 import eds
 import nodes
-from eds.bench_network import END, KNEE, SENSORS, SERVO, START, Network
+from eds.bench_network import SERVO, Network
+from eds.declaration import DeclaredBench, packaged, read
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
 from parameters.plugins import load
@@ -32,7 +33,8 @@ from virtual_bus.truth import Truth
 
 PLANTS = "bowden.plants"
 OWN = {"bowden": "physics.plant:create"}
-GAUGES = {START: ("start_sensor", START_FEELS), END: ("end_sensor", END_FEELS)}
+GAUGES = {"start": ("start_sensor", START_FEELS), "end": ("end_sensor", END_FEELS)}
+"""Ends of a force path: the table of the load cell there, and the place of its tension in the plant's outputs."""
 GAINS = {"position_gain": key(0x60FB, 1), "position_integral": key(0x60FB, 2)}
 
 
@@ -59,12 +61,18 @@ def build(options: Options, channel: str) -> Bench:
     tables = model.at_work(scattered(
         nominal(model.tables, model.where), options.serial, options.day, steady(options.steady)))
     plant = made_plant(options.plant, tables["plant"], options.seed)
-    wire = trimmed(eds.wire(Network(bitrate=options.bitrate, rate_hz=options.rate_hz)), tables["servo_drive"])
+    declaration = _declared(options)
+    network = Network(bitrate=options.bitrate, rate_hz=options.rate_hz, bench=declaration)
+    wire = trimmed(eds.wire(network), tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
 
     def machine(bench: Bench) -> Machine:
-        servo, knee = (MountedDrive(bench.nodes[n], cast(TickedDrive, built[n][1])) for n in (SERVO, KNEE))
-        gauges = [_gauge(bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed) for n in SENSORS]
+        (path,), (joint,) = declaration.force_paths, declaration.joints
+        axes = [declaration.named(name).node_id for name in (path.actuator, joint.driven_by)]
+        cells = {end: declaration.named(name).node_id for end in GAUGES if (name := getattr(path, end))}
+        servo, knee = (MountedDrive(bench.nodes[n], cast(TickedDrive, built[n][1])) for n in axes)
+        gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed)
+                  for end, n in cells.items()]
         made = Machine(bench.kernel, plant, servo, knee, gauges)
         wired(bench.kernel, faults, made.trouble)
         if options.truth is not None:
@@ -78,6 +86,17 @@ def build(options: Options, channel: str) -> Bench:
         node_turnaround_ns=options.node_turnaround_us * US, tx_queue=options.tx_queue,
         restart_ns=options.restart_ms * MS, machine=machine,
     )
+
+
+def _declared(options: Options) -> DeclaredBench:
+    """Return the declared bench; raises `InputError` for one that is not of one force path and one joint."""
+    if options.declaration is None:
+        return packaged()
+    bench = read(options.declaration, where="declaration")
+    if len(bench.force_paths) != 1 or len(bench.joints) != 1:
+        raise InputError(f"declaration: {len(bench.force_paths)} force paths and {len(bench.joints)} joints are "
+                         "declared; the simulated bench has one of each.")
+    return bench
 
 
 def factory(name: str) -> Factory:
@@ -135,8 +154,8 @@ def trimmed(wire: eds.WireLayout, gains: Mapping[str, float]) -> eds.WireLayout:
     return eds.WireLayout(wire.network, {**wire.nodes, SERVO: servo._replace(dictionary=dictionary)})
 
 
-def _gauge(station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:
-    group, feels = GAUGES[station.device.node_id]
+def _gauge(end: str, station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:
+    group, feels = GAUGES[end]
     parameters = from_table(SensorParameters, tables[group], where=group)
     noise = int(stream(f"{group} noise", seed).integers(2**63))
     return Gauge(station, sensor, Converter(parameters, noise), feels)

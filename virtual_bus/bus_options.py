@@ -40,6 +40,9 @@ class Options:
                            source="docs/plants.md")
     plant_model: str | Mapping[str, float] | None = parameter(
         None, "", "plant parameters in place of nominal ones: a TOML file or a table", source="PlantParameters")
+    declaration: str | Mapping[str, Any] | None = parameter(
+        None, "", "declared bench: a TOML file with [[device]], [[joint]] and [[force_path]], or these tables; None is "
+        "the packaged bench", source="docs/bench.md")
     truth: str | None = parameter(None, "", "file to write what no device feels to; None writes none",
                                   source="trial.truth.mcap")
     faults: str | Sequence[Fault | Mapping[str, Any]] = parameter(

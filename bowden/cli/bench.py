@@ -28,6 +28,7 @@ def bench(
     interface: Interface,
     channel: options.Channel = None,
     rate: options.Rate = None,
+    config: options.Config = None,
     *,
     simulated: SimulatedOptions,
     bitrate: options.Bitrate = None,
@@ -44,9 +45,8 @@ def bench(
     """
     import can
 
-    from bowden import buses, session
+    from bowden import buses, configuration, session
     from bowden.cli import ending
-    from eds.bench_network import Network
     from master.network.host_computer import prepared
     from virtual_bus.bus import BowdenBus
     from virtual_bus.serve import servable, serve
@@ -54,7 +54,7 @@ def bench(
     chosen = Bus(interface, channel, bitrate, option).chosen()
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
-    network = Network()
+    network = configuration.read(config)["network"]
     session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
     ended = False
 
@@ -63,7 +63,8 @@ def bench(
         ended = True  # SIGTERM and SIGHUP come here, too: they act as Ctrl-C
 
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
-        made = {**arguments, "bitrate": bitrate or network.bitrate, "rate_hz": rate or network.rate_hz}
+        made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
+                "rate_hz": rate or network.rate_hz}
         made.pop("interface")
         made["faults"] = injected
         hidden = BowdenBus(**made)

@@ -105,7 +105,7 @@ def replay(
     selection = Selection(
         frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
     with onto_bus.opened(
-            given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network.rate_hz), channels,
+            given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
             speed=speed, loops=loop) as playing:
         if step:
             _step(playing, shown=not json)

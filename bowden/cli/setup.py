@@ -22,6 +22,8 @@ ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="bench.toml.", 
 @app.command()
 def init(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")] = Path("bench.toml"),
+    shape: Annotated[str, typer.Option(
+        metavar="NAME", help="Packaged declaration: bench, or bench_start_only (no END load cell).")] = "bench",
     overwrite: options.Overwrite = False,
 ) -> int:
     """Write a commented bench.toml.
@@ -36,8 +38,10 @@ def init(
 
     output_files.refuse([output], overwrite=overwrite)
     output_files.refuse_ending(output, ".toml", what="a configuration")
+    configuration.as_template(shape=shape)
     told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
-    write_whole(output, configuration.as_template(told), overwrite=True)
+    text = configuration.as_template(told, shape)
+    write_whole(output, text, overwrite=True)
     print(f"Configuration: {output}")
     return 0
 

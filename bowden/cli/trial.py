@@ -81,7 +81,8 @@ def trial(
     elif result["trial"] is None:
         print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
     else:
-        _show(result, output, picture, chosen.told, dry_run=dry_run)
+        _show(result, output, picture, chosen.told, dry_run=dry_run,
+              with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
     return ending.status_of(result["outcome"], result["stop_reason"])
@@ -112,7 +113,9 @@ FORCE_FIGURES = (
 )
 
 
-def _show(result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool) -> None:
+def _show(
+    result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
+) -> None:
     from bowden.reports import PAPER_RMSE_PERCENT
 
     figure = terminal.number
@@ -123,6 +126,8 @@ def _show(result: dict[str, Any], output: Path, picture: Path | None, bus: str, 
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
     terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
         (name, figure(result[key]), figure(result[f"true_{key}"]), paper.get(key, "–")) for name, key in FORCE_FIGURES])
+    if not with_end:
+        print("No figures by the END sensor: the declared bench has no END load cell.")
     ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
     terminal.table("bus", ("figure", "value"), [
         ("load, measured (%)", figure(result["bus_load_percent"])),

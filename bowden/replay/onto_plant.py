@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bowden import output_files, provenance, session
-from bowden.buses import BusSettings, opened_one
+from bowden.buses import BusSettings, opened_one, simulating
 from bowden.progress import SILENT, Progress
 from bowden.recorded import sections
 
@@ -48,7 +48,7 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
 
     frames = recorded.frames
     bitrate = described.network.bitrate
-    with opened_one(chosen, bitrate, rate_hz=described.network.rate_hz, receive_own_messages=True) as bus:
+    with opened_one(chosen, bitrate, **simulating(described.network), receive_own_messages=True) as bus:
         lead_ns = lengths_ns(frames, bitrate) + bus.bench.master_turnaround_ns
         schedule = plan(frames, plant_residuals.commands(described), lead_ns)
         heard = Gathered()

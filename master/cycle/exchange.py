@@ -13,12 +13,12 @@ from typing import Any, Protocol
 
 import can
 
-from eds.bench_network import SERVO, WireLayout, tpdo_cob_id
+from eds.bench_network import END, SERVO, WireLayout, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
-from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs
+from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
@@ -30,7 +30,6 @@ FIRST_SENSOR = 2
 NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
-NONE_LATE = [0, 0, 0, 0]
 UNHEARD = (NAN, NAN, NAN, NAN)
 NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
@@ -66,12 +65,15 @@ class Exchange:
     def __init__(self, link: Link, wire: WireLayout, log: Log, guard: Guard, budget_ns: int) -> None:
         self.link, self.wire, self.log, self.guard = link, wire, log, guard
         self.missed_cycles = self.stale_inputs = 0
-        self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, 0b1111)
+        self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, (1 << len(places(wire))) - 1)
         self.targets = (0.0, 0.0)
         self.annotations = NOTHING
         self.kept: list[tuple[float, float, float, float, float]] | None = None
         self._budget_ns = budget_ns
-        plans = [wire.tpdo[tpdo_cob_id(node)] for node in ORDER]
+        self._order = places(wire)
+        self._all = (1 << len(self._order)) - 1
+        self._none_late = [0] * len(self._order)
+        plans = [wire.tpdo[tpdo_cob_id(node)] for node in self._order]
         self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
         self._unpack = [plan.unpack_si for plan in plans]
         self._unpack_all = Joined(plans).unpack_si
@@ -79,9 +81,9 @@ class Exchange:
         self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
         self._pack_targets = wire.targets.pack_si
         self._values: Sequence[tuple[float, ...]] = ((0.0, NAN, NAN), (0.0, NAN), (NAN,), (NAN,))
-        self._latched_ns: Sequence[int] = NONE_LATE
+        self._latched_ns: Sequence[float] = [0 if node in self._order else NAN for node in ORDER]
         self._arrival_ns: Sequence[float] = UNHEARD
-        self._late_in_row = NONE_LATE
+        self._late_in_row = self._none_late
         self._first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
         self._told = self._doubled_sync = False
@@ -91,12 +93,12 @@ class Exchange:
         self._misses = 0
         self._miss_text = ""
         self.rehoming = False
-        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9)
+        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=END in self._order)
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
         offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
-        self._whole_cycles = None if offer is None else offer(
+        self._whole_cycles = None if offer is None or len(plans) < len(ORDER) else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
 
@@ -301,18 +303,19 @@ class Exchange:
         )
         self._derive(inputs)
         late = self._late_in_row
-        if missing or late != NONE_LATE:
-            self._late_in_row = [late[i] + 1 if missing >> i & 1 else 0 for i in range(4)]
+        if missing or late != self._none_late:
+            self._late_in_row = [count + 1 if missing >> i & 1 else 0 for i, count in enumerate(late)]
             self._overdue_inputs = [n + (missing >> i & 1) for i, n in enumerate(self._overdue_inputs)]
         self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         self._answered_ns = self.link.clock()
         return inputs
 
-    def _collect(self, sync_ns: int, missing: int = 0b1111) -> int:
-        """Receive the missing PDOs of one SYNC until its deadline; the bits of those that have not come."""
+    def _collect(self, sync_ns: int, missing: int = 0) -> int:
+        """Receive the missing PDOs (0: all) of one SYNC until its deadline; the bits of those that have not come."""
+        missing = missing or self._all
         deadline = sync_ns + self._budget_ns
         receive, slots = self.link.receive, self._slots
-        if missing == 0b1111:
+        if missing == self._all:
             self._reception.begin()
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id

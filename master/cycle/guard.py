@@ -13,7 +13,7 @@ from eds.bench_network import END, KNEE, SERVO, START, WireLayout
 from eds.cia301 import Emcy, emcy_text
 from eds.cia402 import State, Status
 from master.cycle.blame import blamed
-from master.cycle.inputs import ORDER, Inputs
+from master.cycle.inputs import ORDER, Inputs, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import ENOUGH, Reception
@@ -56,7 +56,9 @@ class Guard:
         self._interrupted = interrupted
         self._watch_ns = 0
         self._limited_ns = [0, 0]
-        self._missed = [(0, 0)] * 4
+        self._order = places(wire)
+        self._missed = [(0, 0)] * len(self._order)
+        self._by_weight = tuple(node for node in (SERVO, START, KNEE, END) if node in self._order)
         self._period_ns = wire.period_ns
 
     def check(
@@ -141,7 +143,7 @@ class Guard:
     def _refuse_strange(self, reception: Reception | None) -> None:
         if reception is None:
             return
-        for i, node in enumerate(ORDER):
+        for i, node in enumerate(self._order):
             if reception.refused[i] >= ENOUGH:
                 raise StopError(Condition.IMPLAUSIBLE, f"{self._name(node)} says {reception.refusal(i)}, "
                                                        f"{reception.refused[i]} cycles in a row", node)
@@ -150,7 +152,8 @@ class Guard:
         limit = self.limits.stale_cycles * (PATIENT if self.beginning else 1)
         if min(late_in_row) >= limit:
             raise StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late_in_row)} cycles")
-        for node, late in zip((SERVO, START, KNEE, END), (late_in_row[i] for i in (0, 2, 1, 3)), strict=True):
+        for node in self._by_weight:
+            late = late_in_row[self._order.index(node)]
             if late >= limit:
                 raise StopError(Condition.STALE, f"{self._name(node)} missed {late} cycles in a row", node)
 
@@ -164,7 +167,7 @@ class Guard:
         number = self._interrupted()
         if number:
             raise StopError(Condition.INTERRUPTED, f"by {_signal_name(number)}")
-        for node in (SERVO, START, KNEE, END):
+        for node in self._by_weight:
             beat = self._link.beats.get(node)
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
                 raise StopError(Condition.NODE_LOST, f"{self._name(node)}, for {self._timeout_ns / 1e6:.0f} ms", node)
@@ -208,7 +211,7 @@ class Guard:
             late = [count if at >= since else 0 for count, at in self._missed]
             if min(late) > 0:
                 return StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late)} cycles ({text})")
-            worst = max(range(4), key=late.__getitem__)
+            worst = max(range(len(late)), key=late.__getitem__)
             if late[worst] and ORDER[worst] != emergency.node_id:
                 return StopError(Condition.STALE, f"{self._name(ORDER[worst])} missed {late[worst]} cycles in a row "
                                                   f"({text})", ORDER[worst])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench_network import END, KNEE, SERVO, START, WireLayout
 from trial.signals import TRACE
 
 NAN: Final = math.nan
@@ -16,8 +16,16 @@ ORDER: Final = (SERVO, KNEE, START, END)
 """Bit i of `missing` and the PDO columns of a row stand for ORDER[i]."""
 
 
+def places(wire: WireLayout) -> tuple[int, ...]:
+    """Return the nodes of `ORDER` that a bench has: all of them, or all but END."""
+    return tuple(node for node in ORDER if node in wire.nodes)
+
+
 class Inputs(NamedTuple):
-    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it."""
+    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it.
+
+    On a bench without END `end_n` is NaN and END's bit is never set.
+    """
 
     sync_ns: int
     servo_status: int

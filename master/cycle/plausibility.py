@@ -52,7 +52,7 @@ NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 (PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
- OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, SETTINGS) = range(21)
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, WITH_END, SETTINGS) = range(22)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
@@ -288,10 +288,11 @@ def _compile() -> Any:
         s[FRESH] += 1.0
         s[FILLED] += 1.0
         _tracking(s, g, limited, target, knee_target, position, knee)
-        middle = _ratio(s, g, position, start, end)
         _force(s, g, position, force, start)
-        _stretch(s, g, middle, position, knee, start, end)
-        _still(s, g, start, end)
+        if g[WITH_END] > 0.0:
+            middle = _ratio(s, g, position, start, end)
+            _stretch(s, g, middle, position, knee, start, end)
+            _still(s, g, start, end)
         for relation in range(RELATIONS):
             if s[COUNTS + relation] >= g[PERSIST]:
                 return relation
@@ -323,7 +324,7 @@ class Implausibility(NamedTuple):
 class Learned:
     """What homing told of this bench.
 
-    `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's.
+    `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
     """
 
     inertia_kg: float
@@ -336,9 +337,13 @@ class Learned:
 
 
 class Plausibility:
-    """The compiled step with its arrays; `period_s` is the control period."""
+    """The compiled step with its arrays; `period_s` is the control period.
 
-    def __init__(self, period_s: float) -> None:
+    Without END (`with_end` False) `servo`, `knee`, `force` and the positions' `still` remain: the servo's force alone
+    contradicts START.
+    """
+
+    def __init__(self, period_s: float, *, with_end: bool = True) -> None:
         self.s, self.g = np.zeros(STATES), np.zeros(SETTINGS)
         g = self.g
         g[PERIOD_S], g[BANDWIDTH] = period_s, 2.0 * math.pi * 20.0
@@ -347,7 +352,7 @@ class Plausibility:
         g[INERTIA], g[COULOMB], g[VISCOUS] = 2.4, 2.0, 15.0
         g[LOW], g[HIGH] = -WIDE / 1.3, WIDE / 1.3
         g[PERSIST] = 4.0 if period_s < 5e-3 else 2.0
-        self.g[TOP_N] = 40.0
+        g[TOP_N], g[WITH_END] = 40.0, float(with_end)
 
     def restart(self) -> None:
         """Forget what the cycle before said: after a gap, another frame of reference or a change of mode."""
@@ -415,7 +420,7 @@ class Plausibility:
         top = min(40.0, g[TOP_N])
         way, square = 0.75 * top, 0.9375 * top**2  # from a quarter of the top to the top
         found = (curve[1] + g[ROPE_COMPLIANCE]) * way + curve[2] * square
-        ratio = found / (linear * way + quadratic * square)
+        ratio = found / (linear * way + quadratic * square) if g[WITH_END] else math.nan
         return Learned(float(force[0]), float(force[1]), math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]),
                        float(ratio), top)
 

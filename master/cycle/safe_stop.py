@@ -7,6 +7,8 @@ END and what the servo's force says of the rope: a sensor that lies cannot keep 
 
 from __future__ import annotations
 
+import math
+
 from eds.bench_network import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
@@ -49,7 +51,7 @@ def safe_stop(exchange: Exchange, stop: StopError) -> None:
 def _greatest(exchange: Exchange, inputs: Inputs) -> float:
     """The rope's tension, N, by whichever signal says most; what is missing says nothing."""
     start = 0.0 if inputs.missing & _START_BIT else inputs.start_n
-    end = 0.0 if inputs.missing & _END_BIT else inputs.end_n
+    end = 0.0 if inputs.missing & _END_BIT or math.isnan(inputs.end_n) else inputs.end_n
     hidden = 0.0 if inputs.missing & (_SERVO_BIT | _START_BIT) else exchange.plausibility.hidden_n()
     return max(start + hidden, end)
 
@@ -101,14 +103,19 @@ def _await_slack(exchange: Exchange) -> None:
     """See the rope go slack after the torque was taken off; a stage that does not let go needs the operator's hand."""
     inputs = exchange.inputs
     deadline = inputs.sync_ns + SLACK_NS
-    while max(inputs.start_n, inputs.end_n) >= SLACK_N:
+    while inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N:
         if inputs.sync_ns >= deadline:
             exchange.log.event(
                 exchange.link.clock(), "safety", "master",
-                f"START says {inputs.start_n:.1f} N and END {inputs.end_n:.1f} N with the servo's torque off: "
+                f"{_readings(inputs)} with the servo's torque off: "
                 "press the emergency stop (STO).")
             return
         inputs = exchange.hold()
+
+
+def _readings(inputs: Inputs) -> str:
+    end = "" if math.isnan(inputs.end_n) else f" and END {inputs.end_n:.1f} N"
+    return f"START says {inputs.start_n:.1f} N{end}"
 
 
 def _finish(exchange: Exchange) -> None:

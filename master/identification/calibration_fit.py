@@ -214,7 +214,8 @@ def loops(
     fun, slopes = np.asarray(found.fun), np.asarray(found.jac)
     robust = (1.0 + (fun / ROBUST_N) ** 2) ** -0.25
     scatter = NORMAL_95 * _jackknife(slopes[:rows], (fun * robust)[:rows], sizes, slopes[rows:])
-    half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], [s.kind for s in data]), slopes[rows:], heavy)
+    told = sum(2 if _told_by_end(segment) else 1 for segment in data)
+    half = NORMAL_95 * _errors(slopes[:rows], _lack(fun[:rows], told), slopes[rows:], heavy)
     half = np.where(_ended(found.x, low, high) & doubted,
                     np.maximum(half, np.abs(found.x - start) + NORMAL_95 * doubt), half)
     evidence = {u.name: ScalarEvidence(float(value - by), float(value + by), repeatability=float(again))
@@ -253,7 +254,8 @@ def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_
     """END and rope position that the model puts behind START, less the measured ones, N; each segment weighs alike.
 
     While the knee swings under a constant START, END tells of the fabric's slip on a turning knee, which the model
-    lumps: there only the position counts.
+    lumps: there only the position counts.  So it is on a bench without END, where the loop of position over START
+    tells of friction.
     """
     period_s = segment.period_s
     law = inverse.law(calibration, period_s)
@@ -262,9 +264,13 @@ def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_
     taut = (segment.start > TAUT_N) & _slid(segment)
     weight = WEIGHT / math.sqrt(max(1, int(np.count_nonzero(taut))))
     moved = stiff_n_m * (position - segment.position)[taut]
-    if segment.kind == "swing":
+    if not _told_by_end(segment):
         return np.asarray(weight * moved)
     return weight * np.concatenate([(end - lag_compensated(segment.end, period_s, end_lag_s))[taut], moved])
+
+
+def _told_by_end(segment: Segment) -> bool:
+    return segment.kind != "swing" and not bool(np.isnan(segment.end).all())
 
 
 def _slid(segment: Segment) -> Any:
@@ -284,13 +290,13 @@ def _ended(found: Array, low: Array, high: Array) -> Any:
     return ((found <= low + near) & (low != 0.0)) | (found >= high - near)
 
 
-def _lack(residuals: Array, kinds: Sequence[str]) -> float:
+def _lack(residuals: Array, told: int) -> float:
     """Standard deviation, in the unit of the residuals, of the error that a segment makes in END or in position.
 
-    What is left after the fit is the model's error and not noise: it is alike along a motion, and so one number a
-    segment.  Never below `BELIEVED_N`, which is what the doubts were weighed against.
+    What is left after the fit is the model's error and not noise: it is alike along a motion, and so one number for END
+    and one for position of each segment, `told` in all.  Never below `BELIEVED_N`, which is what the doubts were
+    weighed against.
     """
-    told = sum(1 if kind == "swing" else 2 for kind in kinds)
     return max(WEIGHT * BELIEVED_N, math.sqrt(float(np.sum(residuals**2)) / told))
 
 

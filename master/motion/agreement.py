@@ -64,7 +64,7 @@ def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = 
     """Say where homing's stretch is not the calibration's, with both numbers; None where it is."""
     known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
     ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
-    if not 1.0 / most <= ratio <= most:
+    if ratio < 1.0 / most or ratio > most:
         top = learned.top_n
         declared = 1e3 * (calibration.stiffness_b * 0.75 * top + calibration.stiffness_a * 0.9375 * top**2)
         return (f"calibration {calibration.label}: its rope and fabric stretch by {declared:.2f} mm from "

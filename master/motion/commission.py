@@ -59,6 +59,8 @@ def tare(sensor: str) -> Procedure:
     node = _one_of(sensor, SENSORS, "sensor")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
+        if node not in exchange.wire.nodes:
+            raise BringUpError(f"the declared bench has no load cell {sensor}; tare one that it has")
         before = _mean(exchange, node)
         name = exchange.wire.nodes[node].name
         if not abs(before) < TARE_LIMIT_N:

@@ -125,7 +125,7 @@ def test_a_bench_that_does_not_fit_is_refused(here: Path, bowden: Callable[..., 
 
 
 def test_another_bench_does_not_run_yet(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
-    (here / "one.toml").write_text(text_of("bench_start_only"))
-    status, out, err = bowden("trial", "--config", "one.toml", "-o", "trial.mcap")
+    (here / "two.toml").write_text(text_of("bench_two_legs"))
+    status, out, err = bowden("trial", "--config", "two.toml", "-o", "trial.mcap")
     assert (status, out, list(here.glob("*.mcap"))) == (2, "", [])
-    assert "runs the packaged one" in err
+    assert "neither the packaged one" in err
