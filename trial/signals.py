@@ -7,7 +7,6 @@ not known in a cycle is NaN, and a column that a trial does not have is missing 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 
@@ -69,9 +68,3 @@ SIGNALS: tuple[Signal, ...] = (*MOTION_AND_FORCE, *PDO_TIMING, *STATUS, *TRACE)
 COLUMNS: tuple[str, ...] = tuple(signal.name for signal in SIGNALS)
 INDEX: dict[str, int] = {name: position for position, name in enumerate(COLUMNS)}
 UNITS: dict[str, str] = {signal.name: signal.unit for signal in SIGNALS}
-
-
-def subset(names: Iterable[str]) -> tuple[Signal, ...]:
-    """Return the declared signals among `names`, in declared order."""
-    wanted = set(names)
-    return tuple(signal for signal in SIGNALS if signal.name in wanted)

@@ -97,7 +97,3 @@ class Reception:
         if not bounds.low <= wrong <= bounds.high:
             return f"{scale * wrong:.6g} {unit} is outside {scale * bounds.low:.4g} … {scale * bounds.high:.4g} {unit}"
         return f"{scale * wrong:.5g} {unit} right after {scale * self._last[i]:.5g} {unit}"
-
-    def forget(self) -> None:
-        """Take whatever comes next for what it says."""
-        self._last = [math.nan] * 4
