@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-PEAKS, PERIODS = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 1.4)
+PEAKS, PERIODS, CYCLES = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 3.0), 4
 FAMILY_PEAKS = (40.0, 50.0, 25.0)
 """Peaks that the START tension of every bench of the family allows (`tests.plants.draws.MOST_START_N`, at 60 N)."""
 DAYS = 3
@@ -29,6 +29,7 @@ IDENTIFY = "identify this bench"
 """What a refusal says that asks for an identification."""
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
 NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
+COMPARED = ("desired", "first cycle", "second cycle", "rope, first cycle", "rope, second cycle")
 
 
 class Job(NamedTuple):
@@ -49,6 +50,7 @@ class Ended(NamedTuple):
     reason: str | None
     ratios: list[float]
     identified: bool
+    compared: tuple[float, ...] = ()
 
 
 def jobs(first: int, count: int) -> Iterator[Job]:
@@ -115,7 +117,7 @@ def walked(job: Job, calibration: Any) -> Ended:
     """Run one trial without a recorder."""
     from eds.bench_network import Network
     from master import settings
-    from master.cycle import plausibility
+    from master.cycle import plausibility, repetition
     from master.motion import experiment_run
     from master.network.link import Link
     from physics.reference import paper_reference
@@ -133,17 +135,26 @@ def walked(job: Job, calibration: Any) -> Ended:
     from master.cycle import exchange
 
     exchange.Plausibility = Watched  # type: ignore[misc]
+    watches = []
+
+    class Kept(repetition.Repetition):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            watches.append(self)
+
+    experiment_run.Repetition = Kept  # type: ignore[misc]
     channel = f"healthy-{job.number}"
     bus = BowdenBus(channel, rate_hz=job.rate_hz, **job.bench)
     tap = BowdenBus(channel)
     asked = experiment_run.ExperimentSetup(
         paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
         calibration=calibration,
-        gait=settings.Gait(peak_n=job.peak_n, period_s=job.period_s, cycles=2, settle=0, controller=job.controller))
+        gait=settings.Gait(
+            peak_n=job.peak_n, period_s=job.period_s, cycles=CYCLES, settle=0, controller=job.controller))
     result = experiment_run.run(Link(bus, bus.time_ns), tap, None, asked)
     tap.shutdown()
     bus.shutdown()
-    return Ended(job.number, result.stop_reason, worst.tolist(), False)
+    return Ended(job.number, result.stop_reason, worst.tolist(), False, tuple(watches[-1].shares) if watches else ())
 
 
 def cost() -> None:
@@ -187,6 +198,10 @@ def healthy(first: int, count: int, workers: int) -> int:
     if len(ratios):
         print("greatest residual by its tolerance, single cycles among them (a stop needs four in a row): " + ", ".join(
             f"{name} {value:.2f}" for name, value in zip(NAMES, ratios.max(axis=0), strict=True)))
+    shares = np.array([ended.compared for ended in told if ended.reason is None and ended.compared])
+    if len(shares):
+        print("greatest departure of a gait cycle by its tolerance: " + ", ".join(
+            f"{name} {value:.2f}" for name, value in zip(COMPARED, shares.max(axis=0), strict=True)))
     return len(stopped)
 
 

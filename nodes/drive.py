@@ -161,6 +161,8 @@ class Drive(ModesOfOperation):
         self.device.now_ns = now_ns
         if events & law.LOST_TRACK:
             self.fault(Emcy.FOLLOWING_ERROR, now_ns)
+        if events & law.DISAGREE:
+            self.fault(Emcy.POSITION_SENSOR, now_ns)
         if events & law.STOPPED:
             self.rested(now_ns)
         if events & law.TIGHT:

@@ -141,6 +141,8 @@ class Exchange:
         Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
         """
         link, inputs = self.link, self.inputs
+        if annotations is not None:
+            self.guard.check_gait(inputs, annotations)
         self.targets = (servo_m, knee_rad)
         self._step_ns = link.clock() - self._answered_ns
         if self.kept is not None and not inputs.missing:

@@ -12,11 +12,13 @@ from collections.abc import Callable, Sequence
 from eds.bench_network import END, KNEE, SERVO, START, WireLayout
 from eds.cia301 import Emcy, emcy_text
 from eds.cia402 import State, Status
+from master.cycle import repetition
 from master.cycle.blame import blamed
-from master.cycle.inputs import ORDER, Inputs, places
+from master.cycle.inputs import ORDER, CycleAnnotations, Inputs, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import ENOUGH, Reception
+from master.cycle.repetition import Repetition
 from master.cycle.safety import Condition, StopError
 from master.network.link import EmcyMessage, Link
 from master.settings import Limits
@@ -51,6 +53,7 @@ class Guard:
         self.active = True
         self.beginning = self.enabled = False
         self.plausibility: Plausibility | None = None
+        self.repetition: Repetition | None = None
         self._link, self._wire, self._log = link, wire, log
         self._timeout_ns = timeout_ns
         self._interrupted = interrupted
@@ -91,6 +94,13 @@ class Guard:
             self._watch(inputs.sync_ns)
 
     # ---- motion and signals ----
+
+    def check_gait(self, inputs: Inputs, annotations: CycleAnnotations) -> None:
+        """Raise `StopError` where a control cycle of the gait departs from what is desired or from earlier cycles."""
+        if self.active and self.enabled and self.repetition is not None:
+            found = self.repetition.check(inputs, annotations)
+            if found is not None:
+                raise repetition.stop(found)
 
     def _supervise(self, inputs: Inputs, targets: tuple[float, float], rehoming: bool) -> None:
         """Limits of the knee, the drives' own words about their motion, and every signal against the others."""

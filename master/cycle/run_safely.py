@@ -18,7 +18,7 @@ import can
 
 from eds import bus_load
 from eds.bench_network import Network, WireLayout, wire
-from master.cycle import drives, plausibility
+from master.cycle import drives, plausibility, repetition
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import CycleSink, Log
@@ -67,6 +67,7 @@ def run_safely(
     budget_ns = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
     log = Log(tap, recorder, described.targets.cob_id)
     plausibility.prepare()
+    repetition.prepare()
     with interruption() as interrupted, collector_frozen():
         guard = Guard(link, described, log, limits, network.heartbeat_timeout_ms * 1_000_000, interrupted)
         exchange = Exchange(link, described, log, guard, budget_ns)

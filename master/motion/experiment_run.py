@@ -24,6 +24,7 @@ from master.control.stability import derated
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
+from master.cycle.repetition import Repetition
 from master.cycle.run_safely import Outcome, run_safely
 from master.motion import gait, moves
 from master.motion.home import Homed, home, reached_n, within
@@ -197,7 +198,12 @@ class Planned:
             self.homed = home(exchange, self.calibration, self.homing, experiment.gait.idle_slack_m,
                               1.0 if undone is None else undone.home_gain)
             gait.approach(exchange, table, self.first, experiment.homing)
+        self.watch(exchange)
         self.walk(exchange)
+
+    def watch(self, exchange: Exchange) -> None:
+        """Have the gait that comes next held against the desired force and against its own first cycles."""
+        exchange.guard.repetition = Repetition(self.experiment.reference.peak_n, self.table.period_s)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run in, start softly, walk and run out: every step that the controller makes in a trial.

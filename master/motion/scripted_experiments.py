@@ -189,5 +189,6 @@ class Scripted:
         planned = self.planned
         Hold(walk.rest_s).run(exchange, MotionContext(planned.calibration, planned.experiment.homing))
         gait.approach(exchange, planned.table, gait.run_in_sample(planned.table), planned.experiment.homing)
+        planned.watch(exchange)
         planned.walk(exchange, self.count)
         self.count += planned.experiment.gait.cycles

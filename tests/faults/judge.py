@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.faults.stage import Row, Told
+from tests.faults.stage import WALK, Row, Told, Walk
 
 START_LIMIT_N, END_LIMIT_N = 120.0, 90.0
 OVER = 1.10
-UNSAID_N, UNSAID_MS = 5.0, 200
+UNSAID_N, UNSAID_MS, MOMENT_N, LEG_DEG = 5.0, 200, 10.0, 3.0
 SLACK_N, SLACK_MS, SLOW_MS = 5.0, 100.0, 400.0
 PULL = 1.05
 STOP_MS = 500.0
@@ -39,9 +39,12 @@ class Verdict(NamedTuple):
     whole: bool
     excuse: str
     faults: tuple[str, ...]
+    walk: str = str(WALK)
+    leg_deg: float = 0.0
+    beyond: str = ""
 
 
-def judged(row: Row, told: Told, twin: Told) -> Verdict:
+def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
     """Hold one row against the bounds."""
     detected_ns, said = detection(row, told)
     true = told.true
@@ -50,7 +53,8 @@ def judged(row: Row, told: Told, twin: Told) -> Verdict:
         after = np.zeros((1, 3))
     stop_ns = next((t for t, kind, _s, _x in told.events if kind == "safety" and t >= told.fault_ns), -1)
     peaks = after[:, 1].max(), after[:, 2].max()
-    apart, unsaid = _unsaid(told, twin, detected_ns if detected_ns >= 0 else int(after[-1, 0]))
+    until_ns = detected_ns if detected_ns >= 0 else int(after[-1, 0])
+    apart, unsaid = _unsaid(told, twin, until_ns)
     slack = pulled = stop = float("nan")
     if stop_ns >= 0:
         later = true[true[:, 0] >= stop_ns]
@@ -65,7 +69,8 @@ def judged(row: Row, told: Told, twin: Told) -> Verdict:
     named = bool(re.search(row.named, said)) if said else False
     verdict = Verdict(
         row.name, told.moment, (detected_ns - told.fault_ns) * 1e-6 if detected_ns >= 0 else float("nan"), named,
-        said, *peaks, apart, unsaid, slack, pulled, stop, told.whole, row.silent, ())
+        said, *peaks, apart, unsaid, slack, pulled, stop, told.whole, row.silent, (), str(walk),
+        _leg(told, twin, until_ns), row.beyond)
     return verdict._replace(faults=tuple(_faults(row, verdict, told)))
 
 
@@ -96,6 +101,15 @@ def _unsaid(told: Told, twin: Told, until_ns: int) -> tuple[float, float]:
     return float(apart.max()), float(windows.min(axis=1).max())
 
 
+def _leg(told: Told, twin: Told, until_ns: int) -> float:
+    """Largest departure of the leg from the twin's before it was said, degrees."""
+    if not len(told.true) or told.moment == "start":
+        return 0.0
+    mine = (told.true[:, 0] > told.fault_ns) & (told.true[:, 0] <= until_ns)
+    other = np.interp(told.true[mine, 0], twin.true[:, 0], twin.leg)
+    return float(np.degrees(np.abs(told.leg[mine] - other)).max(initial=0.0))
+
+
 def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
     found = []
     if told.crashed:
@@ -103,10 +117,14 @@ def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
     said = np.isfinite(verdict.detected_ms)
     if said and not verdict.named and row.named:
         found.append("named otherwise")
-    if not said and not row.silent:
+    if not said and not row.silent and not row.gradual:
         found.append("not said")
-    if verdict.unsaid_n > UNSAID_N and not row.silent:
+    if verdict.unsaid_n > UNSAID_N and not (row.silent or row.beyond):
         found.append(f"END off by {verdict.unsaid_n:.1f} N for {UNSAID_MS} ms unsaid")
+    if row.gradual and verdict.apart_n > MOMENT_N and not row.beyond:
+        found.append(f"END off by {verdict.apart_n:.1f} N unsaid")
+    if row.gradual and verdict.leg_deg > LEG_DEG and not row.beyond:
+        found.append(f"leg off by {verdict.leg_deg:.1f}° unsaid")
     if not row.needs_sto:
         if verdict.peak_start_n > OVER * START_LIMIT_N or verdict.peak_end_n > OVER * END_LIMIT_N:
             found.append(f"true tension {verdict.peak_start_n:.0f}/{verdict.peak_end_n:.0f} N")

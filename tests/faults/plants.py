@@ -25,14 +25,18 @@ made: list[Breakable] = []
 
 
 class Breakable(BowdenPlant):
-    """The bench's own plant; `stage` alters torques (ns, N·m, N·m), `sense` what is felt, `true` keeps tensions."""
+    """The bench's own plant; `stage` alters torques (ns, N·m, N·m), `sense` what is felt.
 
-    __slots__ = ("sense", "stage", "true")
+    `true` keeps time and both tensions (ns, N, N) of every millisecond, `leg` the knee angle with them, rad.
+    """
+
+    __slots__ = ("leg", "sense", "stage", "true")
 
     def __init__(self, parameters: PlantParameters) -> None:
         self.stage: Stage | None = None
         self.sense: Sense | None = None
         self.true: list[tuple[int, float, float]] = []
+        self.leg: list[float] = []
         super().__init__(parameters)
 
     def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
@@ -43,6 +47,7 @@ class Breakable(BowdenPlant):
         if until_ns % 1_000_000 == 0:
             m = self._memory
             self.true.append((until_ns, float(m[SLOT.tension]), float(m[SLOT.tension + NODES])))
+            self.leg.append(felt.knee_angle_rad)
         return felt if self.sense is None else self.sense(until_ns, felt)
 
     def snap(self, element: int, by_m: float = 1.0) -> None:

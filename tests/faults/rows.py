@@ -16,7 +16,7 @@ import can
 
 from eds.bench_network import END, KNEE, SERVO, START
 from physics.calibration import nominal
-from tests.faults import plants
+from tests.faults import plants, slow
 from tests.faults.plants import lying, stuck
 from tests.faults.stage import Row, Scene
 
@@ -342,4 +342,6 @@ ROWS: tuple[Row, ...] = (
     Row("rope snapped before the start", broken(0), r"rope does not tighten", ("start",)),
     Row("another master from the start", repeated(50 * MS, 0x77F, lambda n: b"\5"), r"another master", ("start",)),
     Row("somebody's SYNC from the start", repeated(MS, 0x080, lambda n: b""), r"SYNC", ("start",)),
+    *slow.VELOCITY,
+    *slow.ROWS,
 )

@@ -1,4 +1,5 @@
-"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--moments …] [--page FILE] [--json FILE] [--jobs N]`.
+"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--page FILE]
+[--json FILE] [--jobs N]`.
 
 The rule of this file: it prints every row and says at the end which bounds are not kept; its exit status is their
 number, at most 1.
@@ -18,36 +19,41 @@ from tests.faults.page import write
 from tests.faults.rows import ROWS
 from tests.faults.stage import trial
 
-HEAD = f"{'fault':42} {'at':7} {'ms':>6} {'true peaks, N':>14} {'unsaid':>6} {'slack':>6} {'pull':>5}  said"
+HEAD = (f"{'fault':42} {'at':7} {'gait':15} {'ms':>7} {'true peaks, N':>13} {'unsaid, N':>11} {'leg':>5} {'slack':>6} "
+        f"{'pull':>5}  said")
 
 
 def line(verdict: Verdict) -> str:
     """One row as it is printed."""
-    return (f"{verdict.name:42} {verdict.moment:7} {verdict.detected_ms:6.1f} {verdict.peak_start_n:6.1f}/"
-            f"{verdict.peak_end_n:6.1f} {verdict.unsaid_n:6.1f} {verdict.slack_ms:6.0f} {verdict.pulled:5.2f}  "
-            f"{'; '.join(verdict.faults) + ': ' if verdict.faults else ''}{verdict.said[:170]}")
+    v = verdict
+    return (f"{v.name:42} {v.moment:7} {v.walk:15} {v.detected_ms:7.1f} {v.peak_start_n:6.1f}/{v.peak_end_n:6.1f} "
+            f"{v.apart_n:5.1f}/{v.unsaid_n:5.1f} {v.leg_deg:5.1f} {v.slack_ms:6.0f} {v.pulled:5.2f}  "
+            f"{'; '.join(v.faults) + ': ' if v.faults else ''}{v.said[:170]}")
 
 
-def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = ()) -> list[Verdict]:
-    """Run every row whose name matches, at its moments."""
+def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = (), walks: str = "") -> list[Verdict]:
+    """Run every row whose name matches, at its moments and gaits."""
     from dataclasses import replace
 
     rows = [row for row in ROWS if re.search(pattern, row.name)]
     if moments:
         rows = [replace(row, moments=tuple(m for m in row.moments if m in moments)) for row in rows]
     by_name = {row.name: row for row in rows}
-    found, twin = trial(rows, jobs)
-    if twin.reason is not None:
-        raise SystemExit(f"the twin stopped: {twin.reason}")
     order = {row.name: i for i, row in enumerate(rows)}
-    found.sort(key=lambda told: order[told.name])
-    return [judged(by_name[told.name], told, twin) for told in found]
+    all_found = []
+    for walk in dict.fromkeys(walk for row in rows for walk in row.walks if re.search(walks, str(walk))):
+        found, twin = trial(rows, jobs, walk)
+        if twin.reason is not None:
+            raise SystemExit(f"the twin stopped ({walk}): {twin.reason}")
+        all_found += [judged(by_name[told.name], told, twin, walk) for told in found]
+    return sorted(all_found, key=lambda verdict: order[verdict.name])
 
 
 def main() -> int:
     """Run, print, write."""
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--rows", default="")
+    asked.add_argument("--walks", default="")
     asked.add_argument("--moments", nargs="*", default=())
     asked.add_argument("--page", type=Path)
     asked.add_argument("--json", type=Path)
@@ -55,7 +61,7 @@ def main() -> int:
     given = asked.parse_args()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
         signal.signal(getattr(signal, name), signal.SIG_DFL)
-    found = verdicts(given.rows, given.jobs, tuple(given.moments))
+    found = verdicts(given.rows, given.jobs, tuple(given.moments), given.walks)
     print(HEAD)
     for verdict in found:
         print(line(verdict))

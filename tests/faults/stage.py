@@ -36,7 +36,21 @@ from virtual_bus.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, InjectedFa
 from virtual_bus.kernel import TIMER
 from virtual_bus.station import Station
 
-PERIOD_S, CYCLES, PEAK_N, SEED = 1.1, 2, 40.0, 3
+PEAK_N, SEED = 40.0, 3
+
+
+class Walk(NamedTuple):
+    """The gait that a row breaks: its period, s, controller and number of gait cycles."""
+
+    period_s: float = 1.1
+    controller: str = "paper"
+    cycles: int = 2
+
+    def __str__(self) -> str:
+        return f"{self.controller}, {self.period_s:g} s"
+
+
+WALK = Walk()
 MOMENTS = {"start": -1.0, "ramp": 14.5, "peak": 20.0, "release": 26.0, "idle": 60.0}
 """Per cent of the first gait cycle at which a row's fault begins; "start": before the trial."""
 CYCLE, PERCENT = INDEX["cycle"], INDEX["gait_percent"]
@@ -99,7 +113,8 @@ class Row:
     """One fault of the matrix: `named` is a pattern that the stop's reason (or, with `event`, an event) must match.
 
     `silent`: why no signal could show it, where it is allowed to go unsaid.  `needs_sto`: the servo's stage conducts by
-    itself, and only the emergency stop ends that.  `experiment` alters what is run, for rows that begin at the start.
+    itself, and only the emergency stop ends that.  `gradual`: it may go unsaid as long as END and the leg keep their
+    bounds; `beyond`: why they cannot keep them.  `experiment` alters what is run, for rows that begin at the start.
     """
 
     name: str
@@ -113,6 +128,9 @@ class Row:
     experiment: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = field(default=lambda given: given)
     own_signal: str = ""
     run: dict[str, Any] = field(default_factory=dict)
+    walks: tuple[Walk, ...] = (WALK,)
+    gradual: bool = False
+    beyond: str = ""
 
 
 class Sink:
@@ -156,6 +174,7 @@ class Told:
     reason: str | None
     events: list[tuple[int, str, str, str]]
     true: Any
+    leg: Any
     rows: int
     whole: bool
     last_ns: int
@@ -166,10 +185,10 @@ class Told:
     it on: what momentum and the knee bring, whatever a stop does."""
 
 
-def trial(rows: Sequence[Row], jobs: int = 2, **bench: Any) -> tuple[list[Told], Told]:
+def trial(rows: Sequence[Row], jobs: int = 2, walk: Walk = WALK, **bench: Any) -> tuple[list[Told], Told]:
     """Run the trial and every row of it; returns the rows' findings and the twin."""
     with tempfile.TemporaryDirectory() as folder:
-        stage = _Stage(Path(folder), rows, jobs, bench)
+        stage = _Stage(Path(folder), [row for row in rows if walk in row.walks], jobs, bench, walk)
         twin = stage.run()
         return stage.collected(), twin
 
@@ -180,8 +199,8 @@ def _without_servo(stage: plants.Stage | None) -> plants.Stage:
 
 
 class _Stage:
-    def __init__(self, folder: Path, rows: Sequence[Row], jobs: int, options: dict[str, Any]) -> None:
-        self.folder, self.rows, self.jobs, self.options = folder, rows, jobs, options
+    def __init__(self, folder: Path, rows: Sequence[Row], jobs: int, options: dict[str, Any], walk: Walk) -> None:
+        self.folder, self.rows, self.jobs, self.options, self.walk = folder, rows, jobs, options, walk
         self.children: list[int] = []
         self.numbers = itertools.count()
         self.me: tuple[Row, str, int, Path] | None = None
@@ -191,8 +210,9 @@ class _Stage:
     def run(self) -> Told:
         """The unharmed trial, from bring-up to its end; in a child: that row's."""
         run = trials.ExperimentSetup(
-            paper_reference(PEAK_N, PERIOD_S),
-            gait=settings.Gait(peak_n=PEAK_N, period_s=PERIOD_S, cycles=CYCLES, settle=0, controller="paper"))
+            paper_reference(PEAK_N, self.walk.period_s),
+            gait=settings.Gait(peak_n=PEAK_N, period_s=self.walk.period_s, cycles=self.walk.cycles, settle=0,
+                               controller=self.walk.controller))
         for row in self.rows:
             if "start" in row.moments and self._fork(row, "start", 0):
                 run = row.experiment(run)
@@ -299,8 +319,8 @@ class _Stage:
             kind == "safety" for _t, kind, _s, _x in sink.events) or not times)
         servo = [values[INDEX["servo_statusword"]] for _t, values in sink.rows]
         off = next((times[i] for i in range(len(times) - 1, -1, -1) if int(servo[i]) & 0x6F == 0x27), 0)
-        return Told(row, moment, fault_ns, reason, sink.events, np.array(scene.plant.true), len(times), whole,
-                    scene.now_ns, off, crashed)
+        return Told(row, moment, fault_ns, reason, sink.events, np.array(scene.plant.true), np.array(scene.plant.leg),
+                    len(times), whole, scene.now_ns, off, crashed)
 
     def collected(self) -> list[Told]:
         """Every row's findings, after all have ended."""
@@ -312,4 +332,4 @@ class _Stage:
         return found
 
 
-__all__ = ["CYCLES", "MASTER", "MOMENTS", "Intruder", "Row", "Scene", "Told", "can", "re", "replace", "trial"]
+__all__ = ["MASTER", "MOMENTS", "Intruder", "Row", "Scene", "Told", "can", "re", "replace", "trial"]

@@ -17,6 +17,7 @@ QUICK = "|".join(f"^{name}$" for name in (
     "START stuck at 0", "START × 0.5", "START cut off", "END stuck at 0", "servo encoder frozen", "servo stage dead",
     "knee encoder sign flipped", "rope snapped at the drum", "rope jammed in its sheath", "another master's targets",
     "foreign NMT stop", "foreign SDO write of 60B0", "SYNC doubled", "one knee frame of 2·10⁹ mdeg", "SIGTERM",
+    "servo's velocity feedback reversed", "servo's velocity feedback zero",
     "an error inside a cycle", "calibration: stiffness × 0.5", "calibration: swing × 2"))
 
 
@@ -39,6 +40,15 @@ def test_defects_once_found_are_said_named_and_bounded(tmp_path: Path) -> None:
     told = matrix(tmp_path, "--rows", QUICK, "--moments", "peak", "start")
     assert len(told) == QUICK.count("|") + 1
     assert [(row["name"], row["moment"], row["faults"]) for row in told if row["faults"]] == []
+
+
+def test_slow_faults_are_said_before_they_move_end_by_ten_newtons(tmp_path: Path) -> None:
+    """A gain that fades, a sheath that slips and an encoder that creeps, in the shortest of the slow gaits."""
+    rows = "START's gain|slips by 2 mm|creeps by 0.31"
+    told = matrix(tmp_path, "--rows", rows, "--walks", "^paper, 1.1 s", "--moments", "idle")
+    assert len(told) == rows.count("|") + 1
+    assert [(row["name"], row["faults"]) for row in told if row["faults"]] == []
+    assert all("against the" in row["said"] for row in told)
 
 
 @pytest.mark.faults

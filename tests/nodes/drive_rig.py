@@ -152,6 +152,7 @@ class DriveRig(NodeBus):
         self.target: int | None = None
         self.feeds_tension = node_id == SERVO
         self.master_lives = True
+        self.velocity_share = 1.0
 
     # ---- time ----
 
@@ -160,7 +161,8 @@ class DriveRig(NodeBus):
         for _ in range(round(for_ms * MS / TICK_NS)):
             self.plant.step(self.torque, TICK_NS)
             self.now_ns += TICK_NS
-            self.torque = self.application.tick(self.now_ns, self.plant.position, self.plant.velocity)
+            self.torque = self.application.tick(
+                self.now_ns, self.plant.position, self.velocity_share * self.plant.velocity)
             self.torques.append(self.torque)
             self.settle()
             if self.now_ns % MS == 0:

@@ -139,3 +139,26 @@ def test_the_knee_keeps_its_angle_and_speed_limits() -> None:
             speeds.append(abs(rig.plant.velocity))
         assert rig.read(0x6064) == pytest.approx(held, abs=150)
     assert max(speeds) < 1.15 * 15.71
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 0.5])
+def test_a_velocity_that_contradicts_the_position_is_a_fault(share: float) -> None:
+    """Reversed, zero or half: the loop would shake the rope; the drive faults (7305h) within 0.5 mm of such a way."""
+    rig = DriveRig(SERVO).enabled()
+    rig.run(20)
+    rig.velocity_share = share
+    for target in range(0, 4_000, 200):
+        rig.target = target
+        rig.run(1)
+    rig.run(50)
+    assert 0x7305 in rig.emergencies()
+    assert rig.state() is State.FAULT
+    assert rig.torque == 0.0
+
+
+def test_the_greatest_speed_is_no_contradiction() -> None:
+    rig = DriveRig(SERVO).enabled()
+    for target in range(0, 100_000, 900):
+        rig.target = target
+        rig.run(1)
+    assert rig.emergencies() == []
