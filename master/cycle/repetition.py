@@ -134,7 +134,7 @@ step: Final[Any] = _compile()
 `width`: control cycles in the mean."""
 
 
-class Departure(NamedTuple):
+class CycleDeparture(NamedTuple):
     """A comparison that failed, N or m, and by how much END, START and the rope departed at that phase."""
 
     comparison: int
@@ -157,7 +157,7 @@ class Repetition:
         self.g = np.array([base + share * peak_n for base, share in TOLERANCES])
         self._width = min(RING, max(2, round(MEAN_S / period_s)))
 
-    def check(self, inputs: Inputs, annotations: CycleAnnotations) -> Departure | None:
+    def check(self, inputs: Inputs, annotations: CycleAnnotations) -> CycleDeparture | None:
         """Compare the inputs that a control cycle of the gait answers; the finding, where there is one."""
         if inputs.missing:
             return None
@@ -167,7 +167,7 @@ class Repetition:
         if found < 0:
             return None
         s = self.s
-        return Departure(found, annotations.gait_percent, float(s[SEEN]), float(s[EXPECTED]), float(self.g[found]),
+        return CycleDeparture(found, annotations.gait_percent, float(s[SEEN]), float(s[EXPECTED]), float(self.g[found]),
                          float(s[END_MOVED]), float(s[START_MOVED]), float(s[ROPE_MOVED]))
 
     @property
@@ -179,10 +179,10 @@ class Repetition:
 PATH_GAIN: Final = 1.2
 """START by END of a path of usual friction, by which a departure of both is told from one of START alone."""
 ALIKE_N: Final = 1.5
-"""Departure of START from `PATH_GAIN` times that of END up to which both moved alike, N."""
+"""CycleDeparture of START from `PATH_GAIN` times that of END up to which both moved alike, N."""
 
 
-def stop(found: Departure) -> StopError:
+def stop(found: CycleDeparture) -> StopError:
     """Return the stop that a finding calls for: the suspects by which of END, START and the rope departed."""
     at = f"at {found.percent:.0f} % of the gait"
     if found.comparison == DESIRED:

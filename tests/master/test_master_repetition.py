@@ -10,7 +10,7 @@ import pytest
 
 from master.cycle import repetition
 from master.cycle.inputs import CycleAnnotations, Inputs
-from master.cycle.repetition import Departure, Repetition
+from master.cycle.repetition import CycleDeparture, Repetition
 from master.cycle.safety import Condition, Reaction, reaction_to
 
 PEAK_N, SAMPLES = 40.0, 1000
@@ -34,7 +34,7 @@ def bench(cycle: int, phase: float) -> Walked:
 def walked(
     shown: Callable[[int, float], Walked], cycles: int = 4, watch: Repetition | None = None, first: int = 0,
     peak_n: float = PEAK_N, missing: Callable[[int], bool] = lambda i: False,
-) -> tuple[Departure, int] | None:
+) -> tuple[CycleDeparture, int] | None:
     """Return the first departure and the gait cycle it is found in."""
     watch = watch or Repetition(PEAK_N, 1e-3)
     for i in range(first * SAMPLES, (first + cycles) * SAMPLES):
