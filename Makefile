@@ -45,7 +45,7 @@ hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.family_run --aside --first 1200 --page
 
 faults: $(VENV)/.installed-test
-	$(BIN)/python -m tests.faults.run --page docs/faults.md
+	$(BIN)/python -m tests.faults.run --stealth --page docs/faults.md
 
 healthy: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.supervision --cost --healthy 500

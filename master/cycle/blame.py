@@ -55,6 +55,8 @@ _TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
     BY_START: ("stretch of the path for START", 1e3, "mm"),
     BY_END: ("stretch of the path for END", 1e3, "mm"),
 })
+_TOGETHER: Final = 0.5
+"""Normalised residual of both axes from which on they count as off their targets together."""
 _AGED: Final = 0.75
 """Normalised residual from which on a relation counts as disturbed while another one is broken."""
 
@@ -62,11 +64,15 @@ _AGED: Final = 0.75
 def blamed(finding: Implausibility) -> StopError:
     """The stop that a finding calls for, with the suspect's name, what was seen and what was expected."""
     seen, expected, relation = finding.seen, finding.expected, finding.relation
+    if relation in _TENSIONS and finding.frozen:
+        return StopError(Condition.OFF_TARGET, "servo position repeats one value to the last bit while its target and "
+                                               f"{_TEXTS[relation][0]} change", SERVO)
+    both = "targets that do not reach the drives, or both drives: " if _both_off(finding) else ""
     if relation == SERVO_TRACK:
-        return StopError(Condition.OFF_TARGET, f"servo position is {1e3 * seen:.2f} mm, by its targets it would be "
-                                               f"{1e3 * expected:.2f} mm", SERVO)
+        return StopError(Condition.OFF_TARGET, f"{both}servo position is {1e3 * seen:.2f} mm, by its targets it "
+                                               f"would be {1e3 * expected:.2f} mm", SERVO)
     if relation == KNEE_TRACK:
-        return StopError(Condition.OFF_TARGET, f"knee angle is {_degrees(seen):.1f}°, by its targets it would be "
+        return StopError(Condition.OFF_TARGET, f"{both}knee angle is {_degrees(seen):.1f}°, by its targets it would be "
                                                f"{_degrees(expected):.1f}°", KNEE)
     if relation in (STILL_START, STILL_END):
         name, node, other = ("START", START, "END") if relation == STILL_START else ("END", END, "START")
@@ -85,6 +91,11 @@ def blamed(finding: Implausibility) -> StopError:
             if abs(swing) > 0.1 * finding.swing_k else "")
     return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
                                             f"expected about {scale * expected:.1f} {unit}{fits}", suspect.node)
+
+
+def _both_off(finding: Implausibility) -> bool:
+    """Whether both axes are far from where their targets lead."""
+    return min(abs(finding.ratios[SERVO_TRACK]), abs(finding.ratios[KNEE_TRACK])) > _TOGETHER
 
 
 def suspected(finding: Implausibility) -> Suspect:

@@ -92,6 +92,7 @@ class Exchange:
         self._overdue_ns, self._overdue_inputs = 0, [0, 0, 0, 0]
         self._misses = 0
         self._miss_text = ""
+        self._lengths: set[int] = set()
         self.rehoming = False
         self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=END in self._order)
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
@@ -241,8 +242,10 @@ class Exchange:
     def _take(self, message: can.Message, sync_ns: int) -> int:
         """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
         i, size = self._slots[message.arbitration_id]
-        if len(message.data) < size:
-            return 0
+        if len(message.data) != size:
+            self._tell_length(i, len(message.data), size, stamp_ns(message))
+            if len(message.data) < size:
+                return 0
         values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
@@ -282,6 +285,13 @@ class Exchange:
         kept, latched, arrival = list(self._values), list(self._latched_ns), list(self._arrival_ns)
         kept[i], latched[i], arrival[i] = values, sync_ns, stamp - sync_ns
         self._values, self._latched_ns, self._arrival_ns = kept, latched, arrival
+
+    def _tell_length(self, i: int, length: int, size: int, stamp: int) -> None:
+        """Say once of a node that its PDO has another length than was mapped."""
+        if i not in self._lengths:
+            self._lengths.add(i)
+            name = self.wire.nodes[ORDER[i]].name
+            self.log.event(stamp, "miss", "master", f"{name}: a PDO of {length} bytes, mapped are {size}.")
 
     def _tell_refused(self, i: int, stamp: int) -> None:
         self.log.event(stamp, "miss", "master",

@@ -10,7 +10,7 @@ import signal
 from collections.abc import Callable, Sequence
 
 from eds.bench_network import END, KNEE, SERVO, START, WireLayout
-from eds.cia301 import Emcy, emcy_text
+from eds.cia301 import Emcy, NmtState, emcy_text
 from eds.cia402 import State, Status
 from master.cycle import repetition
 from master.cycle.blame import blamed
@@ -33,6 +33,7 @@ YIELDED_M = 2e-3
 _CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
 PATIENT = 5
 """How many times as many cycles a node may miss while the exchange begins: programs that just started stall."""
+_LEFT = {int(NmtState.STOPPED): "STOPPED", int(NmtState.PRE_OPERATIONAL): "PRE-OPERATIONAL"}
 REMEMBERED = 3
 """Cycles for which a missed input still explains what a drive says of it."""
 
@@ -181,6 +182,8 @@ class Guard:
             beat = self._link.beats.get(node)
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
                 raise StopError(Condition.NODE_LOST, f"{self._name(node)}, for {self._timeout_ns / 1e6:.0f} ms", node)
+            if self.enabled and beat.state in _LEFT:
+                raise StopError(Condition.LEFT, f"{self._name(node)}, its heartbeat says {_LEFT[beat.state]}", node)
 
     def heed(self, now_ns: int, reception: Reception | None = None) -> None:
         """Tell what strangers, emergencies and boot-ups there were; raises `StopError` for the first that matters."""

@@ -71,6 +71,8 @@ LEAST_FRICTION: Final = 0.1
 SLOW_M_S: Final = 5e-3
 TAUT_N: Final = 3.0
 SAME_FOR_S: Final = 0.012
+FROZEN, FROZEN_M = 3.0, 0.1e-3
+"""Cycles of one servo position, and way of its target meanwhile, m, from which on it explains another finding."""
 STILL_M, STILL_RAD, STILL_CYCLES = 0.5e-3, 3e-3, 6.0
 DOUBT: Final = 0.8
 """Normalised residual from which on a limit that was passed may be the consequence of something else."""
@@ -318,6 +320,8 @@ class Implausibility(NamedTuple):
     swing_k: float = 0.0
     swing_k_fits: float = 0.0
     """The calibration's rope by radian of the knee, m/rad, and the one for which the stretch would be as expected."""
+    frozen: bool = False
+    """The servo's position has repeated itself to the last bit while its target moved on."""
 
 
 @dataclass
@@ -401,7 +405,7 @@ class Plausibility:
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
-                              swing, fits)
+                              swing, fits, bool(s[SAME_SERVO] >= FROZEN and abs(s[T2] - s[LED_SERVO]) > FROZEN_M))
 
     def learn(self, quadratic: float, linear: float) -> Learned:
         """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""

@@ -20,6 +20,7 @@ class Condition(Enum):
     START_LIMIT = "START tension above its limit"
     END_LIMIT = "END tension above its limit"
     NODE_LOST = "heartbeat lost"
+    LEFT = "node left OPERATIONAL"
     EMERGENCY = "emergency message"
     BOOTED = "restarted by itself"
     NOT_ENABLED = "drive left OPERATION ENABLED"
@@ -63,6 +64,7 @@ loads the rope faster than it is paid out."""
 
 REACTIONS: Final = MappingProxyType({
     **{(Condition.NODE_LOST, node): reaction for node, reaction in _BY_NODE.items()},
+    **{(Condition.LEFT, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.EMERGENCY, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.BOOTED, node): reaction for node, reaction in _BY_NODE.items()},
     **{(Condition.STALE, node): reaction for node, reaction in _BY_NODE.items()},

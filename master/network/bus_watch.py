@@ -31,6 +31,9 @@ NS: Final = 1_000_000_000
 FLOOD_NS: Final = 10_000_000
 FLOOD: Final = 20
 """Frames of strangers within `FLOOD_NS` from which on they count as a babbler: two in each millisecond."""
+STREAM_NS: Final = 1_000_000_000
+STREAM: Final = 500
+"""The same within a second: half of the cycles of 1 kHz, ten times what a monitor asks by SDO."""
 DOUBLED: Final = 3
 """Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` from which on it is no chance."""
 DOUBLED_WITHIN: Final = 20
@@ -68,7 +71,7 @@ class BusWatch:
         self._quiet = frozenset(wire.tpdo)
         self._nodes = frozenset(
             base + node for node in wire.nodes for base in (HEARTBEAT_BASE, EMCY_BASE, SDO_RESPONSE_BASE))
-        self._recent: deque[int] = deque(maxlen=FLOOD)
+        self._recent: deque[int] = deque(maxlen=STREAM)
         self._doubled: deque[int] = deque(maxlen=DOUBLED)
         self._told: set[str] = set()
 
@@ -148,11 +151,13 @@ class BusWatch:
     def _count(self, can_id: int, time_ns: int) -> None:
         self.counts[can_id] = self.counts.get(can_id, 0) + 1
         self._recent.append(time_ns)
-        if len(self._recent) == FLOOD and time_ns - self._recent[0] <= FLOOD_NS and not self.flooded:
+        for frames, within_ns in ((FLOOD, FLOOD_NS), (STREAM, STREAM_NS)):
+            if self.flooded or len(self._recent) < frames or time_ns - self._recent[-frames] > within_ns:
+                continue
             self.flooded = True
             most = max(self.counts, key=self.counts.__getitem__)
-            span_ms = (time_ns - self._recent[0]) / 1e6
-            self._tell(time_ns, most, f"babbler: {FLOOD} frames that are nobody's within {span_ms:.1f} ms, most of "
+            span_ms = (time_ns - self._recent[-frames]) / 1e6
+            self._tell(time_ns, most, f"babbler: {frames} frames that are nobody's within {span_ms:.1f} ms, most of "
                                       f"them {most:X}h", moves=True)
 
     def _tell(self, time_ns: int, can_id: int, text: str, moves: bool) -> None:

@@ -30,7 +30,7 @@ from tests.faults.stage import PEAK_N, SEED, WALK
 
 HEAD = f"""# What happens when something breaks
 
-Written by `make faults` (`python -m tests.faults.run --page docs/faults.md`) from the rows of `tests/faults/rows.py`:
+Written by `make faults` (`python -m tests.faults.run --stealth --page docs/faults.md`) from the rows of `tests/faults/rows.py`:
 {{faults}} faults, {{rows}} rows with their gaits and the moments at which they begin. Unless it says otherwise a row is a gait of {PEAK_N:g} N and {WALK.period_s:g} s
 on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial 1, seed {SEED}), broken at the moment named (ramp 14.5 %, peak
 20 %, idle 60 % of the first cycle; start: before bring-up), and compared with its twin, the same trial unbroken.
@@ -51,7 +51,7 @@ on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial
 """
 
 
-def write(path: Path, found: Sequence[Verdict]) -> None:
+def write(path: Path, found: Sequence[Verdict], unsaid: Sequence[str] = ()) -> None:
     """Write the page."""
     broken = [verdict for verdict in found if verdict.faults]
     summary = "Every row keeps its bounds." if not broken else "Beyond a bound:\n\n" + "\n".join(
@@ -60,6 +60,7 @@ def write(path: Path, found: Sequence[Verdict]) -> None:
              "| fault | at | gait | said after | true peak | END off | leg | slack | pull | stop | log | said |",
              "|---|---|---|---|---|---|---|---|---|---|---|---|"]
     lines += [_row(verdict) for verdict in found]
+    lines += unsaid
     quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
     over = {v.name: v.beyond for v in found if v.beyond}
     if over:

@@ -218,7 +218,7 @@ ROWS: tuple[Row, ...] = (
     Row("END's heartbeat lost", wire("drop", cob_id=0x704), r"heartbeat lost: end", ("peak",)),
     Row("END restarts", wire("power_off", 0.002, node=END), r"end", ("peak",)),
     # ---- encoders ----
-    Row("servo encoder frozen", frozen("servo_position_m"), r"servo position|servo reports|servo"),
+    Row("servo encoder frozen", frozen("servo_position_m"), r"servo position"),
     Row("servo encoder + 5 mm", sensed(servo_position_m=OFFSET(5e-3)), r"servo"),
     Row("servo encoder − 5 mm", sensed(servo_position_m=OFFSET(-5e-3)), r"servo"),
     Row("servo encoder creeps by 10 mm/s", sensed(servo_position_m=lambda value, t: value - 0.010 * t),
@@ -342,6 +342,12 @@ ROWS: tuple[Row, ...] = (
     Row("rope snapped before the start", broken(0), r"rope does not tighten", ("start",)),
     Row("another master from the start", repeated(50 * MS, 0x77F, lambda n: b"\5"), r"another master", ("start",)),
     Row("somebody's SYNC from the start", repeated(MS, 0x080, lambda n: b""), r"SYNC", ("start",)),
+    Row("START's heartbeat says STOPPED", repeated(50 * MS, 0x703, lambda n: b"\4"),
+        r"node left OPERATIONAL: start, its heartbeat says STOPPED", ("peak", "idle")),
+    Row("knee's heartbeat says PRE-OPERATIONAL", repeated(50 * MS, 0x702, lambda n: b"\x7f"),
+        r"node left OPERATIONAL: knee", ("peak",), slow=True),
+    Row("a knee PDO of 8 bytes", said(0x182, bytes(8)), r"knee: a PDO of 8 bytes", ("peak",), event=True),
+    Row("foreign frames each 0.55 ms", repeated(550_000, 0x123, lambda n: b"abc"), r"babbler", ("ramp",)),
     *slow.VELOCITY,
     *slow.ROWS,
 )

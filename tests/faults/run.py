@@ -1,5 +1,5 @@
-"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--page FILE]
-[--json FILE] [--jobs N]`.
+"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--stealth]
+[--page FILE] [--json FILE] [--jobs N]`.
 
 The rule of this file: it prints every row and says at the end which bounds are not kept; its exit status is their
 number, at most 1.
@@ -14,6 +14,7 @@ import signal
 import sys
 from pathlib import Path
 
+from tests.faults import stealth
 from tests.faults.judge import Verdict, judged
 from tests.faults.page import write
 from tests.faults.rows import ROWS
@@ -55,12 +56,15 @@ def main() -> int:
     asked.add_argument("--rows", default="")
     asked.add_argument("--walks", default="")
     asked.add_argument("--moments", nargs="*", default=())
+    asked.add_argument("--stealth", action="store_true", help="search the worst that goes unsaid, too")
     asked.add_argument("--page", type=Path)
     asked.add_argument("--json", type=Path)
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"):  # a shell's background job ignores some of them
         signal.signal(getattr(signal, name), signal.SIG_DFL)
+    unsaid = stealth.table(stealth.found(given.jobs)) if given.stealth else []
+    print("\n".join(unsaid))
     found = verdicts(given.rows, given.jobs, tuple(given.moments), given.walks)
     print(HEAD)
     for verdict in found:
@@ -71,7 +75,7 @@ def main() -> int:
     if given.json:
         given.json.write_text(json.dumps([verdict._asdict() for verdict in found], indent=1), encoding="utf-8")
     if given.page:
-        write(given.page, found)
+        write(given.page, found, unsaid)
     return int(bool(broken))
 
 

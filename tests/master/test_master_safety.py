@@ -12,7 +12,8 @@ def test_every_condition_has_a_row() -> None:
     assert {condition for condition, _ in REACTIONS} == set(Condition)
 
 
-@pytest.mark.parametrize("condition", [Condition.NODE_LOST, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
+@pytest.mark.parametrize(
+    "condition", [Condition.NODE_LOST, Condition.LEFT, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
 def test_the_rope_is_unwound_only_while_start_servo_and_knee_are_there(condition: Condition) -> None:
     by_node = {node: REACTIONS[condition, node] for node in (SERVO, KNEE, START, END)}
     assert by_node == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE, START: Reaction.RELEASE, END: Reaction.UNWIND}
