@@ -14,6 +14,7 @@ from bowden.model_files import BenchModel, Model
 from bowden.progress import SILENT, Progress
 from bowden.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
+from trial.signals import with_observers
 
 if TYPE_CHECKING:
     from master.identification.calibration_fit import Segment
@@ -53,7 +54,7 @@ def perform(
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
                                  "commit": provenance.commit()},
             attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated,
-            overwrite=overwrite)
+            overwrite=overwrite, signals=with_observers(network.bench))
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
                                              lambda _part, share: update(share))

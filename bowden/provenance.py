@@ -64,6 +64,8 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
     devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(FILES.values()))}
     devices |= {Path(mapping.file).name: Path(mapping.file).read_bytes()
                 for mapping in sections["network"].bench.other_devices.values() if mapping.file}
+    devices |= {Path(device.type.file).name: Path(device.type.file).read_bytes()
+                for device in sections["network"].bench.observers}
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),

@@ -19,7 +19,7 @@ from bowden.buses import BusSettings, opened
 from bowden.configuration import override
 from bowden.progress import SILENT, Progress
 from parameters import InputError, read_toml
-from trial.signals import INDEX, SIGNALS, Signal
+from trial.signals import INDEX, Signal, with_observers
 
 if TYPE_CHECKING:
     from master.control.effect_correction import Effects
@@ -210,7 +210,7 @@ def perform(
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
-                            signals=(*SIGNALS, *prepared.own_signals))
+                            signals=(*with_observers(network.bench), *prepared.own_signals))
         began = time.perf_counter()
         if announce:
             progress.remark(f"{announce} {planned.pulls}")

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
-from eds.declaration import DeclaredDevice, packaged
+from eds.declaration import LOAD_CELL, DeclaredDevice, packaged
 from eds.device_mapping import DeviceMapping, MappedPart, ServoMapping, part
 from eds.dictionary import Dictionary, key
 from eds.network import Network as Network
@@ -179,8 +179,9 @@ class WireLayout:
         yield 0x1016, 1, MASTER << 16 | network.heartbeat_timeout_ms
         yield 0x1017, 0, network.heartbeat_ms
         yield from pdo_writes(self.nodes[node_id].dictionary, self.pdos(node_id))
-        if node_id not in self.drives:
+        if self._devices[node_id].type.name == LOAD_CELL.name:
             yield 0x6114, 1, network.sampling_us
+        if node_id not in self.drives:
             return
         value, index = interpolation_period(network.period_us)
         yield 0x60C2, 1, value
@@ -234,8 +235,8 @@ def _entries(network: Network, device_mappings: Mapping[int, DeviceMapping] | No
 
 
 def _entry(device: DeclaredDevice, fitting: DeviceMapping) -> NodeEntry:
-    read = (dictionary.read(fitting.file, device.node_id) if fitting.file
-            else _packaged(device.type.file, device.node_id))
+    file = fitting.file or (device.type.file if device.type.observed else "")
+    read = dictionary.read(file, device.node_id) if file else _packaged(device.type.file, device.node_id)
     return NodeEntry(device.node_id, device.name, read, fitting)
 
 

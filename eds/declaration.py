@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -20,6 +21,7 @@ from typing import Any, Final, TypeVar
 from eds import cia402
 from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
 from parameters import InputError, declarations, from_table, read_toml
+from parameters.plugins import load
 
 T = TypeVar("T")
 TABLES: Final = ("device", "joint", "force_path")
@@ -31,18 +33,32 @@ LAST_NODE_ID: Final = 126
 
 
 @dataclass(frozen=True)
-class DeviceType:
-    """Kind of device: its packaged EDS, its mapping table, the parts that it sends and takes, its safe stop.
+class ObservedPart:
+    """Signal of an observer: the part that carries it, and its column `<device>_<ending>` in `/cycle` with its unit."""
 
-    `safe_stop` lists (object, code) pairs that bring-up writes; a type that takes a target is a drive.
+    part: str
+    ending: str
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class DeviceType:
+    """Kind of device: its EDS, its mapping table, the parts that it sends and takes, its safe stop.
+
+    `file`: name of a packaged EDS, or the path of a plug-in's.  `safe_stop` lists (object, code) pairs that bring-up
+    writes; a type that takes a target is a drive.  A type with `observed` signals is an observer: its parts are
+    recorded and move nothing.  `application` makes what stands behind its simulated device, see docs/devices.md.
     """
 
     name: str
     file: str
-    mapping: Callable[[], DeviceMapping]
+    mapping: Callable[[], Any]
     sent: tuple[str, ...]
     taken: tuple[str, ...] = ()
     safe_stop: tuple[tuple[int, int], ...] = ()
+    observed: tuple[ObservedPart, ...] = ()
+    application: Callable[[], Any] | None = None
 
 
 ROPE_DRIVE: Final = DeviceType(
@@ -59,6 +75,8 @@ LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("va
 """Tension sensor, in N."""
 TYPES: Final[Mapping[str, DeviceType]] = MappingProxyType(
     {one.name: one for one in (ROPE_DRIVE, JOINT_DRIVE, LOAD_CELL)})
+GROUP: Final = "bowden.devices"
+"""Entry-point group of device types: a callable without arguments that returns a `DeviceType`."""
 
 
 @dataclass(frozen=True)
@@ -124,9 +142,15 @@ class DeclaredBench:
         return all(path.end for path in self.force_paths)
 
     @property
+    def observers(self) -> tuple[DeclaredDevice, ...]:
+        """The devices that are recorded and move nothing."""
+        return tuple(device for device in self.devices if device.type.observed)
+
+    @property
     def runs(self) -> bool:
         """Whether commands run this bench: `RUNNING` has its shape."""
-        return self.shape in [packaged(name).shape for name in RUNNING]
+        acting = dataclasses.replace(self, devices=tuple(d for d in self.devices if not d.type.observed))
+        return acting.shape in [packaged(name).shape for name in RUNNING]
 
     @property
     def other_devices(self) -> dict[str, DeviceMapping]:
@@ -215,12 +239,26 @@ def _device(row: dict[str, Any], where: str, folder: Path | None) -> DeclaredDev
     if not isinstance(node_id, int) or isinstance(node_id, bool) or not 1 <= node_id <= LAST_NODE_ID:
         raise InputError(f"{where}: node_id = {node_id!r} is no whole number from 1 to {LAST_NODE_ID}; give the "
                          "device's node id.")
-    if kind not in TYPES:
-        raise InputError(f"{where}: type = {kind!r} is unknown; expected one of {', '.join(TYPES)}.")
+    found = _type(kind, where)
     if folder is not None and isinstance(mapped.get("file"), str) and mapped["file"]:
         mapped["file"] = str(folder / mapped["file"])
-    mapping: Any = TYPES[kind].mapping
-    return DeclaredDevice(str(name), node_id, TYPES[kind], from_table(mapping, mapped, where=where))
+    mapping: Any = found.mapping
+    return DeclaredDevice(str(name), node_id, found, from_table(mapping, mapped, where=where))
+
+
+def _type(kind: object, where: str) -> DeviceType:
+    """Return a device type of this project or of the entry-point group; raises `InputError`."""
+    if kind in TYPES:
+        return TYPES[str(kind)]
+    installed = {entry.name for entry in entry_points(group=GROUP)}
+    if kind not in installed:
+        raise InputError(f"{where}: type = {kind!r} is unknown; expected one of {', '.join((*TYPES, *installed))}, or "
+                         f"install what offers it as an entry point of {GROUP}.")
+    found = load("device type", str(kind), GROUP, {})()
+    if not isinstance(found, DeviceType) or not found.observed or found.taken:
+        raise InputError(f"{where}: type = {kind!r}: its entry point returns no DeviceType that has observed signals "
+                         "and takes nothing; mend the plug-in.")
+    return found
 
 
 def _texts(cls: type[T], row: dict[str, Any], where: str) -> T:
@@ -253,7 +291,7 @@ def _check(bench: DeclaredBench, where: str) -> None:
                              "declares; name a declared joint.")
     _refuse_twice(where, "place of the device", used)
     for device in bench.devices:
-        if device.name not in used:
+        if device.name not in used and not device.type.observed:
             raise InputError(f"{where}: no joint and no force path names the device {device.name}; give it a place or "
                              "leave it out.")
 

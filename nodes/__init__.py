@@ -21,12 +21,12 @@ from parameters import InputError
 
 __all__ = ["Application", "Device", "Drive", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
 
-APPLICATIONS: Final[Mapping[str, Callable[[], Drive | TensionSensor]]] = MappingProxyType(
+APPLICATIONS: Final[Mapping[str, Callable[[], Application]]] = MappingProxyType(
     {ROPE_DRIVE.name: ServoDrive, JOINT_DRIVE.name: KneeDrive, LOAD_CELL.name: TensionSensor})
 """The application behind a simulated device of each declared type."""
 
 
-def build(node_id: int, wire: WireLayout) -> tuple[Device, Drive | TensionSensor]:
+def build(node_id: int, wire: WireLayout) -> tuple[Device, Application]:
     """Make the bench's device `node_id`, not yet powered on, and the application behind it.
 
     Raises `InputError` for a node id that is no device of the bench.
@@ -34,5 +34,6 @@ def build(node_id: int, wire: WireLayout) -> tuple[Device, Drive | TensionSensor
     declared = next((device for device in wire.network.bench.devices if device.node_id == node_id), None)
     if declared is None:
         raise InputError(f"node {node_id} is no device of this bench; expected one of {sorted(wire.nodes)}.")
-    made = APPLICATIONS[declared.type.name]()
+    kind = declared.type
+    made = APPLICATIONS[kind.name]() if kind.name in APPLICATIONS else (kind.application or Application)()
     return Device(wire.nodes[node_id].dictionary, node_id, made), made

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eds.bench_network import END, KNEE, NAMES, SERVO, START, WireLayout, tpdo_cob_id
+from eds.declaration import DeclaredDevice
 from eds.pdo_plan import Field, PdoPlan
 from eds.scale_factors import drum_radius_m
 from trial.convert import clock
@@ -76,9 +77,19 @@ def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
                         field.key >> 8 == TENSION, field, bit)
                   for field, bit in offsets(plan) if field.key in signals]
         found.append(PdoSource(plan, NAMES[node], tuple(places), f"{NAMES[node]}_pdo_arrival_ns"))
+    found += [_observed(wire, device) for device in wire.network.bench.observers]
     targets = [Place(signal, field.scale, 1.0, False, field, bit)
                for (field, bit), signal in zip(offsets(wire.targets), TARGETS, strict=True)]
     return (*found, PdoSource(wire.targets, "target", tuple(targets), None))
+
+
+def _observed(wire: WireLayout, device: DeclaredDevice) -> PdoSource:
+    """Return what the TPDO of an observer carries."""
+    plan, entry = wire.tpdo[tpdo_cob_id(device.node_id)], wire.nodes[device.node_id]
+    names = {entry.part(one.part).entry.key: f"{device.name}_{one.ending}" for one in device.type.observed}
+    places = tuple(Place(names[field.key], field.scale, 1.0, False, field, bit)
+                   for field, bit in offsets(plan) if field.key in names)
+    return PdoSource(plan, device.name, places, None)
 
 
 def inputs_of(wire: WireLayout, node: int) -> dict[int, str]:

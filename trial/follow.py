@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from eds.bench_network import NAMES, WireLayout
 from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, PdoSource, layout, offsets
-from trial.signals import UNITS
+from trial.signals import UNITS, with_observers
 
 Place = tuple[int, int, float, float, bool]  # in the PDO, in the row, scale, divisor, optional
 
@@ -20,9 +20,11 @@ class Follower:
     """Rows of one bench's bus; `names` are their columns, `units` the units."""
 
     def __init__(self, wire: WireLayout) -> None:
-        arrivals = [f"{NAMES[node]}_pdo_arrival_ns" for node in wire.nodes]
-        self.names = ("time_s", *INPUTS.values(), *TARGETS, "servo_velocity_m_s", *arrivals)
-        self.units = {name: UNITS[name] for name in self.names}
+        arrivals = [f"{NAMES[node]}_pdo_arrival_ns" for node in wire.nodes if node in NAMES]
+        units = {signal.name: signal.unit for signal in with_observers(wire.network.bench)}
+        observed = [name for name in units if name not in UNITS]
+        self.names = ("time_s", *INPUTS.values(), *TARGETS, "servo_velocity_m_s", *arrivals, *observed)
+        self.units = {name: units[name] for name in self.names}
         columns = {name: place for place, name in enumerate(self.names)}
         self._sources = _sources(wire, columns)
         self._position, self._velocity = columns["servo_position_m"], columns["servo_velocity_m_s"]

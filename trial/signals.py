@@ -7,7 +7,10 @@ not known in a cycle is NaN, and a column that a trial does not have is missing 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from eds.declaration import DeclaredBench
 
 
 class Signal(NamedTuple):
@@ -63,6 +66,15 @@ TRACE = (
     Signal("strain_direction", "1", "sign of the fabric's strain rate in the friction model, −1 … 1", derived=True),
     Signal("estimated_end_half_n", "N", "half the width of the 95 % interval of estimated_end_force_n", derived=True),
 )
+
+
+
+def with_observers(bench: DeclaredBench) -> tuple[Signal, ...]:
+    """Return the columns of `/cycle` on a bench: `SIGNALS`, those of its observers before the controller's trace."""
+    observed = tuple(Signal(f"{device.name}_{one.ending}", one.unit, one.text)
+                     for device in bench.observers for one in device.type.observed)
+    return (*SIGNALS[:-len(TRACE)], *observed, *TRACE)
+
 
 SIGNALS: tuple[Signal, ...] = (*MOTION_AND_FORCE, *PDO_TIMING, *STATUS, *TRACE)
 COLUMNS: tuple[str, ...] = tuple(signal.name for signal in SIGNALS)

@@ -24,7 +24,17 @@ from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
 from virtual_bus.faults import declared
-from virtual_bus.machine import END_FEELS, START_FEELS, Gauge, Machine, MountedDrive, Tension, TickedDrive
+from virtual_bus.machine import (
+    END_FEELS,
+    START_FEELS,
+    Feeling,
+    Gauge,
+    Machine,
+    MountedDrive,
+    Observer,
+    Tension,
+    TickedDrive,
+)
 from virtual_bus.node_station import NodeStation
 from virtual_bus.outages import wired
 from virtual_bus.plugged_plant import PluggedPlant, plant_raised
@@ -73,7 +83,9 @@ def build(options: Options, channel: str) -> Bench:
         servo, knee = (MountedDrive(bench.nodes[n], cast(TickedDrive, built[n][1])) for n in axes)
         gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed)
                   for end, n in cells.items()]
-        made = Machine(bench.kernel, plant, servo, knee, gauges)
+        observers = [Observer(bench.nodes[device.node_id], cast(Feeling, built[device.node_id][1]))
+                     for device in declaration.observers if device.type.application is not None]
+        made = Machine(bench.kernel, plant, servo, knee, gauges, observers)
         wired(bench.kernel, faults, made.trouble)
         if options.truth is not None:
             made.truth = Truth(options.truth, plant, _metadata(options, tables))

@@ -61,6 +61,20 @@ class Gauge(NamedTuple):
     feels: int
 
 
+class Feeling(Protocol):
+    """What is asked of the application of an observer's simulated device."""
+
+    def feel(self, now_ns: int, felt: Outputs) -> None:
+        """Take the plant's outputs, at every drive tick."""
+
+
+class Observer(NamedTuple):
+    """A device on the bench that only measures."""
+
+    station: NodeStation
+    application: Feeling
+
+
 class MachineState(NamedTuple):
     """Where a machine stands between two instants: when drives tick and sensors sample next, torques held, N·m."""
 
@@ -80,12 +94,12 @@ class Machine:
     """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval."""
 
     def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive,
-                 gauges: Sequence[Gauge]) -> None:
+                 gauges: Sequence[Gauge], observers: Sequence[Observer] = ()) -> None:
         self.plant = plant
         self._kernel = kernel
         self._servo = servo
         self._knee = knee
-        self._gauges = tuple(gauges)
+        self._gauges, self._observers = tuple(gauges), tuple(observers)
         self._servo_nm = 0.0
         self._knee_nm = 0.0
         self._tick_ns = 0
@@ -166,6 +180,10 @@ class Machine:
         station, drive = self._knee
         self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
         station.settle(now_ns)
+        for observer in self._observers:
+            if observer.station.on:
+                observer.application.feel(now_ns, felt)
+                observer.station.settle(now_ns)
 
     def _sample(self, gauge: Gauge, now_ns: int, felt: Outputs) -> int:
         station, sensor, converter, feels = gauge

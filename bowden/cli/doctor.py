@@ -67,7 +67,8 @@ def _look(network: Network, reached: Bus, seconds: float) -> Iterator[DoctorFind
         yield computer.DoctorFinding(
             "interface", False, f"{reached.interface} needs {needed[0]}, which is not installed", f"say {needed[1]}")
         return
-    with buses.opened_one(chosen, network.bitrate) as opened:
+    more = buses.simulating(network) if chosen.simulated else {}
+    with buses.opened_one(chosen, network.bitrate, **more) as opened:
         try:
             yield from heard(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))
         except LinkError as error:

@@ -18,7 +18,7 @@ from eds.cia301 import SYNC_COB_ID
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
-from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, places
+from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, observer_slots, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
@@ -99,7 +99,11 @@ class Exchange:
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
         offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
-        self._whole_cycles = None if offer is None or len(plans) < len(ORDER) else offer(
+        self._observers = observer_slots(wire)
+        self._unknown = (NAN,) * sum(len(slots.places) for slots in self._observers.values())
+        self._observed = self._unknown
+        whole = len(plans) == len(wire.nodes) == len(ORDER)
+        self._whole_cycles = None if offer is None or not whole else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
 
@@ -215,6 +219,8 @@ class Exchange:
                     self._overdue_inputs[slots[can_id][0]] = 0
                 else:
                     self._note_doubled(message, slots[can_id][0])
+            elif can_id in self._observers:
+                self._observe(message)
         return -1
 
     def _repeats(self, sync_ns: int) -> bool:
@@ -302,7 +308,7 @@ class Exchange:
 
         `frames`, as `eds.pdo_plan.Joined` takes them, where all of them are there already.
         """
-        self._arrival_ns = UNHEARD
+        self._arrival_ns, self._observed = UNHEARD, self._unknown
         self._told = self._doubled_sync = False
         overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
         self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
@@ -341,7 +347,19 @@ class Exchange:
                 break
             elif can_id == SYNC_COB_ID:
                 self._note_repeated(stamp_ns(message))
+            elif can_id in self._observers:
+                self._observe(message)
         return missing
+
+    def _observe(self, message: can.Message) -> None:
+        """Keep what an observer's TPDO carries for the row of this cycle."""
+        plan, places = self._observers[message.arbitration_id]
+        if len(message.data) < plan.size:
+            return
+        values, row = plan.unpack_si(bytes(message.data)), list(self._observed)
+        for field, column in places:
+            row[column] = values[field]
+        self._observed = tuple(row)
 
     def _derive(self, inputs: Inputs) -> None:
         if inputs.missing & 1:
@@ -384,5 +402,6 @@ class Exchange:
             estimated, cycle,
             sync_ns - latched[0], sync_ns - latched[1], sync_ns - latched[2], sync_ns - latched[3], *arrival,
             inputs.servo_status, inputs.knee_status, missing.bit_count(), 0.0 if sent else 1.0, held,
-            sync_ns - self._first_ns - count * self.wire.period_ns, self._step_ns or NAN, *trace,
+            sync_ns - self._first_ns - count * self.wire.period_ns, self._step_ns or NAN, *self._observed,
+            *trace,
         )

@@ -63,6 +63,7 @@ class Guard:
         self._order = places(wire)
         self._missed = [(0, 0)] * len(self._order)
         self._by_weight = tuple(node for node in (SERVO, START, KNEE, END) if node in self._order)
+        self._watched = (*self._by_weight, *(node for node in wire.nodes if node not in self._order))
         self._period_ns = wire.period_ns
 
     def check(
@@ -178,7 +179,7 @@ class Guard:
         number = self._interrupted()
         if number:
             raise StopError(Condition.INTERRUPTED, f"by {_signal_name(number)}")
-        for node in self._by_weight:
+        for node in self._watched:
             beat = self._link.beats.get(node)
             if beat is None or now_ns - beat.time_ns > self._timeout_ns:
                 raise StopError(Condition.NODE_LOST, f"{self._name(node)}, for {self._timeout_ns / 1e6:.0f} ms", node)

@@ -5,10 +5,12 @@ The rule of this file: names and units only; `exchange` fills it, `guard` and th
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Final, NamedTuple
 
-from eds.bench_network import END, KNEE, SERVO, START, WireLayout
+from eds.bench_network import END, KNEE, SERVO, START, WireLayout, tpdo_cob_id
+from eds.pdo_plan import PdoPlan
 from trial.signals import TRACE
 
 NAN: Final = math.nan
@@ -19,6 +21,25 @@ ORDER: Final = (SERVO, KNEE, START, END)
 def places(wire: WireLayout) -> tuple[int, ...]:
     """Return the nodes of `ORDER` that a bench has: all of them, or all but END."""
     return tuple(node for node in ORDER if node in wire.nodes)
+
+
+class ObserverSlots(NamedTuple):
+    """Plan of an observer's TPDO, and (field of the PDO, column among those of all observers) of each signal."""
+
+    plan: PdoPlan
+    places: tuple[tuple[int, int], ...]
+
+
+def observer_slots(wire: WireLayout) -> dict[int, ObserverSlots]:
+    """Return by COB-ID what the observers of a bench send, columns in the order of `trial.signals.with_observers`."""
+    found: dict[int, ObserverSlots] = {}
+    column = 0
+    for device in wire.network.bench.observers:
+        fields = [device.type.sent.index(one.part) for one in device.type.observed]
+        plan = wire.tpdo[tpdo_cob_id(device.node_id)]
+        found[plan.cob_id] = ObserverSlots(plan, tuple(zip(fields, itertools.count(column), strict=False)))
+        column += len(fields)
+    return found
 
 
 class Inputs(NamedTuple):

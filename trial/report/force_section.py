@@ -17,6 +17,7 @@ from trial.read import Trial
 from trial.report.packing import broken, thinned
 from trial.report.page import Page, Series
 from trial.report.setting import TrialSetting, known, seconds
+from trial.signals import UNITS
 
 Floats = NDArray[np.float64]
 
@@ -129,6 +130,16 @@ def motion(page: Page, trial: Trial) -> None:
         columns = chosen(trial, names)
         if columns:
             over_time(page, trial, title, columns, unit)
+
+
+def others(page: Page, trial: Trial) -> None:
+    """Add the signals that only this bench or its controller has, over time; nothing where there is none."""
+    columns = chosen(trial, [name for name in trial.columns if name not in UNITS and name in trial.units])
+    if not columns:
+        return
+    page.section("Other signals")
+    for name, column in columns.items():
+        over_time(page, trial, name, {name: column}, trial.units[name])
 
 
 def _by_cycle(page: Page, trial: Trial, setting: TrialSetting, error: Floats) -> int | None:

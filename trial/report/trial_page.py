@@ -50,6 +50,7 @@ def build(
         lambda: _summary(page, trial, judged, published),
         lambda: force_section.force(page, trial, judged),
         lambda: force_section.motion(page, trial),
+        lambda: force_section.others(page, trial),
         lambda: bus_section.timing(page, trial, judged, on_bus=bool(len(trial.frames))),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial),
