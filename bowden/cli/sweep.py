@@ -29,6 +29,9 @@ Workers_ = Annotated[int | None, typer.Option(
     "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
 Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
+Tls = Annotated[Path | None, typer.Option(
+    "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem; without, Dask is not safe "
+    "beyond a network that is trusted.")]
 
 
 @app.command()
@@ -46,6 +49,7 @@ def sweep(
     keep: Keep = None,
     workers: Workers_ = None,
     scheduler: Scheduler = None,
+    tls: Tls = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
@@ -61,6 +65,8 @@ def sweep(
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
         raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
+    if tls is not None and scheduler is None:
+        raise typer.BadParameter("--scheduler-tls belongs to --scheduler")
     axes = [sweep_rows.axis(text) for text in grid or ()]
     rows = sweep_rows.rows(
         configuration.read(config), _fixed(identify, calibration, knee, desired), axes,
@@ -69,7 +75,7 @@ def sweep(
     with Growing(output, list(rows[0]), overwrite=overwrite) as table:
         resumed = sum(table.found(row) is not None for row in rows)
         _say_resumed(table, resumed, len(rows))
-        with _crew(scheduler, workers, quiet=json, idle=resumed == len(rows)) as crew:
+        with _crew(scheduler, tls, workers, quiet=json, idle=resumed == len(rows)) as crew:
             _run(rows, table, crew, _calibrations(output, overwrite), keep, quiet=json)
         found = [table.found(row) or {} for row in rows]
     cells = _cells(found, [name for name, _ in axes])
@@ -194,7 +200,9 @@ def _say_resumed(table: Any, resumed: int, total: int) -> None:
 
 
 @contextlib.contextmanager
-def _crew(scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool) -> Iterator[Workers | None]:
+def _crew(
+    scheduler: str | None, tls: Path | None, workers: int | None, *, quiet: bool, idle: bool
+) -> Iterator[Workers | None]:
     """The workers that were asked for; None where there is nothing to do."""
     from bowden import session
     from bowden.sweep import run as sweep_run
@@ -203,7 +211,7 @@ def _crew(scheduler: str | None, workers: int | None, *, quiet: bool, idle: bool
         yield None
         return
     if scheduler is not None:
-        with sweep_run.cluster(scheduler) as crew:
+        with sweep_run.cluster(scheduler, tls) as crew:
             yield crew
         return
     session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))

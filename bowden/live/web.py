@@ -29,6 +29,10 @@ TICK_S: Final = 0.1
 PATIENCE_S: Final = 10.0
 """How long a client may take to say what it wants, or to take what it is sent."""
 MOST_WATCHERS: Final = 8
+MOST_PENDING: Final = 32
+"""Connections that have not said yet what they want; one more closes the oldest of them."""
+BACKLOG: Final = 128
+"""Connections that the kernel keeps until they are taken."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
 
 
@@ -114,9 +118,12 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
     allow_reuse_address = False
+    request_queue_size = BACKLOG
 
     def __init__(self, host: str, port: int, page: LivePage) -> None:
         self.page = page
+        self._pending: dict[Any, None] = {}
+        self._lock = threading.Lock()
         self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         super().__init__((host, port), _Handler)
 
@@ -125,6 +132,27 @@ class _Server(ThreadingHTTPServer):
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.bound = str(self.server_address[0]), int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Take a connection; where `MOST_PENDING` are silent already the oldest of them is closed."""
+        with self._lock:
+            self._pending[request] = None
+            oldest = next(iter(self._pending)) if len(self._pending) > MOST_PENDING else None
+            if oldest is not None:
+                del self._pending[oldest]
+                with contextlib.suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def heard(self, request: Any) -> None:
+        """Count a connection no longer as silent: its request is here, or it is over."""
+        with self._lock:
+            self._pending.pop(request, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.heard(request)
+        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that has gone away is no error."""
@@ -139,6 +167,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Say nothing on the terminal."""
 
     def do_GET(self) -> None:
+        self.server.heard(self.request)
         page, split = self.server.page, urlsplit(self.path)
         token = "".join(parse_qs(split.query).get("token", []))
         if not self._is_ours():
@@ -154,6 +183,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(404, "There is one page here: /.")
 
     def do_POST(self) -> None:
+        self.server.heard(self.request)
         page = self.server.page
         if not self._is_ours():
             return

@@ -33,9 +33,9 @@ class Given:
     core: str = "relations"
 
 
-def crew(scheduler: str | None, workers: int | None) -> AbstractContextManager[run.Workers]:
+def crew(scheduler: str | None, workers: int | None, tls: Path | None = None) -> AbstractContextManager[run.Workers]:
     """Return processes of this machine, or the workers of a Dask cluster; raises `InputError` where none answers."""
-    return run.local(workers) if scheduler is None else run.cluster(scheduler)
+    return run.local(workers) if scheduler is None else run.cluster(scheduler, tls)
 
 
 def perform(trial: Path, given: Given) -> dict[str, Any]:

@@ -22,6 +22,8 @@ from bowden.sweep.sweep_table import SweepTable
 from parameters import InputError
 
 CONNECT_S = 10
+TLS_FILES = ("ca.pem", "cert.pem", "key.pem")
+"""Files of `--scheduler-tls`: the authority's certificate, this client's own, and its key."""
 COMPLETED = "completed"
 
 
@@ -47,14 +49,22 @@ def _aside() -> None:
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[Workers]:
-    """Give the workers of the Dask scheduler at `address`; raises `InputError` where it does not answer."""
+def cluster(address: str, tls: Path | None = None) -> Iterator[Workers]:
+    """Give the workers of the Dask scheduler at `address`; raises `InputError` where it does not answer.
+
+    `tls`: a folder with `ca.pem`, `cert.pem` and `key.pem`.  With it nothing is sent or taken unencrypted; without it
+    whoever reaches the scheduler runs code at its workers, and at this process.
+    """
+    if address.startswith("tls://") and tls is None:
+        raise InputError(f"--scheduler {address} is encrypted; give certificates with --scheduler-tls.")
     try:
         dask = importlib.import_module("distributed")
     except ImportError:
         raise InputError("--scheduler needs dask.distributed; install bowden-bench[sweep].") from None
     try:
-        client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = dask.Client(
+            address if tls is None or "://" in address else f"tls://{address}", timeout=CONNECT_S, set_as_default=False,
+            security=None if tls is None else dask.Security(require_encryption=True, **_certificates(tls)))
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: does not answer ({error}); give its address, host:port.") from None
     with client:
@@ -62,6 +72,15 @@ def cluster(address: str) -> Iterator[Workers]:
         if not count:
             raise InputError(f"--scheduler {address}: has no workers; start some.")
         yield Workers(client.get_executor(pure=False), count)
+
+
+def _certificates(folder: Path) -> dict[str, str]:
+    """Return what `distributed.Security` takes of a folder; raises `InputError` where a file is missing."""
+    for name in TLS_FILES:
+        if not (folder / name).is_file():
+            raise InputError(f"--scheduler-tls {folder}: has no {name}; expected are {', '.join(TLS_FILES)}.")
+    ca, certificate, key = (str(folder / name) for name in TLS_FILES)
+    return {"tls_ca_file": ca, "tls_client_cert": certificate, "tls_client_key": key}
 
 
 def sweep(

@@ -187,6 +187,7 @@ def test_any_subset_of_the_signals_is_looked_at(
 @pytest.mark.parametrize(("arguments", "says"), [
     (["a.csv", "--each", "-o", "x.toml"], "leave -o out"),
     (["a.csv", "--workers", "2"], "--workers belongs to --each"),
+    (["a.csv", "--scheduler-tls", "."], "--scheduler-tls belongs to --scheduler"),
     (["a.csv", "--scheduler", "127.0.0.1:9"], "--scheduler belongs to --each"),
 ])
 def test_what_each_trial_for_itself_cannot_have(arguments: list[str], says: str, bowden: Run, here: Path) -> None:

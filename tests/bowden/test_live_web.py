@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 import re
@@ -19,7 +20,7 @@ import pytest
 import trial
 from bowden.live import feeds
 from bowden.live.state import LiveState
-from bowden.live.web import LivePage, address
+from bowden.live.web import MOST_PENDING, LivePage, address
 from eds.bench_network import Network
 from parameters import InputError
 from trial.convert.frames import rows_of
@@ -157,6 +158,24 @@ def test_a_stop_needs_token_and_origin_and_happens_once_asked() -> None:
         assert ask(served, "/stop", "POST", Origin=own, X_Bowden_Token=served.token)[0] == 202
         assert asked == [1]
         assert first_message(served)["stop"] == {"can": True, "why": "", "asked": True}
+
+
+def test_the_stop_button_is_reached_under_two_hundred_half_open_connections() -> None:
+    """Each of them sends half a request; the oldest are closed, and whoever asks for something is heard."""
+    asked: list[int] = []
+    with page(stop=lambda: asked.append(1)) as served, contextlib.ExitStack() as opened:
+        silent = []
+        for _ in range(200):
+            client = opened.enter_context(socket.create_connection(("127.0.0.1", served.port), PATIENCE_S))
+            client.sendall(b"GET / HTTP/1.1\r\nHost: ")
+            silent.append(client)
+        headers = {"Origin": f"http://127.0.0.1:{served.port}", "X_Bowden_Token": served.token}
+        assert ask(served, "/stop", "POST", **headers)[0] == 202
+        assert asked == [1]
+        assert ask(served, "/")[0] == 200
+        for client in silent[:200 - MOST_PENDING - 2]:
+            with contextlib.suppress(ConnectionResetError):
+                assert client.recv(1) == b"", "the oldest are closed"
 
 
 def test_who_cannot_stop_the_bench_says_what_to_press() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+import subprocess
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -17,6 +19,7 @@ from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import FIGURES
 from bowden.sweep.sweep_table import SweepTable
+from parameters import InputError
 from physics.calibration import nominal, write
 
 SHORT = ("--grid", "cycles=2", "--grid", "period=0.6", "--grid", "controller=none")
@@ -134,6 +137,35 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_table(bowden: Callable[...
         for name in ("far.csv", "near.csv"))
     assert far_lines == near_lines
     assert len(far_lines) == 3
+
+
+@pytest.mark.exhaustive
+@pytest.mark.walltime
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
+def test_a_dask_cluster_with_certificates_takes_no_one_without(here: Path) -> None:
+    dask = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=bench",
+                    "-keyout", "key.pem", "-out", "cert.pem"], cwd=here, check=True, capture_output=True)
+    shutil.copy(here / "cert.pem", here / "ca.pem")
+    ca, certificate, key = (str(here / name) for name in run.TLS_FILES)
+    security = dask.Security(require_encryption=True, tls_ca_file=ca, **{
+        f"tls_{who}_{what}": file for who in ("client", "scheduler", "worker")
+        for what, file in (("cert", certificate), ("key", key))})
+    with dask.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, processes=False,
+                           security=security, protocol="tls://") as cluster:
+        with run.cluster(cluster.scheduler_address.removeprefix("tls://"), here) as workers:
+            assert workers.executor.submit(sum, (1, 2)).result() == 3
+        with pytest.raises(InputError, match="give certificates"), run.cluster(cluster.scheduler_address):
+            pass
+
+
+def test_certificates_that_are_not_there_are_named(bowden: Callable[..., Any], here: Path) -> None:
+    told = bowden("sweep", *SHORT, "--scheduler", "127.0.0.1:9", "--scheduler-tls", here, "-o", "t.csv")
+    assert told.status == 2
+    assert "has no ca.pem" in told.stderr
+    alone = bowden("sweep", *SHORT, "--scheduler-tls", here, "-o", "u.csv")
+    assert alone.status == 2
+    assert "belongs to --scheduler" in alone.stderr
 
 
 def test_each_cell_of_the_grid_has_a_line_with_why_its_trials_stopped() -> None:
