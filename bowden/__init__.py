@@ -18,6 +18,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bowden.any_node import Node
     from bowden.buses import BusSettings, bus, simulated
     from bowden.diagnosing import Diagnosis, DiagnosisResult
     from bowden.experiment import Experiment, run
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
 _HOMES = {
     "BenchModel": "bowden.model_files", "BusSettings": "bowden.buses", "Diagnosis": "bowden.diagnosing",
     "DiagnosisResult": "bowden.diagnosing", "Experiment": "bowden.experiment", "InputError": "parameters",
-    "Progress": "bowden.progress", "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
+    "Node": "bowden.any_node", "Progress": "bowden.progress",
+    "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
     "Trial": "bowden.recorded_trial", "WalkPlan": "bowden.planning", "bus": "bowden.buses",
     "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
     "read": "bowden.recorded_trial:read_trial",
@@ -45,9 +47,9 @@ _HOMES = {
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
-    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Progress", "Simulation",
-    "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read", "read_model", "run", "simulate",
-    "simulated", "write_model",
+    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Node", "Progress",
+    "Simulation", "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read", "read_model",
+    "run", "simulate", "simulated", "write_model",
 ]
 
 

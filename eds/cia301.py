@@ -189,16 +189,3 @@ class Emcy(IntEnum):
     OVER_RANGE = 0xF001, 0x21, "process value outside the sensor's span"
     TENSION_LIMIT = 0xFF01, 0x81, "rope tension above its limit"
 
-
-_CLASSES: Final = {
-    0x0000: "no error", 0x1000: "generic error", 0x2000: "current", 0x3000: "voltage", 0x4000: "temperature",
-    0x5000: "device hardware", 0x6000: "device software", 0x7000: "additional modules", 0x8000: "monitoring",
-    0x9000: "external error", 0xF000: "additional functions or device-specific",
-}
-"""Error classes by the first digit of the code (CiA 301, table 26)."""
-
-
-def emcy_text(code: int) -> str:
-    """Say an EMCY error code in words: its own where this bench knows it, else those of its class."""
-    known = next((emcy for emcy in Emcy if emcy == code), None)
-    return known.text if known is not None else _CLASSES.get(code & 0xF000, "reserved error code")

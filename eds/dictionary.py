@@ -7,7 +7,7 @@ never guesses; `eds.check` is the one that complains.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -20,6 +20,7 @@ from parameters import InputError
 
 VAR, ARRAY, RECORD, DOMAIN_OBJECT = 0x7, 0x8, 0x9, 0x2
 PACKAGED: Final = ("servo_drive", "knee_drive", "tension_sensor")
+_EMERGENCIES: Final = re.compile(r"(emcy|emergency)[ _]?(error)?[ _]?codes?", re.IGNORECASE)
 _DUMMY: Final = re.compile(r"dummy[0-9a-f]{4}", re.IGNORECASE)
 
 
@@ -78,7 +79,10 @@ class Object:
 
 @dataclass(frozen=True)
 class Dictionary:
-    """What an EDS or DCF says, `$NODEID` resolved; `info` is DeviceInfo with lower-case keys."""
+    """Content of an EDS or DCF, `$NODEID` resolved.
+
+    `info` is DeviceInfo with lower-case keys, `emergencies` the maker's own EMCY error codes in words.
+    """
 
     path: str
     entries: Mapping[int, Entry]
@@ -86,6 +90,7 @@ class Dictionary:
     dummies: frozenset[int] = frozenset()
     node_id: int | None = None
     info: Mapping[str, str] = field(default_factory=dict)
+    emergencies: Mapping[int, str] = field(default_factory=dict)
 
     def initial(self, index: int, subindex: int = 0) -> int:
         """Give the start value of an integer object; `InputError` where the file has no such object."""
@@ -129,7 +134,8 @@ def build(path: str, found: list[ini.Section], node_id: int | None = None) -> Di
         raise InputError(f"{path}: no object section (like [1000]) in it; an EDS or DCF (CiA 306) was expected.")
     info = sections.get("deviceinfo")
     return Dictionary(path, dict(sorted(entries.items())), objects, _dummies(sections.get("dummyusage")), node_id,
-                      {item.key.lower(): item.value for item in reversed(info.items)} if info else {})
+                      {item.key.lower(): item.value for item in reversed(info.items)} if info else {},
+                      _emergencies(sections.values()))
 
 
 def packaged(name: str) -> Path:
@@ -209,6 +215,15 @@ def _objects(sections: Mapping[str, ini.Section], entries: Mapping[int, Entry]) 
                       tuple(subs.get(index, ())))
         for index in sorted({*heads, *subs})
     }
+
+
+def _emergencies(sections: Iterable[ini.Section]) -> dict[int, str]:
+    """Read the maker's EMCY error codes, `0xFF01=text`, from sections such as [EmcyCodes] or [EmergencyErrorCodes].
+
+    CiA 306 has no such section, so that its name is left to the maker.
+    """
+    return {code: item.value for section in sections if _EMERGENCIES.fullmatch(section.name)
+            for item in section.items if (code := number(item.key)) is not None and 0 <= code <= 0xFFFF}
 
 
 def _dummies(section: ini.Section | None) -> frozenset[int]:

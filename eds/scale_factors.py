@@ -77,6 +77,36 @@ def scales(dictionary: Dictionary) -> dict[int, float]:
     return dict(_scales(dictionary))
 
 
+_SYMBOLS: Final = {0x01: "m", 0x10: "rad", 0x21: "N", 0x41: "rad", 0x42: "rad", 0x43: "rad", 0xB4: "rad"}
+"""SI unit of the numerators of `_UNITS`."""
+UNIT_OBJECTS: Final = ((0x60A8, 0), (0x60A9, 0), (0x6076, 0), (0x6131, 1), (0x6132, 1))
+"""Objects that declare a device's units."""
+
+
+def units(dictionary: Dictionary) -> dict[int, tuple[float, str]]:
+    """SI per raw count and SI unit of every object whose unit the device declares, by key.
+
+    A unit word that is not known here, such as 0, leaves its objects out.
+    """
+    found: dict[int, tuple[float, str]] = {}
+    has = dictionary.entries.__contains__
+    for indices, index, subindex, per_second, factor in (
+        (_POSITIONS, 0x60A8, 0, "", position_unit), (_VELOCITIES, 0x60A9 if has(key(0x60A9)) else 0x60A8, 0, "/s",
+                                                     velocity_unit),
+        ((0x7130, 0x9130), 0x6131, 1, "", process_value_unit),
+    ):
+        if has(key(index, subindex)):
+            try:
+                scale = factor(dictionary)
+            except InputError:
+                continue
+            symbol = _SYMBOLS.get(dictionary.initial(index, subindex) >> 16 & 0xFF, "") + per_second
+            found.update({key(at, subindex): (scale, symbol) for at in indices})
+    if has(key(0x6076)) and dictionary.initial(0x6076):
+        found.update({key(at): (torque_unit(dictionary), "N·m") for at in _TORQUES})
+    return found
+
+
 def _scales(dictionary: Dictionary) -> Iterator[tuple[int, float]]:
     has = dictionary.entries.__contains__
     if has(key(0x60A8)):

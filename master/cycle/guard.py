@@ -10,8 +10,9 @@ import signal
 from collections.abc import Callable, Sequence
 
 from eds.bench_network import END, KNEE, SERVO, START, WireLayout
-from eds.cia301 import Emcy, NmtState, emcy_text
+from eds.cia301 import Emcy, NmtState
 from eds.cia402 import State, Status
+from eds.emcy_codes import emcy_text
 from master.cycle import repetition
 from master.cycle.blame import blamed
 from master.cycle.inputs import ORDER, CycleAnnotations, Inputs, places

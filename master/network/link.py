@@ -290,13 +290,13 @@ class Link:
             with suppress(*FAILURES):
                 task.stop()
 
-    def sdo_read(self, node_id: int, index: int, subindex: int = 0) -> bytes:
-        """Upload an object; raises `SdoError` with node, object and reason."""
-        return self._client(node_id).read(index, subindex)
+    def sdo_read(self, node_id: int, index: int, subindex: int = 0, *, block: bool = False) -> bytes:
+        """Upload an object, by block transfer if asked; raises `SdoError` with node, object and reason."""
+        return self._client(node_id).read(index, subindex, block)
 
-    def sdo_write(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
-        """Download an object; raises `SdoError` with node, object and reason."""
-        self._client(node_id).write(index, subindex, data)
+    def sdo_write(self, node_id: int, index: int, subindex: int, data: bytes, *, block: bool = False) -> None:
+        """Download an object, by block transfer if asked; raises `SdoError` with node, object and reason."""
+        self._client(node_id).write(index, subindex, data, block)
 
     def _client(self, node_id: int) -> Sdo:
         client = self._clients.get(node_id)

@@ -57,23 +57,31 @@ class _Client(SdoClient):
 
 
 class Sdo:
-    """SDO up- and downloads to one node, expedited or segmented; raises `SdoError`, and what the pump raises."""
+    """SDO up- and downloads to one node, expedited, segmented or block; raises `SdoError`, and what the pump raises."""
 
     def __init__(self, pump: Pump, node_id: int) -> None:
         self._client = _Client(pump, node_id)
         self._node_id = node_id
 
-    def read(self, index: int, subindex: int) -> bytes:
-        """The bytes of an object."""
+    def read(self, index: int, subindex: int, block: bool = False) -> bytes:
+        """Return the bytes of an object."""
         try:
+            if block:
+                with cast(Any, self._client).open(index, subindex, "rb", block_transfer=True) as stream:
+                    return bytes(stream.read())
             return bytes(self._client.upload(index, subindex))
         except (SdoAbortedError, SdoCommunicationError) as error:
             raise self._named(index, subindex, error) from error
 
-    def write(self, index: int, subindex: int, data: bytes) -> None:
+    def write(self, index: int, subindex: int, data: bytes, block: bool = False) -> None:
         """Write the bytes of an object."""
         try:
-            self._client.download(index, subindex, data)
+            if block:
+                with cast(Any, self._client).open(
+                        index, subindex, "wb", size=len(data), block_transfer=True) as stream:
+                    stream.write(data)
+            else:
+                self._client.download(index, subindex, data)
         except (SdoAbortedError, SdoCommunicationError) as error:
             raise self._named(index, subindex, error) from error
 

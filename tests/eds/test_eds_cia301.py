@@ -2,6 +2,7 @@
 
 from eds import cia301
 from eds.cia301 import NMT_TRANSITIONS, SERVICES, Abort, Emcy, NmtCommand, NmtState, Service
+from eds.emcy_codes import emcy_text
 
 
 def test_every_command_leads_somewhere_from_every_state_that_hears_it():
@@ -22,10 +23,10 @@ def test_transmission_types_allowed():
 
 
 def test_any_emcy_code_has_words():
-    assert cia301.emcy_text(0x8250) == "RPDO time-out"
-    assert cia301.emcy_text(0x2340) == "current"
-    assert cia301.emcy_text(0xB000) == "reserved error code"
-    assert all(cia301.emcy_text(code) for code in range(0, 0x10000, 0x80))
+    assert emcy_text(0x8250) == "RPDO time-out"
+    assert emcy_text(0x2340) == "short circuit, motor side"
+    assert emcy_text(0xB000) == "reserved error code"
+    assert all(emcy_text(code) for code in range(0, 0x10000, 0x80))
 
 
 def test_codes_are_what_they_say():

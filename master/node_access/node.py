@@ -1,0 +1,264 @@
+"""One CANopen node by its id: objects, PDOs, errors, NMT, identity.
+
+The rule of this file: a method answers with data; the words of a command line are the command's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cached_property
+from typing import Final, NamedTuple
+
+from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, ErrorRegister, NmtCommand, NmtState
+from eds.cia402 import Mode, state_of
+from eds.datatype import DataType, Value
+from eds.dictionary import Dictionary, Entry, key
+from eds.emcy_codes import emcy_text
+from eds.scale_factors import UNIT_OBJECTS, units
+from master.network.link import Link
+from master.network.sdo import SdoError
+from master.node_access import object_text, pdo_settings
+from parameters import InputError
+
+MASTER: Final = 127
+LISTEN_NS: Final = 1_200_000_000
+"""Time for which another master is listened for: longer than the heartbeat of 1 s that most masters send."""
+SENT_NS: Final = 10_000_000
+"""Time that a frame is given to leave the computer before its bus is closed."""
+BOOT_NS: Final = 3_000_000_000
+COMMANDS: Final = {
+    "start": NmtCommand.START, "stop": NmtCommand.STOP, "preop": NmtCommand.ENTER_PRE_OPERATIONAL,
+    "reset": NmtCommand.RESET_NODE, "reset-comm": NmtCommand.RESET_COMMUNICATION,
+}
+"""NMT commands by their words of the command line."""
+_KNOWN: Final = {key(0x1000): DataType.UNSIGNED32, key(0x1001): DataType.UNSIGNED8,
+                 key(0x1008): DataType.VISIBLE_STRING, key(0x1009): DataType.VISIBLE_STRING,
+                 key(0x100A): DataType.VISIBLE_STRING, key(0x1017): DataType.UNSIGNED16,
+                 key(0x6041): DataType.UNSIGNED16, key(0x6061): DataType.INTEGER8,
+                 **{key(0x1018, sub): DataType.UNSIGNED32 for sub in range(1, 5)}}
+"""Types of objects that every device has by its profile, for a node without an EDS."""
+_PROFILES: Final = {301: "generic", 401: "I/O module", 402: "drive", 404: "measuring device",
+                    405: "programmable device", 406: "encoder", 408: "hydraulic drive",
+                    410: "inclinometer", 418: "battery", 419: "charger"}
+
+
+class LiveObject(NamedTuple):
+    """One object: raw value or `refusal`, and whether the value is not the EDS's default (None: no default)."""
+
+    entry: Entry
+    value: Value | str | None
+    refusal: str
+    changed: bool | None
+
+
+class NodeError(NamedTuple):
+    """One line of the error history 0x1003: the code in words, and the manufacturer's word."""
+
+    code: int
+    text: str
+    more: int
+
+
+class Node:
+    """A node on a link; `dictionary` gives its objects names and types, None leaves both to the caller."""
+
+    def __init__(self, link: Link, node_id: int, dictionary: Dictionary | None = None) -> None:
+        if not 1 <= node_id <= 127:
+            raise InputError(f"node id {node_id}: is outside 1 … 127; give the id of a node, or scan for it.")
+        self.link, self.node_id, self.dictionary = link, node_id, dictionary
+
+    # ---- objects ----
+
+    def find(self, name: str) -> int:
+        """Return index << 8 | sub-index of an object given by place or name."""
+        return object_text.find(self.dictionary, name)
+
+    def kind(self, at: int, given: str | None = None) -> DataType | None:
+        """Return an object's data type: the given one, the EDS's, or that of CiA 301; None where it is not known."""
+        if given is not None:
+            return object_text.data_type(given)
+        entry = self.dictionary.entries.get(at) if self.dictionary is not None else None
+        return entry.data_type if entry is not None else _KNOWN.get(at)
+
+    def name(self, at: int) -> str:
+        """Return an object's name; empty without an EDS."""
+        return "" if self.dictionary is None else object_text.full_name(self.dictionary, at)
+
+    @cached_property
+    def units(self) -> dict[int, tuple[float, str]]:
+        """SI per raw count and unit by key, from the unit objects that the node holds now."""
+        if self.dictionary is None:
+            return {}
+        entries = dict(self.dictionary.entries)
+        for index, sub in UNIT_OBJECTS:
+            entry = entries.get(key(index, sub))
+            if entry is not None:
+                with suppress(SdoError):
+                    value = object_text.value_of(entry.data_type, self.link.sdo_read(self.node_id, index, sub))
+                    if isinstance(value, int):
+                        entries[entry.key] = dataclasses.replace(entry, value=value)
+        return units(dataclasses.replace(self.dictionary, entries=entries))
+
+    def read_bytes(self, at: int, *, block: bool = False) -> bytes:
+        """Read an object's bytes, expedited or segmented, or by block transfer; raises `SdoError`."""
+        return self.link.sdo_read(self.node_id, at >> 8, at & 0xFF, block=block)
+
+    def read(self, name: str, kind: str | None = None) -> Value | str:
+        """Read an object: a number, text, or bytes where its type is not known; raises `SdoError`, `InputError`."""
+        at = self.find(name)
+        return object_text.value_of(self.kind(at, kind), self.read_bytes(at))
+
+    def write_bytes(self, at: int, data: bytes, *, block: bool = False) -> None:
+        """Write an object's bytes; raises `SdoError`."""
+        self.link.sdo_write(self.node_id, at >> 8, at & 0xFF, data, block=block)
+
+    def write(self, name: str, value: str | float | bytes, kind: str | None = None) -> None:
+        """Write an object; raises `SdoError`, and `InputError` for a value that its type or limits exclude."""
+        at = self.find(name)
+        self.write_bytes(at, value if isinstance(value, bytes) else self.encoded(at, str(value), kind))
+
+    def encoded(self, at: int, text: str, kind: str | None = None) -> bytes:
+        """Return the bytes of a value; raises `InputError` for one that type, access or limits of the EDS exclude."""
+        where = " ".join(filter(None, (f"node {self.node_id}, {object_text.shown_key(at)}", self.name(at))))
+        data = object_text.encoded(self.kind(at, kind), text, where)
+        entry = self.dictionary.entries.get(at) if self.dictionary is not None else None
+        if entry is not None and kind is None:
+            if not entry.writable:
+                raise InputError(f"{where}: the EDS has AccessType={entry.access}; write another object.")
+            object_text.refuse_outside(entry, data, where)
+        return data
+
+    def objects(self) -> Iterator[LiveObject]:
+        """Read every object of the EDS; raises `InputError` without one."""
+        if self.dictionary is None:
+            raise InputError(f"node {self.node_id}: without its EDS its objects are not known; give --eds FILE.")
+        for entry in self.dictionary.entries.values():
+            if not entry.readable:
+                yield LiveObject(entry, None, "write-only", None)
+                continue
+            try:
+                value = object_text.value_of(entry.data_type, self.read_bytes(entry.key))
+            except SdoError as error:
+                yield LiveObject(entry, None, str(error).rpartition(": ")[2], None)
+                continue
+            default = entry.default
+            if isinstance(default, bytes) and isinstance(value, str):
+                default = object_text.value_of(entry.data_type, default)  # type: ignore[assignment]
+            yield LiveObject(entry, value, "", None if default is None else value != default)
+
+    # ---- PDOs, errors, identity ----
+
+    def pdos(self) -> list[pdo_settings.PdoState]:
+        """Read the settings of all PDOs."""
+        return list(pdo_settings.read_all(self.link, self.node_id, self.dictionary))
+
+    def map_pdo(self, name: str, objects: str) -> pdo_settings.PdoState:
+        """Map objects, such as `6041,6064`, into `tpdo1`; return the PDO as it is now."""
+        return pdo_settings.configure(self.link, self.node_id, pdo_settings.index_of(name),
+                                      pdo_settings.words(objects, self.dictionary))
+
+    def number(self, index: int, sub: int = 0) -> int | None:
+        """Read an unsigned number; None where the node has none."""
+        try:
+            return int.from_bytes(self.link.sdo_read(self.node_id, index, sub), "little")
+        except SdoError:
+            return None
+
+    def errors(self) -> tuple[list[str], list[NodeError]]:
+        """Return the bits of 0x1001 in words, and the history 0x1003, newest first; raises `SdoError`."""
+        register = self.link.sdo_read(self.node_id, 0x1001)[0]
+        bits = [bit.name.lower() for bit in ErrorRegister if register & bit and bit.name]
+        own = {} if self.dictionary is None else self.dictionary.emergencies
+        profile = (self.number(0x1000) or 0) & 0xFFFF
+        found = [self.number(0x1003, sub) or 0 for sub in range(1, (self.number(0x1003) or 0) + 1)]
+        return bits, [NodeError(word & 0xFFFF, emcy_text(word & 0xFFFF, profile, own), word >> 16) for word in found]
+
+    def clear_errors(self) -> None:
+        """Clear the history by writing 0 to 0x1003:00; raises `SdoError`."""
+        self.link.sdo_write(self.node_id, 0x1003, 0, b"\0")
+
+    def identity(self) -> dict[str, int]:
+        """Read 0x1000 and 0x1018; raises `SdoError` where the node does not answer."""
+        found = {"device_type": int.from_bytes(self.link.sdo_read(self.node_id, 0x1000), "little")}
+        for sub, name in enumerate(("vendor", "product", "revision", "serial"), 1):
+            value = self.number(0x1018, sub)
+            if value is None:
+                break
+            found[name] = value
+        return found
+
+    def info(self) -> dict[str, object]:
+        """Return identity, profile, versions, NMT state and drive state; raises `SdoError` for a silent node."""
+        told: dict[str, object] = dict(self.identity())
+        profile = int(str(told["device_type"])) & 0xFFFF
+        told["profile"] = f"CiA {profile} {_PROFILES.get(profile, '')}".strip() if profile else "no profile"
+        for index, name in ((0x1008, "name"), (0x1009, "hardware"), (0x100A, "software")):
+            with suppress(SdoError):
+                told[name] = self.link.sdo_read(self.node_id, index).rstrip(b"\0").decode("latin-1")
+        told["heartbeat_ms"] = self.number(0x1017)
+        told["nmt_state"] = self.nmt_state()
+        with suppress(SdoError):
+            told["errors"] = self.errors()[0]
+        if profile == 402:
+            word, mode = self.number(0x6041), self.number(0x6061)
+            state = None if word is None else state_of(word)
+            told["drive_state"] = None if state is None else state.title
+            told["mode"] = None if mode is None else next((one.name for one in Mode if one == mode), str(mode))
+        told["eds"] = None if self.dictionary is None else self.dictionary.path
+        return told
+
+    # ---- NMT ----
+
+    def nmt_state(self) -> str | None:
+        """Return the NMT state of the last heartbeat, or of one within 1.2 s; None where none comes."""
+        if self.node_id not in self.link.beats:
+            for message in self.link.listen(LISTEN_NS):
+                if message.arbitration_id == HEARTBEAT_BASE + self.node_id:
+                    break
+        beat = self.link.beats.get(self.node_id)
+        return None if beat is None else state_name(beat.state)
+
+    def nmt(self, command: str) -> str | None:
+        """Command the node's NMT state and return the state of its next heartbeat; None where none comes."""
+        return nmt(self.link, self.node_id, command)
+
+
+def state_name(state: int) -> str:
+    """Return the name of an NMT state byte."""
+    known = {int(one): one.name.replace("_", "-") for one in NmtState}
+    return "booted" if state == 0 else known.get(state, f"state {state}")
+
+
+def nmt(link: Link, node_id: int, command: str) -> str | None:
+    """Send an NMT command (`COMMANDS`) to a node, 0 for all; return the state that its next heartbeat shows.
+
+    After a reset the boot-up is awaited for 3 s, after another command a heartbeat for 1.2 s.
+    """
+    if command not in COMMANDS:
+        raise InputError(f"nmt {command}: is no command; give one of {', '.join(COMMANDS)}.")
+    link.beats.pop(node_id, None)
+    link.nmt(COMMANDS[command], node_id)
+    if not node_id:
+        link.wait(SENT_NS)
+        return None
+    deadline = link.clock() + (BOOT_NS if command.startswith("reset") else LISTEN_NS)
+    while node_id not in link.beats and link.receive(deadline) is not None:
+        pass
+    beat = link.beats.get(node_id)
+    return None if beat is None else state_name(beat.state)
+
+
+def other_master(link: Link) -> str | None:
+    """Listen for 1.2 s; return in words what shows that another master is on the bus, None where nothing does."""
+    link.rivals.clear()
+    for message in link.listen(LISTEN_NS):
+        can_id = message.arbitration_id
+        if can_id == HEARTBEAT_BASE + MASTER:
+            return f"its heartbeat {can_id:X}h is on the bus"
+        if can_id == NMT_COB_ID and message.is_rx:
+            return "it sends NMT commands"
+        if SDO_REQUEST_BASE < can_id <= SDO_REQUEST_BASE + 127:
+            return f"it sends SDO requests to node {can_id - SDO_REQUEST_BASE}"
+    return None
