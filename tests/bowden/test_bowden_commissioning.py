@@ -1,0 +1,34 @@
+"""docs/commissioning.md, typed in its order on one virtual drive at node id 5."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bowden.testing import CanBus
+from eds import packaged
+
+PAGE = (Path(__file__).parents[2] / "docs" / "commissioning.md").read_text(encoding="utf-8")
+
+
+def test_the_page_shows_what_its_commands_print(bowden: Callable[..., Any], can_bus: CanBus, here: Path) -> None:
+    (here / "eds").mkdir()
+    shutil.copy(packaged("knee_drive"), here / "eds" / "drive.eds")
+    can_bus.add_node("knee_drive", 5)
+    can_bus.open()
+    for block in re.findall(r"```console\n(.*?)```", PAGE, re.DOTALL):
+        for command in re.split(r"(?m)^\$ ", block)[1:]:
+            line, _, shown = command.partition("\n")
+            bus = () if "emcy" in line else ("--interface", "bowden", "--channel", can_bus.channel)
+            told = bowden(*shlex.split(line)[1:], *bus)
+            assert told.stdout + told.stderr == shown.rstrip() + "\n", line
+
+
+def test_the_python_of_the_page_runs(capsys: Any) -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    exec(compile(program, "commissioning.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("CiA 402 drive\n")
