@@ -16,14 +16,13 @@ from bowden.cli.command import CommandGroup
 from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
-    from eds.bench_network import NodeEntry
     from eds.dictionary import Dictionary
-    from master.network.dcf import ParameterDifference
+    from master.network.dcf import DescribedNode, ParameterDifference
     from master.network.link import Link
     from master.node_access.node import Node
     from master.node_access.pdo_settings import PdoState
 
-Act = Callable[["Link", "NodeEntry", "Dictionary"], "list[ParameterDifference]"]
+Act = Callable[["Link", "DescribedNode", "Dictionary"], "list[ParameterDifference]"]
 node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.",
                     rich_markup_mode=None)
 app.add_typer(node, name="node")
@@ -466,10 +465,11 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
 
 @contextmanager
 def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
-               **guarded: bool) -> Iterator[tuple[Link, NodeEntry]]:
+               **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
     """Give a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
-    from eds.bench_network import NodeEntry, wire
+    from eds.bench_network import wire
     from eds.cia301 import NmtCommand
+    from master.network.dcf import NamedNode
     from parameters import InputError
 
     known = {entry.name: entry for entry in wire(reached.sections(config)["network"]).nodes.values()}
@@ -480,7 +480,7 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
             raise InputError(f"node {one.node_id}: no EDS fits it; give --eds FILE or a folder of them.")
         if name in known:
             one.link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, one.node_id)
-        yield one.link, NodeEntry(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
+        yield one.link, NamedNode(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
 
 
 @contextmanager

@@ -10,10 +10,9 @@ import re
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from eds import ini
-from eds.bench_network import NodeEntry
 from eds.cia301 import SIGNATURE_SAVE
 from eds.datatype import Value, decode, encode
 from eds.dictionary import Dictionary, Entry, key
@@ -29,6 +28,27 @@ _PDOS: Final = range(0x1400, 0x1C00)
 _EPOCH: Final = datetime(1984, 1, 1)
 _SECTION: Final = re.compile(r"^\s*\[([^\]]*)\]")
 _GIVEN: Final = re.compile(r"^\s*ParameterValue\s*=", re.IGNORECASE)
+
+
+class DescribedNode(Protocol):
+    """A node with its dictionary, such as `eds.bench_network.NodeEntry`; `name` is for messages."""
+
+    @property
+    def node_id(self) -> int: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def dictionary(self) -> Dictionary: ...
+
+
+class NamedNode(NamedTuple):
+    """A node outside the bench's declaration, as a `DescribedNode`."""
+
+    node_id: int
+    name: str
+    dictionary: Dictionary
 
 
 class ParameterDifference(NamedTuple):
@@ -49,7 +69,7 @@ def parameters(dictionary: Dictionary) -> Iterator[Entry]:
             yield entry
 
 
-def backup(link: Link, node: NodeEntry, unread: list[str] | None = None) -> dict[int, Value]:
+def backup(link: Link, node: DescribedNode, unread: list[str] | None = None) -> dict[int, Value]:
     """Read every parameter of a node, by key; what the node does not tell is left out and named in `unread`."""
     found: dict[int, Value] = {}
     for entry in parameters(node.dictionary):
@@ -71,7 +91,7 @@ def _value(link: Link, node_id: int, entry: Entry) -> Value | None:
 IDENTITY: Final = ((0x1000, 0, "device type"), (0x1018, 1, "vendor"), (0x1018, 2, "product code"))
 
 
-def refuse_other(link: Link, node: NodeEntry, dictionary: Dictionary, what: str) -> None:
+def refuse_other(link: Link, node: DescribedNode, dictionary: Dictionary, what: str) -> None:
     """Raise `InputError` where the node on the bus is another device than the one that `dictionary` describes.
 
     Compares device type (0x1000), vendor and product (0x1018); what the dictionary leaves open is not asked.
@@ -115,7 +135,7 @@ def _shown(value: Value) -> str:
     return repr(value)
 
 
-def compare(link: Link, node: NodeEntry, file: Dictionary) -> list[ParameterDifference]:
+def compare(link: Link, node: DescribedNode, file: Dictionary) -> list[ParameterDifference]:
     """The parameters that the file gives a value and the node holds another one for."""
     return [
         ParameterDifference(entry.index, entry.subindex, entry.name, entry.value, found)
@@ -124,7 +144,7 @@ def compare(link: Link, node: NodeEntry, file: Dictionary) -> list[ParameterDiff
     ]
 
 
-def restore(link: Link, node: NodeEntry, file: Dictionary) -> list[ParameterDifference]:
+def restore(link: Link, node: DescribedNode, file: Dictionary) -> list[ParameterDifference]:
     """Write what differs and the file's date (0x1020), store them in the node (0x1010), and say what it was.
 
     Raises `InputError` where the node refuses a value.
