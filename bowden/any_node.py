@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from eds.dictionary import PACKAGED, Dictionary, packaged, read
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
-from master.node_access import node as access
+from master.node_access import remote_node as access
 from master.node_access import scan
 from parameters import InputError
 
@@ -42,7 +42,7 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
     if eds is not None and not eds.is_dir():
         return read(eds, node_id)
     try:
-        identity = access.Node(link, node_id).identity()
+        identity = access.NodeAccess(link, node_id).identity()
     except SdoError as error:
         raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
     files = [packaged(name) for name in PACKAGED] if eds is None else scan.files_of(eds)
@@ -53,7 +53,7 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
     return found
 
 
-class Node(access.Node):
+class Node(access.NodeAccess):
     """Any CANopen node, as a context manager that opens its bus.
 
     `eds` is a file or a folder of them; `bus` comes from `bowden.bus()` and is the simulated bench without one. Raises

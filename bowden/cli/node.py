@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from eds.dictionary import Dictionary
     from master.network.dcf import DescribedNode, ParameterDifference
     from master.network.link import Link
-    from master.node_access.node import Node
     from master.node_access.pdo_settings import PdoState
+    from master.node_access.remote_node import NodeAccess
 
 Act = Callable[["Link", "DescribedNode", "Dictionary"], "list[ParameterDifference]"]
 node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.",
@@ -255,7 +255,7 @@ def _transmission(kind: int) -> str:
     return "event-driven" if kind >= 254 else "on remote request"
 
 
-def _read_or_none(one: Node, at: int) -> Any:
+def _read_or_none(one: NodeAccess, at: int) -> Any:
     from master.network.sdo import SdoError
     from master.node_access import object_text
 
@@ -265,7 +265,7 @@ def _read_or_none(one: Node, at: int) -> Any:
         return None
 
 
-def _mapped(given: list[str], one: Node) -> dict[int, list[int]]:
+def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
     from master.node_access import pdo_settings
     from parameters import InputError
 
@@ -337,7 +337,7 @@ def nmt(
     Example: bowden node nmt 3 start
     """
     from bowden.any_node import linked
-    from master.node_access import node as access
+    from master.node_access import remote_node as access
 
     if command not in access.COMMANDS:
         from parameters import InputError
@@ -485,21 +485,21 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
 
 @contextmanager
 def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, force: bool = False,
-          acts: bool = False) -> Iterator[Node]:
+          acts: bool = False) -> Iterator[NodeAccess]:
     """Give a node on its bus; `acts`: refuse while another master is there, unless `force`."""
     from bowden.any_node import dictionary_of, linked
-    from master.node_access.node import Node
+    from master.node_access.remote_node import NodeAccess
 
     node_id = _node_id(name, reached, config)
     with linked(reached.chosen(), _bitrate(reached, config)) as link:
         if acts:
             _refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)
-        yield Node(link, node_id, dictionary_of(link, node_id, eds))
+        yield NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
 
 
 def _refuse_other_master(link: Link, force: bool) -> None:
-    from master.node_access.node import other_master
+    from master.node_access.remote_node import other_master
     from parameters import InputError
 
     if not force and (seen := other_master(link)):

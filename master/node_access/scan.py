@@ -12,7 +12,7 @@ from eds.dictionary import Dictionary, key
 from eds.notation import number
 from master.network.link import Link
 from master.network.sdo import SdoError
-from master.node_access.node import LISTEN_NS, MASTER, Node, state_name
+from master.node_access.remote_node import LISTEN_NS, MASTER, NodeAccess, state_name
 from parameters import InputError
 
 ASK_1000: Final = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))
@@ -55,7 +55,7 @@ def _found(link: Link, node_id: int, answers: bool, files: Sequence[Path]) -> Fo
     identity = None
     if answers:
         try:
-            identity = Node(link, node_id).identity()
+            identity = NodeAccess(link, node_id).identity()
         except SdoError:
             identity = None
     fits = None if identity is None else fitting(identity, files, node_id)

@@ -61,7 +61,7 @@ class NodeError(NamedTuple):
     more: int
 
 
-class Node:
+class NodeAccess:
     """A node on a link; `dictionary` gives its objects names and types, None leaves both to the caller."""
 
     def __init__(self, link: Link, node_id: int, dictionary: Dictionary | None = None) -> None:
