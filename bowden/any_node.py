@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from eds.dictionary import PACKAGED, Dictionary, packaged, read
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
+from master.node_access import node_scan
 from master.node_access import remote_node as access
-from master.node_access import scan
 from parameters import InputError
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
         identity = access.NodeAccess(link, node_id).identity()
     except SdoError as error:
         raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
-    files = [packaged(name) for name in PACKAGED] if eds is None else scan.files_of(eds)
-    found = scan.fitting(identity, files, node_id)
+    files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
+    found = node_scan.fitting(identity, files, node_id)
     if found is None and eds is not None:
         raise InputError(f"{eds}: no EDS in it fits node {node_id} (vendor 0x{identity.get('vendor', 0):08X}, product "
                          f"0x{identity.get('product', 0):08X}); add the device's file or name it.")

@@ -47,7 +47,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: opt
     """
     from bowden.any_node import linked
     from eds.dictionary import PACKAGED, packaged
-    from master.node_access import scan as scanning
+    from master.node_access import node_scan as scanning
 
     files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
     with linked(reached.chosen(), _bitrate(reached, config)) as link:
