@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 
 MODULES = (
-    "trial", "replay", "identify", "sweep", "bench", "commission", "acknowledge", "doctor", "node", "files", "diagnose",
-    "fit", "simulate", "verify", "report", "live", "convert", "recordings", "record", "setup", "logbook",
+    "trial", "replay", "identify", "sweep", "bench", "commission", "acknowledge", "doctor", "node", "monitor", "files",
+    "diagnose", "fit", "simulate", "verify", "report", "live", "convert", "recordings", "record", "setup", "logbook",
 )
 
 

@@ -1,0 +1,94 @@
+"""`bowden monitor`: a conversation on the bus, live and from a log, in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from bowden.testing import CanBus
+from bowden.testing.conversation import SdoStep, converse
+from eds import packaged
+
+Run = Callable[..., Any]
+STEPS = [SdoStep(0x1018, 1), SdoStep(0x1008, 0), SdoStep(0x1008, 0, block=True), SdoStep(0x1017, 0, b"\x64\x00"),
+         SdoStep(0x1018, 1, b"\0\0\0\0"), SdoStep(0x9999, 0)]
+
+
+@pytest.fixture
+def log(can_bus: CanBus, here: Path) -> Path:
+    """A candump log of a boot, SDO transfers of every kind, NMT, PDOs and an EMCY of our knee drive."""
+    node = can_bus.add_node("knee_drive", 5)
+    converse(can_bus, 5, STEPS)
+    can_bus.send(0x000, b"\x01\x05")
+    can_bus.send(0x7E5, b"\x04\x01" + bytes(6))
+    can_bus.run(0.15)
+    node.emergency(0x4310, register=0x08)
+    can_bus.run(0.01)
+    with can.CanutilsLogWriter(here / "bus.log", channel="can0") as writer:
+        for frame in can_bus.frames():
+            writer.on_message_received(can.Message(frame.time_ns / 1e9, frame.cob_id, data=frame.data,
+                                                   is_extended_id=False))
+    return here / "bus.log"
+
+
+def words(bowden: Run, *more: object) -> list[str]:
+    told = bowden("monitor", *more, "--eds", f"5={packaged('knee_drive')}", "--json")
+    assert told.status == 0, told.stderr
+    return [json.loads(line)["text"] for line in told.stdout.splitlines()]
+
+
+def test_a_log_is_told_in_words(bowden: Run, log: Path) -> None:
+    told = words(bowden, log)
+    name = "1008:00 Manufacturer device name"
+    for line in ("boot-up", "SDO read 1018:01 Identity object: Vendor-ID = 11591168 (0x00B0DE00)",
+                 "SDO write 1017:00 Producer heartbeat time = 100 (0x0064)", "NMT start, node 5",
+                 "heartbeat OPERATIONAL",
+                 "SDO abort of 1018:01 Identity object: Vendor-ID: 0x06010002 attempt to write a read-only object",
+                 "SDO abort of 9999:00: 0x06020000 object does not exist in the object dictionary",
+                 "EMCY 4310 excess temperature of the drive, register 09",
+                 "LSS: switch state 01 00 00 00 00 00 00"):
+        assert line in told, line
+    assert told.count(f"SDO read {name} = 'Bowden knee drive'") == 2
+    assert any(line.startswith("tpdo1: Statusword ") for line in told)
+
+
+def test_what_is_shown_can_be_chosen(bowden: Run, log: Path) -> None:
+    assert words(bowden, log, "--only", "emcy") == ["EMCY 4310 excess temperature of the drive, register 09"]
+    assert words(bowden, log, "--node", "6") == []
+    told = bowden("monitor", log, "--table", "--json")
+    table = json.loads(told.stdout)
+    assert (told.status, table["lost"]) == (0, 0)
+    assert sum(each["frames"] for each in table["identifiers"]) == len(log.read_text().splitlines())
+
+
+def test_a_live_bus_is_told_too(bowden: Run, can_bus: CanBus, here: Path) -> None:
+    can_bus.add_node("knee_drive", 5)
+    can_bus.open()
+    can_bus.after(0.1, lambda: can_bus.send(0x000, b"\x01\x00"))
+    at = "--interface", "bowden", "--channel", can_bus.channel, "--for", "0.2"
+    told = words(bowden, *at)
+    assert "NMT start, all nodes" in told
+    assert any(line.startswith("tpdo1: Statusword ") for line in told)
+    full = can_bus.open()
+    assert full.lost == 0
+
+
+@pytest.mark.parametrize("more", [
+    ("absent.log",), ("--only", "pdo,nothing"), ("--node", "x"), ("--eds", "knee.eds"), ("--eds", "5=absent.eds")])
+def test_bad_input_is_one_sentence(bowden: Run, here: Path, more: tuple[str, ...]) -> None:
+    told = bowden("monitor", *more)
+    assert (told.status, told.stdout, told.stderr.count("\n")) == (2, "", 1), told
+
+
+def test_unreadable_frames_are_shown_as_bytes(bowden: Run, here: Path) -> None:
+    (here / "odd.log").write_text(
+        "(0.000000) can0 085#01\n(0.100000) can0 000#01\n(0.200000) can0 585#43\n(0.300000) can0 185#01\n"
+        "(0.400000) can0 0CF00400#0102\n(0.500000) can0 123#\n(0.600000) can0 705#\n")
+    assert words(bowden, "odd.log") == [
+        "EMCY of 1 bytes: 01", "NMT of 1 bytes: 01", "SDO frame of 1 bytes: 43", "tpdo1: 1 bytes in place of 2: 01",
+        "extended identifier: 01 02", "", "heartbeat empty"]
