@@ -19,7 +19,7 @@ from physics.laws import Array
 NAMES: Final = (
     "zero", "arm", "arm2", "arm3", "eccentric_sin", "eccentric_cos", "drum", "play", "gap",
     "stiffness", "curve2", "curve3", "lead", "before", "prompt", "slow", "creep", "creep_time",
-    "cable", "bend", "load", "drift", "viscous", "dry",
+    "cable", "bend", "load", "drift", "viscous", "drag", "dry",
     "fabric", "wrap", "cable_travel", "fabric_travel",
     "cable_rest", "fabric_rest", "rest_speed", "memory",
 )
@@ -32,12 +32,13 @@ stretch, `curve2`, `curve3` its quadratic and cubic shares.  `lead` m/N: complia
 share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with time constants
 `PROMPT_S`, `SLOW_S`; `creep` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ
 at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee angle; `wrap` 1/rad: that of
-the fabric's.  `load`: relative change of both for each 40 N; `drift`: over the trial.  `viscous` N·s/m; `dry` N:
-friction that no load changes.  `cable_travel`, `fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`:
-relative excess of static over sliding friction, `rest_speed` m/s the Stribeck speed, `memory` s its lag."""
+the fabric's.  `load`: relative change of both for each 40 N; `drift`: over the trial.  `viscous` N·s/m: viscous
+friction that a loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no load changes.
+`cable_travel`, `fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`: relative excess of static over
+sliding friction, `rest_speed` m/s the Stribeck speed, `memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, LEAD, BEFORE, PROMPT, SLOW, CREEP,
- CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRY, FABRIC, WRAP, CABLE_TRAVEL, FABRIC_TRAVEL, CABLE_REST,
+ CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, CABLE_TRAVEL, FABRIC_TRAVEL, CABLE_REST,
  FABRIC_REST, REST_SPEED, MEMORY) = range(len(NAMES))
 KNEE_RAD: Final = -0.5
 """Knee angle, rad, to which exponents and anchor displacement refer: about that of the loading, 13–20 % of gait."""
@@ -157,7 +158,8 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
         e2 = half * p[FABRIC, j] * max(0.05, 1.0 + p[WRAP, j] * bend) * max(
             0.1, 1.0 + p[LOAD, j] * (0.5 * (z[T1, j] + z[T2, j]) - LOAD_N) / 40.0) * (
             1.0 + p[FABRIC_REST, j] * vs / (vs + z[SPEED2, j] * z[SPEED2, j]))
-        grease = (p[VISCOUS, j] * z[T0, j] / (z[T0, j] + GREASE_N) + LIGHT) / dt
+        grease = (p[VISCOUS, j] * z[T0, j] / (z[T0, j] + GREASE_N) + p[DRAG, j] * z[T0, j] / (z[T0, j] + SOFT_N)
+                  + LIGHT) / dt
         light = LIGHT / dt
         stiff, c2, c3 = p[STIFF, j], p[CURVE2, j], p[CURVE3, j]
         dry = p[DRY, j]

@@ -58,6 +58,7 @@ TABLE: Final = (
     _C("load", "", 0.0, "linear", 0.15, 0.02, "relative change of friction for 40 N of tension"),
     _C("drift", "", 0.0, "linear", 0.0, 0.0, "relative change of friction over the trial", step=0.02),
     _C("viscous", "N·s/m", 8.0, "positive", 8.0, 0.7, "viscous friction of rope in sheath", 1.0),
+    _C("drag", "N·s/m", 0.0, "linear", 0.0, 0.0, "viscous friction of the taut rope at any load", step=0.3),
     _C("dry", "N", 0.05, "log", 0.8, 0.15, "friction that no load changes"),
     _C("fabric", "", 0.12, "log", 0.6, 0.05, "(7): exponent μ2·φ at the loaded knee; session 5 %"),
     _C("wrap", "1/rad", 0.9, "linear", 0.6, 0.05, "relative change of the fabric's exponent with knee angle"),
@@ -84,7 +85,7 @@ TABLE: Final = (
     _C("drive_offset", "N", 0.0, "linear", 0.5, 0.05, "constant force at the drum that no sensor reads"),
     _C("drive_asymmetry", "", 0.0, "linear", 0.05, 0.01, "Coulomb friction one way more than the other"),
     _C("drive_viscous_asymmetry", "", 0.0, "linear", 0.05, 0.01, "viscous friction one way more than the other"),
-    _C("drive_travel", "m", 4e-5, "log", 0.8, 0.1, "pre-sliding distance of the servo"),
+    _C("drive_travel", "m", 4e-5, "log", 0.8, 0.25, "pre-sliding distance of the servo"),
     _C("demand_gain", "", 1.0, "linear", 0.005, 0.003, "force that the servo gives over force that it reports"),
 )
 """Every constant.  Session deviations: published tolerances of like benches, and a quarter of how far friction and
@@ -149,6 +150,6 @@ def named(q: Array) -> dict[str, float]:
 
 BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "curve3": (0.0, 5.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
-    "drift": (-0.95, 3.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0), "end_gain": (0.3, 3.0),
-    "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
+    "drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
+    "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
 """Bounds that keep the force balance solvable: rising force over stretch, positive friction."""

@@ -95,7 +95,8 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
     half = np.concatenate([np.tile(b % FOLDS, len(observed.outputs)) for b in blocks])
     left = before.copy()
     for fold in range(FOLDS):
-        seen = Observed(observed.trials, observed.features, np.where(half == fold, 1e-9, observed.weight))
+        seen = Observed(observed.trials, observed.features, np.where(half == fold, 1e-9, observed.weight),
+                        observed.tau, observed.cost)
         at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
         left = np.where(half == fold, rest(observed, at), left)
     return HeldOut(observed, before, left, blocks)

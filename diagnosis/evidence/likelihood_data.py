@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfiltfilt, sosfreqz
 
 from diagnosis.data.table import Table
 from physics.laws import Array
@@ -45,7 +45,7 @@ class Recording:
         rate = 1.0 / float(np.median(np.diff(time)))
         grid = np.arange(time[0], time[-1], GRID_S)
         grid = grid[:grid.size // BIN * BIN]
-        sos = butter(2, min(LOWPASS_HZ, 0.45 * rate), fs=rate, output="sos")
+        sos = _lowpass(rate)
 
         def sampled(name: str) -> Array:
             return np.asarray(np.interp(grid, time, sosfiltfilt(sos, table[name])))
@@ -63,6 +63,9 @@ class Recording:
         self.skip = round(START_S / GRID_S / BIN)
         self.ratio = self._ratio()
         self.noise_n = {name: _noise(table[name], rate) for name in self.outputs}
+        if "tension_end_n" in self.noise_n:  # the datum is END less the ratio times START
+            self.noise_n["tension_end_n"] = float(np.hypot(
+                self.noise_n["tension_end_n"], np.sqrt(np.mean(self.ratio**2)) * self.noise_n["tension_start_n"]))
         slow = sosfiltfilt(butter(2, 15.0, fs=1.0 / GRID_S, output="sos"), self.rope_m_s2)
         self.unresolved_m_s2 = self.rope_m_s2 - slow
         self.data: Array = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
@@ -102,5 +105,16 @@ class Recording:
 def _noise(values: Array, rate: float) -> float:
     """Return 1σ of a bin's sensor noise, N, from third differences: smooth signals have none."""
     sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
-    independent = max(1.0, min(rate * GRID_S * BIN, rate / (2.0 * LOWPASS_HZ)))
-    return float(max(sample / np.sqrt(independent), COARSEST_N))
+    return float(max(sample * np.sqrt(_passed(rate)), COARSEST_N))
+
+
+def _passed(rate: float) -> float:
+    """Return the share of white noise's variance, sampled at `rate`, Hz, that low-pass and bin leave."""
+    frequency = np.linspace(0.0, 0.5 * rate, 2001)[1:]
+    _, low = sosfreqz(_lowpass(rate), worN=frequency, fs=rate)
+    mean = np.sin(np.pi * BIN * GRID_S * frequency) / (BIN * np.sin(np.pi * GRID_S * frequency))
+    return float(np.mean(np.abs(low) ** 4 * mean**2))
+
+
+def _lowpass(rate: float) -> Array:
+    return np.asarray(butter(2, min(LOWPASS_HZ, 0.45 * rate), fs=rate, output="sos"))

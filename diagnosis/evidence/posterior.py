@@ -33,11 +33,17 @@ STEEPER: Final = 6.0
 
 @dataclass(frozen=True)
 class Observed:
-    """Trials of one session as data, one after the other: `features` Φ, shape (data, features); `weight`: 1/σ²."""
+    """Trials of one session as data, one after the other: `features` Φ, shape (data, features); `weight`: 1/σ².
+
+    `tau`: factor by output by which σ² was inflated for the autocorrelation of residuals.  `cost`: of a reference
+    trial at its mode, per datum.
+    """
 
     trials: tuple[Recording, ...]
     features: Array
     weight: Array
+    tau: Array
+    cost: float
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -69,6 +69,7 @@ class ReferenceFit:
 
     `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
     the bench alone.  `model_error`: variance by output and load quarter, N²; `tau`: inflation by autocorrelation.
+    `cost`: of a reference trial at its mode, per datum; it is above 0 whatever the bench is.
     `identified`: coordinates and feature weights at each reference trial's mode.  `scatter_n`: RMS by output, N, that
     the models of the other reference trials miss on one (of a single one: on itself).
     """
@@ -84,6 +85,7 @@ class ReferenceFit:
     quarters: Array
     trials: int
     scatter_n: Mapping[str, float]
+    cost: float
     identified: tuple[tuple[Array, Array], ...] = ()
 
     def missed(self, observed: Observed) -> Array:
@@ -105,7 +107,8 @@ class ReferenceFit:
         """Return trials of one session as data of this bench."""
         states = [simulated_states(self.origin, trial) for trial in trials]
         return Observed(trials, np.concatenate([features(s, self.scaling, self.outputs) for s in states]),
-                        np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]))
+                        np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
+                        self.tau, self.cost)
 
     def _variance(self, trial: Recording, states: Array) -> Array:
         quarter = np.searchsorted(self.quarters, states[LOAD])
@@ -219,7 +222,13 @@ class _Fit:
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.scatter_n, tuple(self.identified))
+                         self.tau, self.quarters, len(self.trials), self.scatter_n, self._mean_cost(),
+                         tuple(self.identified))
+
+    def _mean_cost(self) -> float:
+        """Return the cost per datum of the reference trials at their modes."""
+        costs = [self._trial_cost(k, self.bench, x) / self.trials[k].data.size for k, x in enumerate(self.at)]
+        return float(np.mean(costs))
 
     def _constants(self, x: Array) -> Array:
         """Return the coordinates of all constants at a departure from the origin."""
@@ -258,10 +267,12 @@ class _Fit:
         own = bench / np.sqrt(self._bench_variance())
         own[:len(FREE)] -= centre
         total = float(own @ own)
-        for k, x in enumerate(at):
-            off = (x - bench) / np.sqrt(self._session())
-            total += loss(self._residual(k, x), np.sqrt(self._weight(k))) + float(off @ off)
-        return total
+        return total + sum(self._trial_cost(k, bench, x) for k, x in enumerate(at))
+
+    def _trial_cost(self, k: int, bench: Array, x: Array) -> float:
+        """Return the cost of one trial: misfit and session deviation."""
+        off = (x - bench) / np.sqrt(self._session())
+        return loss(self._residual(k, x), np.sqrt(self._weight(k))) + float(off @ off)
 
     def _residual(self, k: int, x: Array) -> Array:
         trial = self.trials[k]
@@ -291,8 +302,9 @@ class _Fit:
         none = np.zeros((trial.data.size, 0))
         wide = Gaussian(self.origin, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
         start = (at - self.origin)[list(FREE)]
-        rough = mode(Observed((trial,), none, np.full(trial.data.size, COARSE_N**-2)), wide, start=start, rounds=10)
-        return mode(Observed((trial,), none, np.full(trial.data.size, FINE_N**-2)), wide, start=rough.x, rounds=10)
+        rough, fine = (Observed((trial,), none, np.full(trial.data.size, noise_n**-2), self.tau, 1.0)
+                       for noise_n in (COARSE_N, FINE_N))
+        return mode(fine, wide, start=mode(rough, wide, start=start, rounds=10).x, rounds=10)
 
     def _recentre(self, q: Array) -> None:
         """Take `q` as origin, at which the states of the discrepancy are simulated."""
@@ -347,7 +359,7 @@ class _Fit:
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.scatter_n)
+                         self.tau, self.quarters, len(self.trials), self.scatter_n, 1.0)
 
     def _noise(self) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""

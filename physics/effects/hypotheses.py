@@ -92,7 +92,9 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "load_dependent_friction": Hypothesis(FRICTION, lambda v: (_frees(
         ({"load": 1.0}, 0.35), ({"cable": 1.0, "fabric": 1.0}, 0.08)),), {
             "load_slope": lambda v, b: v["load"] / (1.0 + 0.25 * v["load"])}),
-    "viscous_friction": _one(FRICTION, "viscous", 12.0),
+    "viscous_friction": Hypothesis(
+        FRICTION, lambda v: (_frees(({"viscous": 1.0}, 12.0)), _frees(({"drag": 1.0}, 12.0))), {
+            "viscous": lambda v, b: v["viscous"] + v["drag"]}),
     "stribeck": Hypothesis(FRICTION, lambda v: (_frees(
         ({"cable_rest": 1.0, "fabric_rest": 1.0}, 0.8), ({"rest_speed": 1.0}, 0.8)),), {
             "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
