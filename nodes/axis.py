@@ -39,6 +39,8 @@ class Units:
         """N·m at the output per ‰ of 0x6076."""
         self.arm_m = feed / (2.0 * math.pi)
         """Drum radius of a linear axis; 1 of a rotary one."""
+        self.apart = law.APART_SHARE * dictionary.initial(0x6065) * self.position
+        """How far the ways by position and by velocity may be apart, m or rad."""
 
 
 class Axis:
@@ -72,6 +74,7 @@ class Axis:
         g[law.STILL_SPEED], g[law.STILL_FOR_S] = number(0x606F) * units.velocity, 1e-3 * number(0x6070)
         window = number(0x6065)
         g[law.WINDOW] = math.inf if window == NO_WINDOW else window * units.position
+        g[law.APART_LIMIT] = math.inf if window == NO_WINDOW else units.apart
         g[law.WINDOW_S] = 1e-3 * number(0x6066)
         g[law.SEARCH_SPEED], g[law.ZERO_SPEED] = number(0x6099, 1) * units.velocity, number(0x6099, 2) * units.velocity
         g[law.HOMING_ACCELERATION] = number(0x609A) * units.velocity

@@ -28,7 +28,7 @@ KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_
     TORQUE_LOW, UNTRUSTED_TORQUE, HOLD_TORQUE, MODE, PERIOD_S, LOW, HIGH, RESOLUTION, WINDOW, WINDOW_S, \
     DECELERATION, STILL_SPEED, STILL_FOR_S, TENSION_LIMIT, YIELD_PER_N, PRELOAD, SEARCH_SPEED, ZERO_SPEED, \
     HOMING_ACCELERATION, TRAVEL, TARGET_VELOCITY, TARGET_TORQUE, RAW_PER_SI, ORIGIN, MILLE_PER_NM, \
-    SETTINGS = range(37)
+    APART_LIMIT, SETTINGS = range(38)
 """Slots of `g`, the first six those of `physics.drive_loops.Gains`; `SETTINGS` is their number."""
 
 LOOP_STATES: Final = len(drive_loops.LOOP)
@@ -50,8 +50,9 @@ MAX_DT_S: Final = 0.01
 APART_S: Final = 0.02
 """Time over which the way by position is compared with the way by velocity, s."""
 APART_SHARE: Final = 0.1
-"""Greatest difference of both ways, as a share of the following-error window: 0.5 mm of rope, 0.5 degrees of the knee.
-Smaller: a velocity that is filtered over 1 ms trips at the greatest speeds.  Larger: the axis shakes for longer."""
+"""Greatest difference of both ways, as a share of the EDS' following-error window: 0.5 mm of rope, 0.5 degrees of the
+knee.  A narrower window that a user writes does not change it.  Smaller: a velocity that is filtered over 1 ms trips at
+the greatest speeds.  Larger: the axis shakes for longer."""
 TRUST_S: Final = 0.05
 """Age beyond which a tension is not trusted; the deadline of its PDO is shorter."""
 YIELD_RATE: Final = 160.0
@@ -71,7 +72,7 @@ def arrays() -> tuple[Any, Any]:
     s, g = np.zeros(STATES), np.zeros(SETTINGS)
     s[TENSION_AGE_S] = math.inf
     g[[TORQUE_BOUND, TORQUE_MAX, TORQUE_HIGH, UNTRUSTED_TORQUE]] = math.inf
-    g[[SPEED_MAX, HIGH, WINDOW, TENSION_LIMIT, TRAVEL]] = math.inf
+    g[[SPEED_MAX, HIGH, WINDOW, APART_LIMIT, TENSION_LIMIT, TRAVEL]] = math.inf
     g[LOW], g[TORQUE_LOW] = -math.inf, -math.inf
     g[PERIOD_S], g[RAW_PER_SI], g[MILLE_PER_NM] = 1e-3, 1.0, 1.0
     return s, g
@@ -246,7 +247,7 @@ def _compile(digest: int) -> tuple[Any, Any]:
             bound(s, g, mode, position)
             torque = act(s, g, mode, position, velocity, dt_s)
             s[APART] += moved - velocity * dt_s - s[APART] * dt_s / APART_S
-            if mode != PUSH and abs(s[APART]) > APART_SHARE * g[WINDOW]:
+            if mode != PUSH and abs(s[APART]) > g[APART_LIMIT]:
                 tell(s, DISAGREE)
         s[TORQUE] = torque
         return torque

@@ -162,3 +162,14 @@ def test_the_greatest_speed_is_no_contradiction() -> None:
         rig.target = target
         rig.run(1)
     assert rig.emergencies() == []
+
+
+def test_a_narrow_following_window_does_not_narrow_the_contradiction() -> None:
+    rig = DriveRig(SERVO).enabled()
+    rig.write(0x6065, 0, 100)
+    rig.write(0x6066, 0, 10)
+    for target in range(0, 15_000, 900):
+        rig.target = target
+        rig.run(1)
+    rig.run(50)
+    assert rig.emergencies() == [0x8611]
