@@ -61,10 +61,11 @@ def _copy(
 ) -> Recovery:
     numbers = _describe(made, channels)
     found, skipped = Recovery(), list[int]()
-    loose = bytearray()
+    loose, chunked = bytearray(), False  # messages outside of chunks: in a file of chunks, other records misread
     for opcode, at, end in salvage.walk(view, skipped):
         cursor = records.Cursor(view, at, end)
         if opcode == mcap.CHUNK:
+            chunked = True
             content, intact = salvage.surviving(cursor)
             found.chunks += _keep(made, content, numbers, found) > 0
             found.damaged += not intact
@@ -77,10 +78,13 @@ def _copy(
             _note(made, cursor)
         elif opcode == mcap.DATA_END:
             break
-        if len(loose) > 1 << 20:
+        if len(loose) > 1 << 20 and not chunked:
             _keep(made, bytes(loose), numbers, found)
             loose.clear()
-    _keep(made, bytes(loose), numbers, found)
+    if chunked:
+        found.damaged += bool(loose)
+    else:
+        _keep(made, bytes(loose), numbers, found)
     found.bytes_skipped = sum(skipped)
     made.metadata("recovered", found.as_metadata())
     made.finish()

@@ -166,6 +166,19 @@ def test_a_flipped_bit_is_an_error_and_costs_what_it_touched(small: Path, place:
         assert set(messages) <= set(original.get(topic, [])), topic
 
 
+def test_a_description_misread_as_a_message_is_left_out(small: Path) -> None:
+    data = small.read_bytes()
+    at, changed = len(container.MAGIC), bytearray(data)
+    while data[at] != container.CHANNEL:  # the first channel's description
+        at += 9 + int.from_bytes(data[at + 1:at + 9], "little")
+    changed[at] = container.MESSAGE
+    torn, mended = small.with_name("changed.mcap"), small.with_name("mended.mcap")
+    torn.write_bytes(changed)
+    found = recover(torn, mended, overwrite=True)
+    assert survivors(mended) == survivors(small)
+    assert found.damaged == 1
+
+
 def test_a_changed_chunk_is_left_out_and_seen_as_lost_cycles(tmp_path: Path) -> None:
     whole = example_trials.write(tmp_path / "whole.mcap", cycles=500)
     with whole.open("rb") as file:

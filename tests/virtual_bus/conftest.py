@@ -6,15 +6,11 @@ from collections import deque
 from collections.abc import Callable
 
 import pytest
-from hypothesis import settings
 
 from eds.frame import Frame
 from virtual_bus.kernel import Kernel
 from virtual_bus.station import Station
 from virtual_bus.wire import Wire
-
-settings.register_profile("untimed", deadline=None)
-settings.load_profile("untimed")
 
 
 class Echo:
