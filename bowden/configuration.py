@@ -74,9 +74,9 @@ def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | 
             raise InputError(f"{path}: [{name}] stands beside [[device]]; move its keys into the [[device]] of "
                              f"{name}.")
     if not bench.runs and not any_shape:
-        raise InputError(f"{path}: the declared bench is neither the packaged one ({_named(paper)}) nor that without "
-                         "end; this version plans the wire of other benches (bowden check config) and does not run "
-                         "them: leave [[device]], [[joint]] and [[force_path]] out.")
+        raise InputError(f"{path}: the declared bench is neither the packaged one ({_named(paper)}), nor that without "
+                         "end, nor that without a knee drive; this version plans the wire of other benches (bowden "
+                         "check config) and does not run them: leave [[device]], [[joint]] and [[force_path]] out.")
     return bench.mapped({bench.named(name).node_id: mapping for name, mapping in mappings.items()})
 
 

@@ -7,16 +7,18 @@ paper's bench is 590 bit times at worst: SYNC, four TPDOs, one frame of targets 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
+from eds.datatype import DataType
 from eds.declaration import LOAD_CELL, DeclaredDevice, packaged
 from eds.device_mapping import DeviceMapping, MappedPart, ServoMapping, part
 from eds.dictionary import Dictionary, key
 from eds.network import Network as Network
-from eds.pdo_plan import PdoPlan, compile_plan, overlay
+from eds.pdo_plan import Field, PdoPlan, compile_plan, overlay
 from eds.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from parameters import InputError
 
@@ -35,6 +37,8 @@ FRAME_BITS: Final = 64
 """Bits that one frame carries; targets beyond it go into a further frame."""
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 
+ASKED: Final = Field(key(0x607A), "Asked angle", 32, "i", math.pi / 180_000.0, signed=True)
+"""Angle that a joint without a drive is asked to go to, in the frame of targets: 1/1000 degree, as for a knee drive."""
 STEP_LIMIT: Final = 0x2017
 """Greatest step of a drive's position target, in its position unit; 0: none."""
 STEP_US: Final = 10_000
@@ -67,6 +71,8 @@ class NodeEntry(NamedTuple):
 class WireLayout:
     """Everything that both ends of the wire must know, built once; treat it as read-only.
 
+    A joint without a drive has a place in the frame of targets, too: the angle that whoever moves it is asked for.
+
     `tpdo` maps COB-ID to plan, in the order of the declaration (paper's bench: 181h servo, 182h knee, 183h START,
     184h END). `target_frames` and `controlword_frames` are the master's frames to the drives, as many drives in each
     as 8 bytes hold. Plans carry SI scales: m, rad, N·m at the motor shaft, N.
@@ -80,12 +86,13 @@ class WireLayout:
         self.tpdo: Mapping[int, PdoPlan] = MappingProxyType(
             {tpdo_cob_id(n): self._plan(n, self._sent(n), tpdo_cob_id(n)) for n in self._devices})
         self.drives = tuple(node for node, device in self._devices.items() if device.type.taken)
+        self.followed = tuple(device.node_id for device in network.bench.followed)
         self.target_frames = self._frames("target", cia301.RPDO_BASE)
         self.controlword_frames = self._frames("controlword", cia301.RPDO_BASE + 0x100)
 
     @functools.cached_property
     def targets(self) -> PdoPlan:
-        """The only frame of targets, on a bench of two drives; servo first."""
+        """The only frame of targets, on a bench of one rope drive and one joint; the rope drive first."""
         (plan,) = self.target_frames
         return plan
 
@@ -141,11 +148,14 @@ class WireLayout:
         return tuple(self.nodes[node_id].part(name).word for name in self._devices[node_id].type.sent)
 
     def _groups(self, name: str) -> Iterator[tuple[int, ...]]:
-        """Yield the drives that share a frame of this part: in declared order, as many as `FRAME_BITS` hold."""
+        """Yield the nodes that share a frame of this part: in declared order, as many as `FRAME_BITS` hold.
+
+        They are the drives; for targets also the encoders of joints without one.
+        """
         group: list[int] = []
         free = FRAME_BITS
-        for node in self.drives:
-            bits = self.nodes[node].part(name).entry.data_type.bits
+        for node in (*self.drives, *(self.followed if name == "target" else ())):
+            bits = ASKED.bits if node in self.followed else self.nodes[node].part(name).entry.data_type.bits
             if group and bits > free:
                 yield tuple(group)
                 group, free = [], FRAME_BITS
@@ -158,14 +168,20 @@ class WireLayout:
 
     def _shared(self, node_id: int, name: str, group: Sequence[int]) -> tuple[int, ...]:
         """Return one drive's map of a shared frame: its own object, and a dummy of each other drive's type."""
-        parts = {n: self.nodes[n].part(name) for n in group}
-        return tuple(p.word if n == node_id else p.dummy for n, p in parts.items())
+        parts = {n: self.nodes[n].part(name) for n in group if n not in self.followed}
+        asked = DataType.INTEGER32 << 16 | ASKED.bits
+        return tuple(asked if n not in parts else parts[n].word if n == node_id else parts[n].dummy for n in group)
 
     def _frames(self, name: str, base: int) -> tuple[PdoPlan, ...]:
-        """Return the frames of a part; each has the COB-ID of its first drive."""
-        return tuple(
-            overlay([self._plan(n, self._shared(n, name, group), base + group[0]) for n in group], base + group[0])
-            for group in self._groups(name))
+        """Return the frames of a part; each has the COB-ID of its first node."""
+        return tuple(self._frame(name, base + group[0], group) for group in self._groups(name))
+
+    def _frame(self, name: str, cob_id: int, group: Sequence[int]) -> PdoPlan:
+        """Return one frame: objects of the drives, and angles that joints without a drive are asked for."""
+        plans = [self._plan(n, self._shared(n, name, group), cob_id) for n in group if n not in self.followed]
+        fields = overlay(plans, cob_id).fields if plans else (ASKED,) * len(group)
+        return PdoPlan(cob_id, [ASKED if node in self.followed else field
+                                for node, field in zip(group, fields, strict=True)])
 
     def _plan(self, node_id: int, mapping: Sequence[int], cob_id: int) -> PdoPlan:
         entry = self.nodes[node_id]

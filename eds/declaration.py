@@ -19,14 +19,14 @@ from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from eds import cia402
-from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
+from eds.device_mapping import DeviceMapping, EncoderMapping, KneeMapping, SensorMapping, ServoMapping
 from parameters import InputError, declarations, from_table, read_toml
 from parameters.plugins import load
 
 T = TypeVar("T")
 TABLES: Final = ("device", "joint", "force_path")
 """Arrays of tables that declare a bench; a file has all of them or none."""
-RUNNING: Final = ("bench", "bench_start_only")
+RUNNING: Final = ("bench", "bench_start_only", "bench_no_knee_drive")
 """Packaged declarations whose shape commands run; of the others the wire is planned."""
 LAST_NODE_ID: Final = 126
 """Largest node id of a device; 127 is the master's."""
@@ -73,8 +73,10 @@ JOINT_DRIVE: Final = DeviceType(
 """Drive of a joint, in rad. It holds the joint after a stop."""
 LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("value",))
 """Tension sensor, in N."""
+JOINT_ENCODER: Final = DeviceType("joint_encoder", "joint_encoder", EncoderMapping, ("position",))
+"""Encoder of a joint that no drive of the bench moves, in rad."""
 TYPES: Final[Mapping[str, DeviceType]] = MappingProxyType(
-    {one.name: one for one in (ROPE_DRIVE, JOINT_DRIVE, LOAD_CELL)})
+    {one.name: one for one in (ROPE_DRIVE, JOINT_DRIVE, LOAD_CELL, JOINT_ENCODER)})
 GROUP: Final = "bowden.devices"
 """Entry-point group of device types: a callable without arguments that returns a `DeviceType`."""
 
@@ -91,10 +93,19 @@ class DeclaredDevice:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint and the name of the device that drives and measures it."""
+    """One joint: the name of the drive that moves and measures it, or of the encoder that measures it.
+
+    One of the two is empty. A joint without a drive is moved from outside, by hand or by another machine.
+    """
 
     name: str
-    driven_by: str
+    driven_by: str = ""
+    measured_by: str = ""
+
+    @property
+    def device(self) -> str:
+        """Name of the device that measures the joint's angle."""
+        return self.driven_by or self.measured_by
 
 
 @dataclass(frozen=True)
@@ -140,6 +151,11 @@ class DeclaredBench:
     def measures_end(self) -> bool:
         """Whether every force path has an END load cell."""
         return all(path.end for path in self.force_paths)
+
+    @property
+    def followed(self) -> tuple[DeclaredDevice, ...]:
+        """The encoders of the joints that no drive of this bench moves."""
+        return tuple(self.named(joint.measured_by) for joint in self.joints if not joint.driven_by)
 
     @property
     def observers(self) -> tuple[DeclaredDevice, ...]:
@@ -204,9 +220,12 @@ def as_tables(bench: DeclaredBench) -> dict[str, list[dict[str, Any]]]:
     """Return the tables that declare a bench, as `declared` reads them; keys that keep their default are left out."""
     devices = [{"name": one.name, "node_id": one.node_id, "type": one.type.name} | _given(one.mapping)
                for one in bench.devices]
-    return {"device": devices, "joint": [dataclasses.asdict(one) for one in bench.joints],
-            "force_path": [{key: name for key, name in dataclasses.asdict(one).items() if name}
-                           for one in bench.force_paths]}
+    return {"device": devices, "joint": [_named(one) for one in bench.joints],
+            "force_path": [_named(one) for one in bench.force_paths]}
+
+
+def _named(one: Joint | ForcePath) -> dict[str, Any]:
+    return {key: name for key, name in dataclasses.asdict(one).items() if name}
 
 
 def _given(mapping: DeviceMapping) -> dict[str, Any]:
@@ -278,8 +297,7 @@ def _check(bench: DeclaredBench, where: str) -> None:
     for what, names in (("device", [d.name for d in bench.devices]), ("node_id", [d.node_id for d in bench.devices]),
                         ("joint", [j.name for j in bench.joints]), ("force_path", [p.name for p in bench.force_paths])):
         _refuse_twice(where, what, names)
-    used = [device for joint in bench.joints for device in _of(bench, where, f"joint {joint.name}", JOINT_DRIVE,
-                                                               {"driven_by": joint.driven_by})]
+    used = [device for joint in bench.joints for device in _moved(bench, where, joint)]
     for path in bench.force_paths:
         used += _of(bench, where, f"force_path {path.name}", ROPE_DRIVE, {"actuator": path.actuator})
         cells = {key: name for key, name in (("start", path.start), ("end", path.end)) if name}
@@ -294,6 +312,17 @@ def _check(bench: DeclaredBench, where: str) -> None:
         if device.name not in used and not device.type.observed:
             raise InputError(f"{where}: no joint and no force path names the device {device.name}; give it a place or "
                              "leave it out.")
+
+
+def _moved(bench: DeclaredBench, where: str, joint: Joint) -> list[str]:
+    """Return the device of a joint; refuse one with both a drive and an encoder, or with neither."""
+    if bool(joint.driven_by) == bool(joint.measured_by):
+        raise InputError(f"{where}: joint {joint.name} has {'both' if joint.driven_by else 'neither'} driven_by "
+                         f"{'and' if joint.driven_by else 'nor'} measured_by; give one of them: a drive, or the "
+                         "encoder of a joint that is moved by hand.")
+    if joint.driven_by:
+        return _of(bench, where, f"joint {joint.name}", JOINT_DRIVE, {"driven_by": joint.driven_by})
+    return _of(bench, where, f"joint {joint.name}", JOINT_ENCODER, {"measured_by": joint.measured_by})
 
 
 def _of(bench: DeclaredBench, where: str, place: str, kind: DeviceType, named: Mapping[str, str]) -> list[str]:

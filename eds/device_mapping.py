@@ -6,6 +6,7 @@ a device plays each. The defaults are the profile's objects, whose units the dev
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -67,7 +68,18 @@ class SensorMapping:
     value_scale: float = _scale("N", "tension per count of value")
 
 
-DeviceMapping = ServoMapping | KneeMapping | SensorMapping
+@dataclass(frozen=True)
+class EncoderMapping:
+    """Keys of the `[[device]]` of a joint encoder."""
+
+    file: str = parameter("", "", _FILE, source="the device's maker")
+    position: str = parameter("6020:01", "", f"object of the joint's angle, {_OBJECT}", source="CiA 406")
+    position_scale: float = parameter(
+        2.0 * math.pi / 65536.0, "rad", "angle of the joint per count; negative where the encoder counts flexion",
+        low=-1.0, high=1.0, source="0x6001 of joint_encoder.eds: 65536 counts per revolution")
+
+
+DeviceMapping = ServoMapping | KneeMapping | SensorMapping | EncoderMapping
 
 _SCALED_BY: Final = {"position": "position_scale", "target": "position_scale", "torque": "torque_scale",
                      "tension": "tension_scale", "value": "value_scale"}

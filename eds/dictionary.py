@@ -19,7 +19,7 @@ from eds.notation import limit, number, object_section, value
 from parameters import InputError
 
 VAR, ARRAY, RECORD, DOMAIN_OBJECT = 0x7, 0x8, 0x9, 0x2
-PACKAGED: Final = ("servo_drive", "knee_drive", "tension_sensor")
+PACKAGED: Final = ("servo_drive", "knee_drive", "tension_sensor", "joint_encoder")
 _EMERGENCIES: Final = re.compile(r"(emcy|emergency)[ _]?(error)?[ _]?codes?", re.IGNORECASE)
 _DUMMY: Final = re.compile(r"dummy[0-9a-f]{4}", re.IGNORECASE)
 

@@ -10,19 +10,22 @@ from types import MappingProxyType
 from typing import Final
 
 from eds.bench_network import WireLayout
-from eds.declaration import JOINT_DRIVE, LOAD_CELL, ROPE_DRIVE
+from eds.declaration import JOINT_DRIVE, JOINT_ENCODER, LOAD_CELL, ROPE_DRIVE
 from nodes.axis_law import prepare
 from nodes.core.device import Application, Device
 from nodes.drive import Drive
+from nodes.joint_encoder import JointEncoder
 from nodes.knee import KneeDrive
 from nodes.servo import ServoDrive
 from nodes.tension_sensor import TensionSensor
 from parameters import InputError
 
-__all__ = ["Application", "Device", "Drive", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
+__all__ = [
+    "Application", "Device", "Drive", "JointEncoder", "KneeDrive", "ServoDrive", "TensionSensor", "build", "prepare"]
 
 APPLICATIONS: Final[Mapping[str, Callable[[], Application]]] = MappingProxyType(
-    {ROPE_DRIVE.name: ServoDrive, JOINT_DRIVE.name: KneeDrive, LOAD_CELL.name: TensionSensor})
+    {ROPE_DRIVE.name: ServoDrive, JOINT_DRIVE.name: KneeDrive, LOAD_CELL.name: TensionSensor,
+     JOINT_ENCODER.name: JointEncoder})
 """The application behind a simulated device of each declared type."""
 
 

@@ -95,7 +95,8 @@ def _observed(wire: WireLayout, device: DeclaredDevice) -> PdoSource:
 def inputs_of(wire: WireLayout, node: int) -> dict[int, str]:
     """Signals by the keys of the objects that a node's TPDO carries, whichever device is in its place."""
     entry = wire.nodes[node]
-    return {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items() if of == node}
+    sent = next(device.type.sent for device in wire.network.bench.devices if device.node_id == node)
+    return {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items() if of == node and part in sent}
 
 
 def bench_channel(rows: NDArray[np.void], wire: WireLayout) -> int:

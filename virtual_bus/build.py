@@ -13,7 +13,7 @@ from typing import Any, cast
 import eds
 import nodes
 from eds.bench_network import SERVO, Network
-from eds.declaration import DeclaredBench, packaged, read
+from eds.declaration import JOINT_ENCODER, DeclaredBench, packaged, read
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
 from parameters.plugins import load
@@ -23,7 +23,8 @@ from physics.plant.bench_plant import Plant, PlantParameters
 from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
-from virtual_bus.faults import declared
+from virtual_bus.faults import OF_A_DRIVE, Fault, declared
+from virtual_bus.hand import Hand
 from virtual_bus.machine import (
     END_FEELS,
     START_FEELS,
@@ -72,20 +73,28 @@ def build(options: Options, channel: str) -> Bench:
         nominal(model.tables, model.where), options.serial, options.day, steady(options.steady)))
     plant = made_plant(options.plant, tables["plant"], options.seed)
     declaration = _declared(options)
+    _refuse_no_drive(faults, declaration)
     network = Network(bitrate=options.bitrate, rate_hz=options.rate_hz, bench=declaration)
     wire = trimmed(eds.wire(network), tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
 
     def machine(bench: Bench) -> Machine:
         (path,), (joint,) = declaration.force_paths, declaration.joints
-        axes = [declaration.named(name).node_id for name in (path.actuator, joint.driven_by)]
         cells = {end: declaration.named(name).node_id for end in GAUGES if (name := getattr(path, end))}
-        servo, knee = (MountedDrive(bench.nodes[n], cast(TickedDrive, built[n][1])) for n in axes)
+
+        def mounted(name: str) -> MountedDrive:
+            node = declaration.named(name).node_id
+            return MountedDrive(bench.nodes[node], cast(TickedDrive, built[node][1]))
+
+        knee = mounted(joint.driven_by) if joint.driven_by else Hand(wire, 1e-3 * options.hand_lag_ms)
         gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed)
                   for end, n in cells.items()]
         observers = [Observer(bench.nodes[device.node_id], cast(Feeling, built[device.node_id][1]))
-                     for device in declaration.observers if device.type.application is not None]
-        made = Machine(bench.kernel, plant, servo, knee, gauges, observers)
+                     for device in (*declaration.followed, *declaration.observers)
+                     if device.type is JOINT_ENCODER or device.type.application is not None]
+        made = Machine(bench.kernel, plant, mounted(path.actuator), knee, gauges, observers)
+        if isinstance(knee, Hand):
+            bench.wire.attach(knee)
         wired(bench.kernel, faults, made.trouble)
         if options.truth is not None:
             made.truth = Truth(options.truth, plant, _metadata(options, tables))
@@ -109,6 +118,15 @@ def _declared(options: Options) -> DeclaredBench:
         raise InputError(f"declaration: {len(bench.force_paths)} force paths and {len(bench.joints)} joints are "
                          "declared; the simulated bench has one of each.")
     return bench
+
+
+def _refuse_no_drive(faults: Sequence[Fault], bench: DeclaredBench) -> None:
+    """Raise `InputError` for an emergency stop of a node that is no drive of the declared bench."""
+    drives = [device.node_id for device in bench.devices if device.type.taken]
+    for place, fault in enumerate(faults, start=1):
+        if fault.kind in OF_A_DRIVE and fault.node not in drives:
+            raise InputError(f"[[fault]] {place}: {fault.kind} at node = {fault.node}, which is no drive of the "
+                             f"declared bench; expected one of {drives}.")
 
 
 def factory(name: str) -> Factory:

@@ -53,6 +53,9 @@ class Options:
     node_turnaround_us: int = parameter(
         NETWORK.node_turnaround_us, "µs", "time from what a node hears to the frame it answers with", low=0,
         high=10_000, source="[network] node_turnaround_us")
+    hand_lag_ms: int = parameter(
+        20, "ms", "lag of the hand behind the asked angle, on a bench without a knee drive", low=0, high=1000,
+        source="assumed: a machine that is told the angle; an operator at a display has 100 ms and more")
     tx_queue: int = parameter(64, "frame", "frames that wait for the wire in the computer", low=1, high=100_000,
                               source="ip link set can0 txqueuelen 64")
     restart_ms: int = parameter(100, "ms", "time after bus-off until the computer's controller restarts", low=0,

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant.bench_plant import Outputs, Plant
 from virtual_bus.faults import Fault
+from virtual_bus.hand import Hand
 from virtual_bus.kernel import TICK, Kernel
 from virtual_bus.node_station import NodeStation
 from virtual_bus.truth import Truth
@@ -91,9 +92,12 @@ END_FEELS = Outputs._fields.index("end_n")
 
 
 class Machine:
-    """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval."""
+    """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval.
 
-    def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive,
+    A knee without a drive is moved by a hand.
+    """
+
+    def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive | Hand,
                  gauges: Sequence[Gauge], observers: Sequence[Observer] = ()) -> None:
         self.plant = plant
         self._kernel = kernel
@@ -122,7 +126,7 @@ class Machine:
             else:
                 self._bridges.pop(fault.node, None)
             return
-        station, drive = self._servo if self._servo.station.node == fault.node else self._knee
+        station, drive = next(axis for axis in self.axes if axis.station.node == fault.node)
         drive.emergency_stop(there, self._kernel.now_ns)
         if station.on:
             station.settle(self._kernel.now_ns)
@@ -144,9 +148,9 @@ class Machine:
         self._kernel.at(min(self._tick_ns, *self._sample_ns), TICK, self._act)
 
     @property
-    def axes(self) -> tuple[MountedDrive, MountedDrive]:
-        """Servo and knee."""
-        return self._servo, self._knee
+    def axes(self) -> tuple[MountedDrive, ...]:
+        """Servo and knee, or the servo alone."""
+        return (self._servo,) if isinstance(self._knee, Hand) else (self._servo, self._knee)
 
     @property
     def gauges(self) -> tuple[Gauge, ...]:
@@ -177,9 +181,12 @@ class Machine:
         station, drive = self._servo
         self._servo_nm = drive.tick(now_ns, servo_m, servo_m_s) if station.on else 0.0
         station.settle(now_ns)
-        station, drive = self._knee
-        self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
-        station.settle(now_ns)
+        if isinstance(self._knee, Hand):
+            self._knee_nm = self._knee.push(knee_rad, knee_rad_s)
+        else:
+            station, drive = self._knee
+            self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
+            station.settle(now_ns)
         for observer in self._observers:
             if observer.station.on:
                 observer.application.feel(now_ns, felt)

@@ -47,7 +47,7 @@ def possible(bench: Bench) -> bool:
         return False
     axes, gauges = machine.axes, machine.gauges
     return (len(gauges) == law.GAUGES and len(bench.nodes) == law.NODES and type(bench.wire) is Wire
-            and all(isinstance(axis.drive, Drive) for axis in axes)
+            and len(axes) == law.AXES and all(isinstance(axis.drive, Drive) for axis in axes)
             and all(type(gauge.converter) is Converter and type(gauge.sensor) is TensionSensor for gauge in gauges))
 
 

@@ -168,7 +168,15 @@ def _read_mcap(path: Path) -> Table:
     trial: Any = reader.open(path)
     columns = {name: values for name, values in trial.columns.items()
                if (name in UNITS or name.endswith(AGE_SUFFIX)) and not np.isnan(values).all()}
+    if _without_knee_drive(trial.columns):
+        columns.pop("knee_target_rad", None)  # what a hand was asked for, which no drive answers
     return table(str(path), columns, _carried_calibration(trial))
+
+
+def _without_knee_drive(columns: Mapping[str, Array]) -> bool:
+    """Say whether a trial is of a bench whose servo has a statusword and whose knee has none."""
+    words = [columns.get(f"{name}_statusword", np.zeros(0)) for name in ("servo", "knee")]
+    return bool(words[1].size and np.isnan(words[1]).all() and not np.isnan(words[0]).all())
 
 
 def _carried_calibration(trial: Any) -> Mapping[str, Any] | None:

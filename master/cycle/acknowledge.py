@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from eds.bench_network import DRIVES, WireLayout
+from eds.bench_network import WireLayout
 from eds.cia301 import Abort
 from eds.dictionary import key
 from master.cycle.drives import RELEASE
@@ -29,7 +29,7 @@ class Acknowledged(NamedTuple):
 def acknowledge(link: Link, wire: WireLayout) -> list[Acknowledged]:
     """Release every drive that waits for it; raises `BringUpError` for another master, or a drive that is silent."""
     refuse_rival(link)
-    return [Acknowledged(wire.nodes[node].name, _release(link, wire, node)) for node in DRIVES]
+    return [Acknowledged(wire.nodes[node].name, _release(link, wire, node)) for node in wire.drives]
 
 
 def _release(link: Link, wire: WireLayout, node: int) -> str:

@@ -25,7 +25,7 @@ RELEASE = 0x2020
 
 
 def enable(exchange: Exchange) -> Inputs:
-    """Bring both drives to OPERATION ENABLED where they stand; raises `BringUpError` with drive and error code."""
+    """Bring every drive to OPERATION ENABLED where it stands; raises `BringUpError` with drive and error code."""
     inputs = _drive_to(exchange, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
     exchange.plausibility.restart()
     exchange.guard.enabled = True
@@ -46,13 +46,13 @@ def disable(exchange: Exchange, patience_ns: int = PATIENCE_NS) -> Inputs:
 
 
 def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int = PATIENCE_NS) -> Inputs:
-    """Walk both drives along CiA 402's table, resending a word that has no effect for a while."""
+    """Walk the drives along CiA 402's table, resending a word that has no effect for a while."""
     inputs = exchange.inputs
     deadline = inputs.sync_ns + patience_ns
     sent, resend_ns = (-1, -1), 0
     while True:
-        states = _states(inputs)
-        if states == goals:
+        states = _states(exchange, inputs)
+        if states[0] is goals[0] and (states[1] is goals[1] or not exchange.knee_driven):
             return inputs
         if inputs.sync_ns >= deadline:
             raise BringUpError(_not_there(exchange, inputs, goals))
@@ -63,10 +63,10 @@ def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int =
         inputs = exchange.advance(*_where(exchange, states))
 
 
-def _states(inputs: Inputs) -> tuple[State | None, State | None]:
-    """Both drives' states; None for a drive whose statusword is not of this SYNC."""
+def _states(exchange: Exchange, inputs: Inputs) -> tuple[State | None, State | None]:
+    """Both drives' states; None for a drive whose statusword is not of this SYNC, and for a knee without a drive."""
     servo = None if inputs.missing & 1 else state_of(inputs.servo_status)
-    return servo, None if inputs.missing & 2 else state_of(inputs.knee_status)
+    return servo, None if inputs.missing & 2 or not exchange.knee_driven else state_of(inputs.knee_status)
 
 
 def _word(state: State | None, goal: State, sent: int) -> int:
@@ -82,7 +82,7 @@ def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tup
     inputs, (servo, knee) = exchange.inputs, exchange.targets
     if states[0] is not State.OPERATION_ENABLED and not inputs.missing & 1:
         servo = inputs.servo_position_m
-    if states[1] is not State.OPERATION_ENABLED and not inputs.missing & 2:
+    if exchange.knee_driven and states[1] is not State.OPERATION_ENABLED and not inputs.missing & 2:
         knee = inputs.knee_angle_rad
     return servo, knee
 
@@ -90,8 +90,8 @@ def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tup
 def _not_there(exchange: Exchange, inputs: Inputs, goals: tuple[State, State]) -> str:
     texts, remedies = [], []
     words = (inputs.servo_status, inputs.knee_status)
-    for node, word, state, goal in zip((SERVO, KNEE), words, _states(inputs), goals, strict=True):
-        if state is goal:
+    for node, word, state, goal in zip((SERVO, KNEE), words, _states(exchange, inputs), goals, strict=True):
+        if state is goal or node not in exchange.wire.drives:
             continue
         name = exchange.wire.nodes[node].name
         if inputs.missing & 1 << (SERVO, KNEE).index(node):

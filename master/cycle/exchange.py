@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import can
 
-from eds.bench_network import END, SERVO, WireLayout, tpdo_cob_id
+from eds.bench_network import END, KNEE, SERVO, WireLayout, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
@@ -31,6 +31,7 @@ NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
 UNHEARD = (NAN, NAN, NAN, NAN)
+KNEE_BIT = 1 << ORDER.index(KNEE)
 NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
 
@@ -75,7 +76,9 @@ class Exchange:
         self._none_late = [0] * len(self._order)
         plans = [wire.tpdo[tpdo_cob_id(node)] for node in self._order]
         self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
-        self._unpack = [plan.unpack_si for plan in plans]
+        self.knee_driven = KNEE in wire.drives
+        self._unpack = [plan.unpack_si if self.knee_driven or node != KNEE else _without_status(plan.unpack_si)
+                        for node, plan in zip(self._order, plans, strict=True)]
         self._unpack_all = Joined(plans).unpack_si
         self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
         self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
@@ -94,7 +97,8 @@ class Exchange:
         self._miss_text = ""
         self._lengths: set[int] = set()
         self.rehoming = False
-        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=END in self._order)
+        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=END in self._order,
+                                                            with_knee=self.knee_driven)
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
@@ -102,7 +106,7 @@ class Exchange:
         self._observers = observer_slots(wire)
         self._unknown = (NAN,) * sum(len(slots.places) for slots in self._observers.values())
         self._observed = self._unknown
-        whole = len(plans) == len(wire.nodes) == len(ORDER)
+        whole = len(plans) == len(wire.nodes) == len(ORDER) and self.knee_driven
         self._whole_cycles = None if offer is None or not whole else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
@@ -118,6 +122,8 @@ class Exchange:
         self.log.drain()
         self.link.pump = lambda _deadline_ns: self.hold()
         inputs = self._latch(sync_ns)
+        if not self.knee_driven and not inputs.missing & KNEE_BIT:  # whoever holds the joint is asked to stay
+            self.targets = (self.targets[0], inputs.knee_angle_rad)
         self._overdue_ns = 0
         return inputs
 
@@ -136,9 +142,9 @@ class Exchange:
         self.plausibility.shift(by_m)
 
     def command(self, servo_word: int, knee_word: int) -> None:
-        """Send both controlwords, event-driven: they act when they arrive."""
+        """Send the drives' controlwords, event-driven: they act when they arrive; the knee's only where it has one."""
         plan = self.wire.controlwords
-        self.link.send(plan.cob_id, plan.pack(servo_word, knee_word))
+        self.link.send(plan.cob_id, plan.pack(servo_word, knee_word) if self.knee_driven else plan.pack(servo_word))
 
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None = None) -> Inputs:
         """Send the targets that answer `inputs`, and return the inputs of the next SYNC.
@@ -401,7 +407,13 @@ class Exchange:
             inputs.servo_force_n, self.targets[1], inputs.knee_angle_rad, inputs.start_n, inputs.end_n, desired,
             estimated, cycle,
             sync_ns - latched[0], sync_ns - latched[1], sync_ns - latched[2], sync_ns - latched[3], *arrival,
-            inputs.servo_status, inputs.knee_status, missing.bit_count(), 0.0 if sent else 1.0, held,
+            inputs.servo_status, inputs.knee_status if self.knee_driven else NAN, missing.bit_count(),
+            0.0 if sent else 1.0, held,
             sync_ns - self._first_ns - count * self.wire.period_ns, self._step_ns or NAN, *self._observed,
             *trace,
         )
+
+
+def _without_status(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:
+    """Return what reads an encoder's frame as a knee drive's: a statusword of 0 before the angle."""
+    return lambda data: (0, *unpack(data))

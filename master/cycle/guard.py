@@ -40,7 +40,7 @@ REMEMBERED = 3
 
 
 class Guard:
-    """The checks of a running cycle; `enabled` says that both drives must stay in OPERATION ENABLED.
+    """The checks of a running cycle; `enabled` says that every drive must stay in OPERATION ENABLED.
 
     `active` False lets everything pass: during bring-up, and once a stop is under way.  `beginning` says that the
     exchange is not established yet, drives off: what a drive says of missed cycles is told and waited through.
@@ -62,6 +62,7 @@ class Guard:
         self._watch_ns = 0
         self._limited_ns = [0, 0]
         self._order = places(wire)
+        self._knee_driven = KNEE in wire.drives
         self._missed = [(0, 0)] * len(self._order)
         self._by_weight = tuple(node for node in (SERVO, START, KNEE, END) if node in self._order)
         self._watched = (*self._by_weight, *(node for node in wire.nodes if node not in self._order))
@@ -90,7 +91,8 @@ class Guard:
             self._refuse_strange(reception)
             self._refuse_stale(late_in_row)
         if self.enabled:
-            if not (inputs.servo_status & _ENABLED_MASK == _ENABLED == inputs.knee_status & _ENABLED_MASK):
+            if (inputs.servo_status & _ENABLED_MASK != _ENABLED
+                    or (self._knee_driven and inputs.knee_status & _ENABLED_MASK != _ENABLED)):
                 self._refuse_disabled(inputs)
             self._supervise(inputs, targets, rehoming)
         if inputs.sync_ns >= self._watch_ns:
@@ -172,7 +174,7 @@ class Guard:
 
     def _refuse_disabled(self, inputs: Inputs) -> None:
         for node, word in ((SERVO, inputs.servo_status), (KNEE, inputs.knee_status)):
-            if word & _ENABLED_MASK != _ENABLED:
+            if word & _ENABLED_MASK != _ENABLED and node in self._wire.drives:
                 raise StopError(Condition.NOT_ENABLED, f"{self._name(node)}, statusword 0x{word:04X}", node)
 
     def _watch(self, now_ns: int) -> None:

@@ -45,7 +45,7 @@ def observer_slots(wire: WireLayout) -> dict[int, ObserverSlots]:
 class Inputs(NamedTuple):
     """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it.
 
-    On a bench without END `end_n` is NaN and END's bit is never set.
+    On a bench without END `end_n` is NaN and END's bit is never set; without a knee drive `knee_status` is 0.
     """
 
     sync_ns: int

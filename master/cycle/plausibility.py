@@ -52,7 +52,7 @@ NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
 
 (PERIOD_S, BANDWIDTH, CYCLES, LEARNED, SWING_K, KNEE_HOME, ROPE_COMPLIANCE, PRESLIDING, INERTIA, COULOMB, VISCOUS,
- OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, WITH_END, SETTINGS) = range(22)
+ OFFSET, C0, C1, C2, TOP_N, LOW, HIGH, PERSIST, KNOWN_FLOW, WITH_END, WITH_KNEE, SETTINGS) = range(23)
 
 LEARNING, LEARNT = 0.0, 1.0
 TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
@@ -102,11 +102,14 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
     s[PREDICTED] += fade * (s[T2] - s[PREDICTED])
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
     _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
-    moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
-    reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))
-    _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
     _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M)
-    _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
+    if g[WITH_KNEE] > 0.0:
+        moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
+        reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))
+        _compare(s, KNEE_TRACK, knee, reached, KNEE_RAD + KNEE_S * moved / g[PERIOD_S])
+        _standing(s, g, STILL_KNEE, SAME_KNEE, knee, s[K2], STILL_RAD)
+    else:
+        s[OLD_KNEE] = knee
     s[T2], s[T1], s[K2], s[K1] = s[T1], target, s[K1], knee_target
 
 
@@ -344,10 +347,10 @@ class Plausibility:
     """The compiled step with its arrays; `period_s` is the control period.
 
     Without END (`with_end` False) `servo`, `knee`, `force` and the positions' `still` remain: the servo's force alone
-    contradicts START.
+    contradicts START.  Without a knee drive (`with_knee` False) the joint is not compared with the angle asked for.
     """
 
-    def __init__(self, period_s: float, *, with_end: bool = True) -> None:
+    def __init__(self, period_s: float, *, with_end: bool = True, with_knee: bool = True) -> None:
         self.s, self.g = np.zeros(STATES), np.zeros(SETTINGS)
         g = self.g
         g[PERIOD_S], g[BANDWIDTH] = period_s, 2.0 * math.pi * 20.0
@@ -356,7 +359,7 @@ class Plausibility:
         g[INERTIA], g[COULOMB], g[VISCOUS] = 2.4, 2.0, 15.0
         g[LOW], g[HIGH] = -WIDE / 1.3, WIDE / 1.3
         g[PERSIST] = 4.0 if period_s < 5e-3 else 2.0
-        g[TOP_N], g[WITH_END] = 40.0, float(with_end)
+        g[TOP_N], g[WITH_END], g[WITH_KNEE] = 40.0, float(with_end), float(with_knee)
 
     def restart(self) -> None:
         """Forget what the cycle before said: after a gap, another frame of reference or a change of mode."""

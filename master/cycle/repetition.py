@@ -148,13 +148,18 @@ class CycleDeparture(NamedTuple):
 
 
 class Repetition:
-    """Compares a gait trial's cycles; `peak_n` is the peak of its desired force, `period_s` the control period."""
+    """Compares a gait trial's cycles; `peak_n` is the peak of its desired force, `period_s` the control period.
 
-    def __init__(self, peak_n: float, period_s: float) -> None:
+    `with_rope` False leaves out rope positions: a joint that is moved by hand never goes twice the same way.
+    """
+
+    def __init__(self, peak_n: float, period_s: float, *, with_rope: bool = True) -> None:
         self.s = np.zeros(STATES)
         self.s[[LAST_BIN, LAST_CYCLE]] = -1.0
         self.memory = np.full((2, BINS, KEPT), np.nan)
         self.g = np.array([base + share * peak_n for base, share in TOLERANCES])
+        if not with_rope:
+            self.g[[WOUND_FIRST, WOUND_SECOND]] = math.inf
         self._width = min(RING, max(2, round(MEAN_S / period_s)))
 
     def check(self, inputs: Inputs, annotations: CycleAnnotations) -> CycleDeparture | None:

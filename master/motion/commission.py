@@ -105,6 +105,8 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
                          f"{_shown(node, FURTHEST[node])}; give a shorter way.")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
+        if node not in exchange.wire.drives:
+            raise BringUpError(f"the declared bench has no drive of the {axis}; move it by hand")
         begun = _position(exchange.inputs, node)
         _refuse_beyond_limits(begun, begun + distance, node, axis, limits)
         begun_n = exchange.inputs.start_n

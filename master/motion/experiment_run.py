@@ -197,13 +197,16 @@ class Planned:
             undone = self.undone[id(table)]
             self.homed = home(exchange, self.calibration, self.homing, experiment.gait.idle_slack_m,
                               1.0 if undone is None else undone.home_gain)
-            gait.approach(exchange, table, self.first, experiment.homing)
+            gait.approach(exchange, table, self.first, experiment.homing, self.calibration.swing_k)
+        elif not exchange.knee_driven:
+            moves.follow_joint(exchange, table.knee[self.first], 0.0, experiment.homing.knee_rad_s)
         self.watch(exchange)
         self.walk(exchange)
 
     def watch(self, exchange: Exchange) -> None:
         """Have the gait that comes next held against the desired force and against its own first cycles."""
-        exchange.guard.repetition = Repetition(self.experiment.reference.peak_n, self.table.period_s)
+        exchange.guard.repetition = Repetition(self.experiment.reference.peak_n, self.table.period_s,
+                                               with_rope=exchange.knee_driven)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
         """Run in, start softly, walk and run out: every step that the controller makes in a trial.

@@ -116,14 +116,20 @@ def swing_held(
     exchange: Exchange, swing_k: float, force_n: float, angles: Iterable[float],
     seen: Callable[[Inputs], None] = lambda _: None,
 ) -> None:
-    """Lead the knee through `angles`, rad, the rope along with it, START held by an integral of what it lacks."""
+    """Lead the knee through `angles`, rad, the rope along with it, START held by an integral of what it lacks.
+
+    Along with a knee without a drive the rope goes as the encoder measures it.
+    """
     period_s = exchange.wire.period_ns * 1e-9
     held, knee = exchange.targets
+    if not exchange.knee_driven:
+        knee = exchange.inputs.knee_angle_rad
     tension, share = force_n, min(1.0, period_s / HOLD_FILTER_S)
     for angle in angles:
         tension += share * (exchange.inputs.start_n - tension)
         held += HOLD_GAIN_M_S_N * (force_n - tension) * period_s
-        seen(exchange.advance(held + swing_k * (angle - knee), angle))
+        led = angle if exchange.knee_driven else exchange.inputs.knee_angle_rad
+        seen(exchange.advance(held + swing_k * (led - knee), angle))
 
 
 def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
@@ -154,6 +160,8 @@ def swing_to(exchange: Exchange, knee_rad: float, calibration: Calibration, homi
     """Bring the knee there with the rope loose: paid out first, then led along with the knee."""
     moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < SLACK_N, homing.reach_m,
                "the rope does not go slack; release it by hand or tare START")
+    if not exchange.knee_driven:
+        moves.follow_joint(exchange, knee_rad, calibration.swing_k, homing.knee_rad_s)
     servo, knee = exchange.targets
     led = servo + calibration.swing_k * (knee_rad - knee)
     moves.move(exchange, led, knee_rad, BRISK * homing.rope_m_s, homing.knee_rad_s)

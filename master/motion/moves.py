@@ -5,8 +5,9 @@ The rule of this file: a move ends at its target or raises, and never exceeds th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from eds.bench_network import SERVO
 from master.cycle.exchange import Exchange
@@ -15,6 +16,10 @@ from master.network.bringup import BringUpError
 
 T = TypeVar("T")
 
+REACHED_RAD: Final = math.radians(1.0)
+"""Distance from the asked angle at which a joint that is moved by hand counts as there, rad."""
+PATIENCE_S, REMINDED_S = 60.0, 2.0
+"""Time, s, that a hand has to bring a joint to the asked angle; time after which an event says what is waited for."""
 PEAK_TO_MEAN = 1.5
 """Greatest by mean speed of the smooth step 3u² − 2u³."""
 
@@ -34,6 +39,35 @@ def move(exchange: Exchange, servo_m: float, knee_rad: float, rope_m_s: float, k
         share = smooth(step / steps)
         inputs = exchange.advance(servo + share * (servo_m - servo), knee + share * (knee_rad - knee))
     return inputs
+
+
+def follow_joint(exchange: Exchange, knee_rad: float, swing_k: float, knee_rad_s: float) -> Inputs:
+    """Ask whoever moves a joint without a drive to bring it to an angle; the rope goes along with the measured angle.
+
+    `swing_k`: rope by angle, m/rad.  Raises `BringUpError` for a joint that is not there in `PATIENCE_S`.
+    """
+    servo, knee = exchange.targets
+    inputs = exchange.inputs
+    begun = inputs.knee_angle_rad
+    period_s = exchange.wire.period_ns * 1e-9
+    steps = max(1, round(PEAK_TO_MEAN * abs(knee_rad - knee) / knee_rad_s / period_s))
+    patience = steps + round(PATIENCE_S / period_s)
+    for step in range(1, patience):
+        if step > steps and abs(inputs.knee_angle_rad - knee_rad) < REACHED_RAD:
+            return inputs
+        if step == steps + round(REMINDED_S / period_s):
+            exchange.log.event(inputs.sync_ns, "operator", "master",
+                               f"bring the {_joint(exchange)} to {math.degrees(knee_rad):.0f} degrees and hold it "
+                               f"there; it stands at {math.degrees(inputs.knee_angle_rad):.0f}.")
+        inputs = exchange.advance(servo + swing_k * (inputs.knee_angle_rad - begun),
+                                  knee + smooth(min(1.0, step / steps)) * (knee_rad - knee))
+    raise BringUpError(f"{_joint(exchange)}: asked to {math.degrees(knee_rad):.1f} degrees, it stands at "
+                       f"{math.degrees(inputs.knee_angle_rad):.1f} after {PATIENCE_S:.0f} s: move it there and hold "
+                       "it, or look at its encoder")
+
+
+def _joint(exchange: Exchange) -> str:
+    return exchange.wire.network.bench.joints[0].name
 
 
 def settle(exchange: Exchange, duration_s: float) -> Inputs:

@@ -188,7 +188,8 @@ class Scripted:
     def _walk(self, exchange: Exchange, walk: ScriptedWalk) -> None:
         planned = self.planned
         Hold(walk.rest_s).run(exchange, MotionContext(planned.calibration, planned.experiment.homing))
-        gait.approach(exchange, planned.table, gait.run_in_sample(planned.table), planned.experiment.homing)
+        gait.approach(exchange, planned.table, gait.run_in_sample(planned.table), planned.experiment.homing,
+                      planned.calibration.swing_k)
         planned.watch(exchange)
         planned.walk(exchange, self.count)
         self.count += planned.experiment.gait.cycles

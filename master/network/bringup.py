@@ -6,9 +6,10 @@ enabled, and a drive that is found enabled loses its torque first.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
-from eds.bench_network import KNEE, MASTER, SERVO, NodeEntry, WireLayout
+from eds.bench_network import MASTER, NodeEntry, WireLayout
 from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key
@@ -53,7 +54,7 @@ def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
     serials = {}
     for entry in entries:
         _await_node(link, entry)
-        _disarm(link, entry)
+        _disarm(link, entry, wire.drives)
         serials[entry.node_id] = identify(link, entry)
         log.event(link.clock(), "nmt", entry.name, f"identified, serial number {serials[entry.node_id]}.")
         log.drain()
@@ -98,9 +99,9 @@ def _await_node(link: Link, entry: NodeEntry) -> None:
             link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, entry.node_id)
 
 
-def _disarm(link: Link, entry: NodeEntry) -> None:
+def _disarm(link: Link, entry: NodeEntry, drives: Sequence[int]) -> None:
     """Take the voltage off a drive that a run before this one may have left enabled."""
-    if entry.node_id in (SERVO, KNEE):
+    if entry.node_id in drives:
         try:
             link.sdo_write(entry.node_id, _CONTROLWORD, 0, b"\x00\x00")
         except SdoError as error:

@@ -11,7 +11,8 @@ from eds.bench_network import Network
 from eds.declaration import as_json, declared, from_json, packaged, text_of
 from parameters import InputError
 
-SHAPES = {"bench": (1000, 4), "bench_start_only": (1000, 3), "bench_antagonists": (500, 7), "bench_two_legs": (500, 8)}
+SHAPES = {"bench": (1000, 4), "bench_start_only": (1000, 3), "bench_no_knee_drive": (1000, 4),
+          "bench_antagonists": (500, 7), "bench_two_legs": (500, 8)}
 
 
 def wire_of(name: str, rate_hz: int) -> eds.WireLayout:
@@ -50,6 +51,22 @@ def test_eight_bytes_of_targets_go_into_a_frame_and_the_rest_into_the_next() -> 
         ["00040020", "607A0020"], ["00060010", "00060010", "00060010", "60400010"]]
 
 
+def test_a_joint_without_a_drive_is_asked_in_the_frame_of_targets() -> None:
+    wire, driven = wire_of("bench_no_knee_drive", 1000), wire_of("bench", 1000)
+    assert wire.targets.pack_si(0.01, -0.5) == driven.targets.pack_si(0.01, -0.5)
+    assert [[f"{word:08X}" for word in pdo.mapping] for pdo in wire.pdos(1) if pdo.base == setup.RPDO][:2] == [
+        ["607A0020", "00040020"], ["60400010"]]
+    assert [pdo.base for pdo in wire.pdos(2)] == [setup.TPDO]
+
+
+def test_asked_angles_that_do_not_fit_go_into_a_frame_of_their_own() -> None:
+    tables = tomllib.loads(text_of("bench_antagonists"))
+    next(row for row in tables["device"] if row["name"] == "knee")["type"] = "joint_encoder"
+    tables["joint"] = [{"name": "knee", "measured_by": "knee"}]
+    wire = eds.wire(Network(rate_hz=500, bench=declared(tables, where="bench.toml")))
+    assert [(plan.cob_id, plan.size) for plan in wire.target_frames] == [(0x201, 8), (0x202, 4)]
+
+
 def test_each_rope_drive_watches_the_start_of_its_own_path() -> None:
     wire = wire_of("bench_antagonists", 500)
     assert {node: pdo.cob_id for node in (1, 5) for pdo in wire.pdos(node) if pdo.number == 3} == {1: 0x183, 5: 0x186}
@@ -71,6 +88,9 @@ WRONG = {
     "a key": ({"device": {"colour": "red"}}, "unknown key colour"),
     "a name": ({"device": {"name": "left knee"}}, "name = 'left knee' is no name"),
     "the master's name": ({"device": {"name": "master"}}, "master is taken"),
+    "a joint without a device": ({"joint": {"driven_by": ""}}, "neither driven_by nor measured_by"),
+    "a joint with two devices": ({"joint": {"measured_by": "knee"}}, "both driven_by and measured_by"),
+    "a joint's encoder": ({"joint": {"driven_by": "", "measured_by": "knee"}}, "which is no joint_encoder"),
     "a joint's drive": ({"joint": {"driven_by": "servo"}}, "driven_by = 'servo', which is no joint_drive"),
     "a path's joint": ({"force_path": {"joint": "hip"}}, "joint = 'hip', which no"),
     "a load cell": ({"force_path": {"start": "knee"}}, "start = 'knee', which is no load_cell"),

@@ -1,4 +1,4 @@
-"""The three EDS files: accepted by independent readers, and holding what the devices promise."""
+"""The packaged EDS files: accepted by independent readers, and holding what the devices promise."""
 
 import json
 import os
@@ -36,8 +36,11 @@ SENSOR = (
     0x6148,
     0x6149, 0x6150, 0x61A0, 0x61A1, 0x7130, 0x9130,
 )
-PROMISED = {"servo_drive": (*CORE, *DRIVE, *SERVO), "knee_drive": (*CORE, *DRIVE), "tension_sensor": (*CORE, *SENSOR)}
-TYPES = {"servo_drive": 0x00020192, "knee_drive": 0x00020192, "tension_sensor": 0x00020194}
+ENCODER = (0x6000, 0x6001, 0x6002, 0x6004, 0x6010, 0x6020)
+PROMISED = {"servo_drive": (*CORE, *DRIVE, *SERVO), "knee_drive": (*CORE, *DRIVE), "tension_sensor": (*CORE, *SENSOR),
+            "joint_encoder": (*CORE, *ENCODER)}
+TYPES = {"servo_drive": 0x00020192, "knee_drive": 0x00020192, "tension_sensor": 0x00020194,
+         "joint_encoder": 0x00010196}
 
 
 def read(name):

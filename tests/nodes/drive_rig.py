@@ -63,10 +63,10 @@ def knee_mass() -> Mass:
 class NodeBus:
     """One device of the bench and the time it lives in; `sent` holds its frames with their times."""
 
-    def __init__(self, node_id: int, on: bool = True) -> None:
+    def __init__(self, node_id: int, on: bool = True, wire: WireLayout = WIRE) -> None:
         self.node_id = node_id
-        self.device, self.application = nodes.build(node_id, WIRE)
-        self.entries = WIRE.nodes[node_id].dictionary.entries
+        self.device, self.application = nodes.build(node_id, wire)
+        self.entries = wire.nodes[node_id].dictionary.entries
         self.now_ns = 0
         self.sent: list[tuple[int, Frame]] = []
         if on:

@@ -1,0 +1,45 @@
+"""Hand that moves the joint of a simulated bench without a knee drive.
+
+The hand is no node. It reads the asked angle from the master's frame of targets, as an operator reads a display. It
+follows with a first-order lag, and pushes the joint with the gains of a knee drive's position loop.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from eds.bench_network import WireLayout
+from eds.frame import Frame
+from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, loop, loop_state
+from virtual_bus.station import Station
+
+PLACE: Final = 1
+"""Place of the asked angle among the values of the frame of targets."""
+
+
+class Hand(Station):
+    """Listens to the asked angle and gives the torque, N·m, at every drive tick; before the first frame it holds.
+
+    `lag_s`: time constant of the lag behind the asked angle, s.
+    """
+
+    def __init__(self, wire: WireLayout, lag_s: float) -> None:
+        super().__init__("hand", self._read, filters=frozenset({wire.targets.cob_id}), listen_only=True)
+        self._plan = wire.targets
+        self._asked_rad: float | None = None
+        self._led_rad: float | None = None
+        self._share = 1.0 - math.exp(-DRIVE_TICK_NS * 1e-9 / lag_s) if lag_s > 0.0 else 1.0
+        self._state, self._gains = loop_state(), KNEE_GAINS.vector()
+
+    def _read(self, frame: Frame, now_ns: int) -> None:
+        if len(frame.data) >= self._plan.size:
+            self._asked_rad = self._plan.unpack_si(frame.data)[PLACE]
+
+    def push(self, angle_rad: float, speed_rad_s: float) -> float:
+        """Return the torque at the joint, N·m, that leads it to the asked angle; called once in `DRIVE_TICK_NS`."""
+        if self._led_rad is None:
+            self._led_rad = angle_rad
+        if self._asked_rad is not None:
+            self._led_rad += self._share * (self._asked_rad - self._led_rad)
+        return float(loop(self._state, self._gains, angle_rad, speed_rad_s, self._led_rad, 0.0, DRIVE_TICK_NS * 1e-9))
