@@ -64,7 +64,7 @@ class NodeBus:
     """One device of the bench and the time it lives in; `sent` holds its frames with their times."""
 
     def __init__(self, node_id: int, on: bool = True, wire: WireLayout = WIRE) -> None:
-        self.node_id = node_id
+        self.node_id, self.wire = node_id, wire
         self.device, self.application = nodes.build(node_id, wire)
         self.entries = wire.nodes[node_id].dictionary.entries
         self.now_ns = 0
@@ -131,7 +131,7 @@ class NodeBus:
     def setup(self, but: Iterable[tuple[int, int]] = ()) -> None:
         """Configure the device as the bench's bring-up does, and start it; `but` leaves writes out."""
         left_out = set(but)
-        for index, subindex, value in WIRE.setup(self.node_id):
+        for index, subindex, value in self.wire.setup(self.node_id):
             if (index, subindex) not in left_out:
                 self.write(index, subindex, value)
         self.nmt(NmtCommand.START)

@@ -9,7 +9,6 @@ import pytest
 
 import eds
 from eds.bench_network import KNEE, Network
-from eds.cia301 import NmtCommand
 from eds.declaration import packaged
 from nodes import JointEncoder
 from physics.plant.bench_plant import Outputs
@@ -53,10 +52,6 @@ def test_the_position_takes_the_preset_where_the_joint_stands(preset: int) -> No
 
 def test_the_tpdo_carries_the_angle_at_sync() -> None:
     joint = Joint().at(-1.0)
-    joint.write(0x1A00, 0, 0)
-    joint.write(0x1A00, 1, 0x60200120)
-    joint.write(0x1A00, 0, 1)
-    joint.write(0x1800, 2, 1)
-    joint.nmt(NmtCommand.START)
+    joint.setup()
     (data,) = [frame.data for frame in joint.sync() if frame.can_id == 0x180 + KNEE]
     assert struct.unpack("<i", data) == (round(-1.0 / (2.0 * math.pi) * COUNTS),)
