@@ -58,10 +58,10 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
 
 def script(recorded: Trial) -> str:
     """Name of the experiment that a trial ran in place of the gait; "" where it ran none that is known."""
-    from master.motion.scripted_experiments import SCRIPTS
+    from physics.effects.separating_experiments import SCRIPTED
 
     named = recorded.metadata.get("experiment", "")
-    return named if named in SCRIPTS else ""
+    return named if named in SCRIPTED else ""
 
 
 def sections(recorded: Trial) -> dict[str, Any]:

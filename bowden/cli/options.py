@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from physics.effects.separating_experiments import SCRIPTED
+
 
 def _file(help: str, *names: str) -> Any:
     return typer.Option(*names, metavar="FILE", help=help)
@@ -15,10 +17,6 @@ def _file(help: str, *names: str) -> Any:
 def _given(help: str, *names: str, metavar: str | None = None) -> Any:
     return typer.Option(*names, metavar=metavar, help=help)
 
-
-SCRIPTS = ("locked_angles", "two_peaks", "two_speeds", "dither", "amplitude_sweep", "rest_repeat", "hold_return",
-           "unload", "locked_motor", "full_turns", "slack_swing", "step", "bus_log", "three_speeds")
-"""Names of `master.motion.scripted_experiments`, which is too heavy to import for a help text."""
 
 Output = Annotated[Path, _file("File to write.", "-o", "--output")]
 Overwrite = Annotated[bool, _given("Replace an existing output file.", "--overwrite")]
@@ -44,7 +42,7 @@ Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad 
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]
 Script = Annotated[str | None, typer.Option(
-    "--experiment", metavar="NAME", help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTS)}.")]
+    "--experiment", metavar="NAME", help=f"In place of the gait, one that separates effects: {', '.join(SCRIPTED)}.")]
 ControllerModel = Annotated[Path | None, _file("Bench model whose effects the controller knows of.")]
 DryRun = Annotated[bool, _given("Everything on the bus, drives never enabled.", "--dry-run")]
 

@@ -26,6 +26,7 @@ from diagnosis.problem.prior import Free, Prior
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.catalogue import CATALOGUE
+from physics.effects.experiment_motions import gaits
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.plant.leg import GRAVITY
 from physics.relations.measured import Signals
@@ -34,12 +35,10 @@ from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
-Waypoint = tuple[float, float, float]
-"""Time, s, END tension, N, knee angle, degrees."""
 
 RATE_HZ: Final = 25.0
-SLACK_N: Final = 0.5
 GAIT: Final = "gait"
+"""Name of the motion that the class of effects was found by: ten gait cycles."""
 WEIGHT: Final = "weight"
 """The relation that a known weight at END adds: END's reading from the weight."""
 SPLITS: Final = 0.10
@@ -50,36 +49,8 @@ STEP: Final = 0.02
 BEND: Final = 1.5
 """Change of the sheath's bend in known_bend."""
 SENSOR_SLOTS: Final = ("gain", "offset", "drift")
-
-
-def _laps(seconds: float, tensions: Sequence[float], knee: float, count: int = 2) -> list[Waypoint]:
-    return [(seconds, tension, knee) for _ in range(count) for tension in tensions]
-
-
-def _gaits(count: int) -> list[Waypoint]:
-    return [point for _ in range(count) for point in (
-        (0.5, 5.0, -5.0), (0.3, 40.0, -15.0), (0.4, 6.0, -40.0), (0.4, 5.0, -60.0), (0.4, 5.0, -10.0))]
-
-
-MOTIONS: Final[Mapping[str, Sequence[Waypoint]]] = {
-    GAIT: _gaits(10),
-    "known_bend": _laps(2.0, (40.0, 10.0), -30.0, 4),
-    "locked_angles": [p for knee in (-10.0, -30.0, -60.0) for p in _laps(2.0, (10.0, 50.0, 10.0), knee, 1)],
-    "two_peaks": _laps(2.0, (20.0, 5.0), -30.0) + _laps(2.0, (60.0, 5.0), -30.0),
-    "two_speeds": _laps(4.0, (40.0, 5.0), -30.0) + _laps(0.4, (40.0, 5.0), -30.0, 6),
-    "amplitude_sweep": [p for size in (0.5, 1.0, 2.0, 5.0, 10.0)
-                        for p in _laps(1.0, (30.0 + size, 30.0 - size), -30.0)],
-    "rest_repeat": [*_gaits(5), (20.0, 5.0, -10.0), *_gaits(5)],
-    "dead_weight": [(1.0, 20.0, -30.0), (3.0, 20.0, -30.0), (1.0, 40.0, -30.0), (3.0, 40.0, -30.0)],
-    "swapped_sensors": _laps(2.0, (40.0, 5.0), -30.0, 4),
-    "hold_return": [(2.0, 40.0, -30.0), (20.0, 40.0, -30.0), (2.0, 5.0, -30.0), (20.0, 5.0, -30.0)],
-    "unload": _laps(2.0, (20.0, SLACK_N, SLACK_N), -30.0, 3),
-    "locked_motor": [(0.5, 20.0 + 4.0 * swing, -30.0 + swing) for swing in (1, -1, 1, -1, 2, -2, 2, -2, 5, -5, 5, -5)],
-    "slack_swing": [(0.4, SLACK_N, knee) for _ in range(6) for knee in (-60.0, -5.0)],
-    "step": [p for _ in range(4) for p in ((0.05, 35.0, -30.0), (1.0, 35.0, -30.0), (0.05, 30.0, -30.0),
-                                          (1.0, 30.0, -30.0))],
-}
-"""Motions that are calculated; of an experiment that is not here nothing is claimed."""
+CALCULATED: Final = tuple(name for name, experiment in EXPERIMENTS.items() if experiment.waypoints)
+"""Experiments whose motion has waypoints; of the others nothing is claimed."""
 
 
 def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) -> str | None:
@@ -100,9 +71,9 @@ def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) 
         (Pair(found.best, model, setting), Pair(model, found.best, setting))
         for name in others if (model := _rival(found, name)) is not None]
     gained: dict[str, float] = {}
-    for offered in (named, [name for name in MOTIONS if name not in (*named, GAIT)]):
+    for offered in (named, [name for name in CALCULATED if name not in named]):
         gained |= {name: min(0.5 * (either.gained(name) + reverse.gained(name)) for either, reverse in pairs)
-                   for name in offered if name in MOTIONS and pairs}
+                   for name in offered if name in CALCULATED and pairs}
         splits = [name for name in offered if gained.get(name, 0.0) >= SPLITS]
         if splits:
             return min(splits, key=lambda name: (bool(EXPERIMENTS[name].by_hand), -gained[name]))
@@ -215,7 +186,7 @@ def _changed(name: str, values: Values) -> dict[str, float] | None:
 @functools.lru_cache(maxsize=1)  # what their laws remember is larger than a trial
 def _signals(name: str) -> Signals:
     """Return what a healthy bench's sensors would say on an experiment's motion, nearly."""
-    points = MOTIONS[name]
+    points = gaits(10) if name == GAIT else EXPERIMENTS[name].waypoints
     ends = np.cumsum([1.0, *(seconds for seconds, _, _ in points)])
     time = np.arange(0.0, ends[-1], 1.0 / RATE_HZ)
     at = np.concatenate(([0.0], ends))

@@ -1,22 +1,22 @@
-"""What an experiment is made of: one small motion after the other, each a row of data that knows how it is done.
+"""Motions of an experiment on the bench: each kind of `physics.effects.experiment_motions`, done in the running cycle.
 
-The rule of this file: a motion starts from the last targets, is led at a stated speed, and never looks at END.
+A motion starts from the last targets, is led at its stated speed, and never reads END.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Final, NamedTuple, assert_never
 
 from master.cycle.exchange import Exchange
 from master.motion import moves
 from master.motion.home import swing_to
 from master.settings import Homing
 from physics.calibration import Calibration
+from physics.effects.experiment_motions import Dither, Hold, Knee, Motion, Pull, Release, Swing, Wind
 
-REACH_M = 0.12
-SLACK_N = 1.0
+REACH_M: Final = 0.12
+"""Rope, m, within which a pull must tighten and a release must slacken."""
 
 
 class MotionContext(NamedTuple):
@@ -26,111 +26,53 @@ class MotionContext(NamedTuple):
     homing: Homing
 
 
-class Motion(Protocol):
-    """One motion."""
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it, from the last targets on."""
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Wind the rope until START is above `start_n`."""
-
-    start_n: float
-    speed_m_s: float = 0.06
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it; raises `RefusedError` where the rope does not tighten."""
-        moves.reel(exchange, self.speed_m_s, lambda inputs: inputs.start_n > self.start_n, REACH_M,
-                   "the rope does not tighten")
-
-
-@dataclass(frozen=True)
-class Release:
-    """Pay the rope out until START is below `start_n`, then `beyond_m` more."""
-
-    start_n: float = SLACK_N
-    speed_m_s: float = 0.06
-    beyond_m: float = 0.0
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it; raises `RefusedError` where the rope does not go slack."""
-        moves.reel(exchange, -self.speed_m_s, lambda inputs: inputs.start_n < self.start_n, REACH_M,
-                   "the rope does not go slack")
-        Wind(-self.beyond_m, self.speed_m_s).run(exchange, bench)
+def do(motion: Motion, exchange: Exchange, bench: MotionContext) -> None:
+    """Do one motion from the last targets on; raises `BringUpError` if the rope does not tighten or go slack."""
+    match motion:
+        case Pull():
+            moves.reel(exchange, motion.speed_m_s, lambda inputs: inputs.start_n > motion.start_n, REACH_M,
+                       "the rope does not tighten")
+        case Release():
+            moves.reel(exchange, -motion.speed_m_s, lambda inputs: inputs.start_n < motion.start_n, REACH_M,
+                       "the rope does not go slack")
+            _wind(exchange, -motion.beyond_m, motion.speed_m_s)
+        case Wind():
+            _wind(exchange, motion.length_m, motion.speed_m_s)
+        case Hold():
+            moves.settle(exchange, motion.seconds)
+        case Dither():
+            _dither(exchange, motion)
+        case Knee():
+            swing_to(exchange, motion.angle_rad, bench.calibration, bench.homing)
+        case Swing():
+            _swing(exchange, motion, bench.calibration.swing_k if motion.rope_follows else 0.0)
+        case _:
+            assert_never(motion)
 
 
-@dataclass(frozen=True)
-class Wind:
-    """Wind a length at constant speed; negative: pay it out."""
-
-    length_m: float
-    speed_m_s: float
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it, whatever the tension: the limits stop it."""
-        servo, knee = exchange.targets
-        steps = math.ceil(abs(self.length_m) / self.speed_m_s / _period_s(exchange))
-        for step in range(1, steps + 1):
-            exchange.advance(servo + self.length_m * step / steps, knee)
+def _wind(exchange: Exchange, length_m: float, speed_m_s: float) -> None:
+    servo, knee = exchange.targets
+    steps = math.ceil(abs(length_m) / speed_m_s / _period_s(exchange))
+    for step in range(1, steps + 1):
+        exchange.advance(servo + length_m * step / steps, knee)
 
 
-@dataclass(frozen=True)
-class Hold:
-    """Hold both axes."""
-
-    seconds: float
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it."""
-        moves.settle(exchange, self.seconds)
+def _dither(exchange: Exchange, motion: Dither) -> None:
+    servo, knee = exchange.targets
+    turn = 2.0 * math.pi * motion.frequency_hz * _period_s(exchange)
+    whole_s = round(motion.seconds * motion.frequency_hz) / motion.frequency_hz
+    for step in range(1, round(whole_s / _period_s(exchange))):
+        exchange.advance(servo + motion.amplitude_m * math.sin(turn * step), knee)
+    exchange.advance(servo, knee)
 
 
-@dataclass(frozen=True)
-class Dither:
-    """Hold the rope with a sine of `amplitude_m` on it."""
-
-    amplitude_m: float
-    frequency_hz: float
-    seconds: float
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it, in whole sines."""
-        servo, knee = exchange.targets
-        turn = 2.0 * math.pi * self.frequency_hz * _period_s(exchange)
-        for step in range(1, round(round(self.seconds * self.frequency_hz) / self.frequency_hz / _period_s(exchange))):
-            exchange.advance(servo + self.amplitude_m * math.sin(turn * step), knee)
-        exchange.advance(servo, knee)
-
-
-@dataclass(frozen=True)
-class Knee:
-    """Slacken the rope, then bring the knee to an angle, the rope led along; it stays locked there."""
-
-    angle_rad: float
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it; raises `RefusedError` where the rope does not go slack."""
-        swing_to(exchange, self.angle_rad, bench.calibration, bench.homing)
-
-
-@dataclass(frozen=True)
-class Swing:
-    """Swing the knee once about where it is; the rope follows, or is held."""
-
-    amplitude_rad: float
-    seconds: float
-    rope_follows: bool = False
-
-    def run(self, exchange: Exchange, bench: MotionContext) -> None:
-        """Do it, a sine from its middle to its middle."""
-        servo, knee = exchange.targets
-        ratio = bench.calibration.swing_k if self.rope_follows else 0.0
-        steps = round(self.seconds / _period_s(exchange))
-        for step in range(1, steps + 1):
-            angle = self.amplitude_rad * math.sin(2.0 * math.pi * step / steps)
-            exchange.advance(servo + ratio * angle, knee + angle)
+def _swing(exchange: Exchange, motion: Swing, rope_by_knee: float) -> None:
+    """Swing the knee a sine from its middle to its middle; `rope_by_knee`, m/rad, 0: the rope is held."""
+    servo, knee = exchange.targets
+    steps = round(motion.seconds / _period_s(exchange))
+    for step in range(1, steps + 1):
+        angle = motion.amplitude_rad * math.sin(2.0 * math.pi * step / steps)
+        exchange.advance(servo + rope_by_knee * angle, knee + angle)
 
 
 def _period_s(exchange: Exchange) -> float:

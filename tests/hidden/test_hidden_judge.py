@@ -16,7 +16,8 @@ import pytest
 
 from benchmarks import marked
 from bowden.sweep.run import Workers
-from master.motion.scripted_experiments import SCRIPTS, laps
+from master.motion.scripted_experiments import laps
+from physics.effects.separating_experiments import SCRIPTED
 from tests.hidden import bars, cases, moves, page, run
 from tests.hidden.answers import After, Answer, answer, from_json
 from tests.hidden.cases import Job
@@ -168,7 +169,7 @@ def test_a_wire_shows_the_newest_value_that_came() -> None:
 
 def test_the_hidden_bench_runs_what_needs_no_hands() -> None:
     # the bus log is any gait: nothing to be run
-    assert set(moves.EXPERIMENTS) == set(SCRIPTS) - {"bus_log"}
+    assert set(moves.EXPERIMENTS) == set(SCRIPTED) - {"bus_log"}
 
 
 @pytest.mark.parametrize("name", ["locked_angles", "step", "unload", "two_peaks"])
