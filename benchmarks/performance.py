@@ -72,7 +72,8 @@ def profile() -> str:
 
 
 ROWS: dict[str, Callable[[], Iterator[Row]]] = {
-    "cycle": whole_cycle, "events": performance_rows.event_by_event, "pdo": performance_rows.pdos,
+    "cycle": whole_cycle, "events": performance_rows.event_by_event, "nodes": performance_rows.by_nodes,
+    "pdo": performance_rows.pdos,
     "load": performance_rows.wire_load, "record": performance_rows.record, "read": performance_rows.read,
     "size": performance_rows.size, "plant": performance_whole.plant, "diagnosis": performance_whole.diagnosis,
     "processes": performance_whole.processes, "start": start, "memory": memory,

@@ -19,18 +19,23 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
+import nodes
 import trial
 from benchmarks import cycle
 from benchmarks import trial as recorded
 from benchmarks.paired import Turn, compare
 from eds import bus_load
 from eds.bench_network import FILES, SERVO, Network, wire
+from eds.declaration import packaged as packaged_bench
 from eds.dictionary import packaged
 from eds.pdo_plan import Joined
+from master.cycle.log import Log
 from master.motion.experiment_run import ExperimentSetup, run
+from master.network.bringup import bring_up
 from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
+from virtual_bus.bench import Bench
 from virtual_bus.bits import INTERMISSION_BITS, bits_of
 from virtual_bus.bus import BowdenBus
 from virtual_bus.steady import SWITCH
@@ -80,11 +85,11 @@ def pdos() -> Iterator[Row]:
         from_si(0.01, -0.2)
 
     network = canopen.Network()
-    nodes = {n: network.add_node(n, str(packaged(name))) for n, name in FILES.items()}
-    for number, node in nodes.items():
+    known = {n: network.add_node(n, str(packaged(name))) for n, name in FILES.items()}
+    for number, node in known.items():
         cycle.map_pdo(node.tpdo[1], described.pdos(number)[0])
-    cycle.map_pdo(nodes[SERVO].rpdo[1], described.pdos(SERVO)[1])
-    inputs, targets = [node.tpdo[1] for node in nodes.values()], nodes[SERVO].rpdo[1]
+    cycle.map_pdo(known[SERVO].rpdo[1], described.pdos(SERVO)[1])
+    inputs, targets = [node.tpdo[1] for node in known.values()], known[SERVO].rpdo[1]
 
     def peer() -> None:
         for pdo, frame in zip(inputs, frames, strict=True):
@@ -97,6 +102,37 @@ def pdos() -> Iterator[Row]:
         works = [partial(turns, unit=each, units=500) for each in (unit, peer)]
         compared = compare(works[0], works[1], units=500, turns=30)
         yield compared.row(f"PDOs of a cycle: {name}, µs", "canopen `PdoVariable.raw`")
+
+
+def exchanged(name: str, turn: Turn) -> None:
+    """Run cycles of a packaged declaration on the virtual bus: wire, devices, inputs to SI, targets; no plant."""
+    described = wire(Network(rate_hz=500, bench=packaged_bench(name)))
+    bench = Bench([nodes.build(node, described)[0] for node in described.nodes])
+    with BowdenBus(name, bench=bench) as bus:
+        link = Link(bus, bus.time_ns)
+        bring_up(link, described, Log(None, None, described.target_frames[0].cob_id))
+        link.sync_start(described.period_ns)
+        unpacks = {cob_id: plan.unpack_si for cob_id, plan in described.tpdo.items()}
+        frames = [(plan, [0.0] * len(plan.keys)) for plan in described.target_frames]
+
+        def unit() -> None:
+            missing = len(unpacks)
+            while missing:
+                message = link.receive(bus.time_ns() + 2 * described.period_ns)
+                assert message is not None
+                if (unpack := unpacks.get(message.arbitration_id)) is not None:
+                    unpack(bytes(message.data))
+                    missing -= 1
+            for plan, targets in frames:
+                link.send(plan.cob_id, plan.pack_si(*targets))
+
+        turns(turn, unit, 200)
+
+
+def by_nodes() -> Iterator[Row]:
+    """The exchange of a cycle on a declared bench of four nodes, and on one of eight."""
+    yield compare(partial(exchanged, "bench"), partial(exchanged, "bench_two_legs"), units=200, turns=30).row(
+        "exchange of a cycle, 4 nodes (wire, devices, inputs, targets; no plant), µs", "the same with 8 nodes")
 
 
 def wire_load() -> Iterator[Row]:

@@ -32,7 +32,6 @@ FILES: Final = MappingProxyType({device.node_id: device.type.file for device in 
 """Node ids, names and packaged EDS of the paper's bench, for modules that run this shape only."""
 
 TARGETS_COB_ID: Final = cia301.RPDO_BASE + DRIVES[0]
-CONTROLWORDS_COB_ID: Final = cia301.RPDO_BASE + 0x100 + DRIVES[0]
 FRAME_BITS: Final = 64
 """Bits that one frame carries; targets beyond it go into a further frame."""
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)

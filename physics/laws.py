@@ -65,24 +65,13 @@ def desired_force(percent: T, peak_n: float) -> T:
     return desired
 
 
-def cable_output(tension_in_n: T, exponent: float, velocity: T) -> T:
-    """Return the cable's output tension of (3), N; `exponent` is μ1·θ, `velocity` the rope's.
-
-    The text of the paper prints v̇; Coulomb friction turns with the sign of the velocity itself.
-    """
-    tension: T = tension_in_n * np.exp(-exponent * np.sign(velocity))
-    return tension
-
-
 def cable_loss(desired_n: T, exponent: float, velocity: T) -> T:
-    """Return the cable's friction force fL of (4), N, when its output is to be `desired_n`."""
+    """Return the cable's friction force fL of (4), N, when its output is to be `desired_n`; `exponent` is μ1·θ.
+
+    The text of the paper prints v̇; Coulomb friction turns with the sign of the rope's `velocity` itself.
+    """
     loss: T = desired_n * np.expm1(exponent * np.sign(velocity))
     return loss
-
-
-def cable_input(desired_n: T, exponent: float, velocity: T) -> T:
-    """Return the tension FA of (5), N, that the cable must be given."""
-    return desired_n + cable_loss(desired_n, exponent, velocity)
 
 
 def capstan(tension_n: T, exponent: float | T) -> T:
@@ -91,21 +80,13 @@ def capstan(tension_n: T, exponent: float | T) -> T:
     return tight
 
 
-def fabric_output(tension_in_n: T, exponent: float | T, strain_rate: T) -> T:
-    """Return the fabric's output tension of (7), N; `exponent` is μ2·φ(t), `strain_rate` the fabric's."""
-    tension: T = tension_in_n * np.exp(-exponent * np.sign(strain_rate))
-    return tension
-
-
 def fabric_loss(desired_n: T, exponent: float | T, strain_rate: T) -> T:
-    """Return the fabric's friction force fT of (8), N, when its output is to be `desired_n`."""
+    """Return the fabric's friction force fT of (8), N, when its output is to be `desired_n`.
+
+    `exponent` is μ2·φ(t), `strain_rate` the fabric's.
+    """
     loss: T = desired_n * np.expm1(exponent * np.sign(strain_rate))
     return loss
-
-
-def fabric_input(desired_n: T, exponent: float | T, strain_rate: T) -> T:
-    """Return the tension TA of (9), N, that the fabric must be given."""
-    return desired_n + fabric_loss(desired_n, exponent, strain_rate)
 
 
 def series_input(
@@ -129,18 +110,6 @@ def stiffness_slope(force_n: T) -> T:
     return MILLI * (2.0 * STIFFNESS_A_MM_N2 * force_n + STIFFNESS_B_MM_N)
 
 
-def stiffness_force(displacement_m: T) -> T:
-    """Return the force, N, at the encoder position x1 of (10): its inverse, below the turning point at 88 N.
-
-    NaN beyond the turning point, where no force answers; negative below ck, where the law is extrapolated.
-    """
-    a, b = STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
-    root = b * b - 4.0 * a * (STIFFNESS_C_MM - np.asarray(displacement_m) / MILLI)
-    force: Any = (np.sqrt(np.where(root >= 0.0, root, np.nan)) - b) / (2.0 * a)
-    inverse: T = force[()]
-    return inverse
-
-
 def swing_displacement(knee_rad: T) -> T:
     """Return the rope displacement x2 of (11), m, in the paper's own zero, which is not that of (10)."""
     return MILLI * (SWING_K_MM_DEG * (knee_rad / DEGREE) + SWING_P_MM)
@@ -150,14 +119,6 @@ def rope_position(force_n: T, knee_rad: T) -> T:
     """Return x1(F) + k2·(θk − θk(13 %)), m: (10) and (11) joined in the encoder zero of (10)."""
     at_fit = knee_angle(STIFFNESS_KNEE_PERCENT)
     return stiffness_displacement(force_n) + (swing_displacement(knee_rad) - swing_displacement(at_fit))
-
-
-def impedance_force(
-    mass: float, damping: float, stiffness: float,
-    displacement: T, velocity: T, acceleration: T,
-) -> T:
-    """Return Fe = M·Δẍ + B·Δẋ + K·Δx, N: (12) and (13) in kg, N·s/m, N/m, with Δx = xr − x."""
-    return mass * acceleration + damping * velocity + stiffness * displacement
 
 
 def impedance_response(

@@ -24,7 +24,6 @@ from parameters import InputError
 CONNECT_S = 10
 TLS_FILES = ("ca.pem", "cert.pem", "key.pem")
 """Files of `--scheduler-tls`: the authority's certificate, this client's own, and its key."""
-COMPLETED = "completed"
 
 
 class Workers(NamedTuple):

@@ -77,7 +77,6 @@ FULL: Final = 2
 CLOSE: Final = 1.2
 """Coarse fits that are carried on: so many at most, of at most this share of the best one's cost."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
-LIKELY_RATIO: Final = (0.01, 0.2)
 STRAIGHT: Final = 0.9
 """R² of rope over knee and tension from which a rig is one of this kind."""
 
@@ -97,11 +96,6 @@ class Geometry:
         """Whether a tension stretches what is there like a rope and a strap."""
         stretch = self.linear * 60.0 + self.bend * 3600.0
         return self.straight > STRAIGHT and STRETCH_AT_60_N[0] < abs(stretch) < STRETCH_AT_60_N[1]
-
-    @property
-    def of_this_kind(self) -> bool:
-        """Whether a rope runs over a knee there, and stretches like one."""
-        return self.stretches and LIKELY_RATIO[0] < abs(self.ratio) < LIKELY_RATIO[1]
 
 
 def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None) -> Geometry | None:

@@ -95,8 +95,6 @@ _UNKNOWNS = (
     _Unknown("start_gain", 5e-3, 0.98, 1.02, 0.004),
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
-SWUNG = frozenset({"swing_k"})
-"""What only a swing tells."""
 WEIGHT = 20.0
 """Root of the residuals that one segment counts for."""
 SLID_M = 2e-3

@@ -24,8 +24,6 @@ from trial.mcap_file import cdr
 from trial.signals import UNITS
 
 GAP = 2.5  # a gap is longer than so many median steps
-RECORDED_BY = ("operator", "specimen", "rope", "notes", "experiment", "controller", "calibration", "commit", "version",
-               "imported_from", "interface", "channel", "source")
 
 
 class StreamSummary(NamedTuple):

@@ -154,7 +154,6 @@ def _refuse_bomb(path: Path) -> None:
                                      "it is no measured log, do not open it.")
 
 
-READERS = (".asc", ".blf", ".trc", ".csv", ".db", ".mf4")
 CSV_HEADER = "timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 
