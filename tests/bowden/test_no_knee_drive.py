@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,12 @@ from bowden import configuration
 from bowden.recorded import sections
 from eds.declaration import packaged, text_of
 from parameters import InputError
+from physics.plant.bench_plant import BowdenPlant, Outputs, PlantParameters
 from trial.read import open as opened
 
 Command = Callable[..., tuple[int, str, str]]
 SHAPE = "bench_no_knee_drive"
+FROZEN_NS = 4_000_000_000
 COUNT_RAD = 2.0 * np.pi / 65536
 
 
@@ -85,6 +87,32 @@ def test_a_lost_encoder_lets_the_rope_go(declared: Path) -> None:
     told = ran_with(declared, faults=[{"kind": "cut", "node": 2, "start_s": 3.0}])
     assert told.outcome == "stopped"
     assert "knee missed" in str(told.figures["stop_reason"])
+
+
+class FrozenEncoder(BowdenPlant):
+    """The simulated bench, whose joint angle stands still for who measures it from 4 s on."""
+
+    __slots__ = ("angle_rad",)
+
+    def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
+        """Run on; the angle stays."""
+        felt = super().advance(until_ns, servo_torque_nm, knee_torque_nm)
+        if until_ns >= FROZEN_NS:
+            felt = felt._replace(knee_angle_rad=self.angle_rad)
+        self.angle_rad = felt.knee_angle_rad
+        return felt
+
+
+def frozen_encoder(parameters: Mapping[str, float], seed: int) -> FrozenEncoder:
+    """Make the plant of a name in `bowden.simulated(plant=…)`."""
+    return FrozenEncoder(PlantParameters(**parameters))
+
+
+def test_an_encoder_that_stands_still_is_contradicted_by_the_stretch(declared: Path) -> None:
+    told = ran_with(declared, plant=f"{__name__}:frozen_encoder", output=declared / "frozen.mcap")
+    assert told.outcome == "stopped"
+    assert "knee angle" in str(told.figures["stop_reason"])
+    assert np.nanmax(opened(declared / "frozen.mcap").columns["tension_end_n"]) < 22.0
 
 
 def test_a_slow_hand_is_waited_for_and_reminded(declared: Path) -> None:
