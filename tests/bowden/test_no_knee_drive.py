@@ -132,6 +132,15 @@ def test_commands_of_the_knee_are_refused(declared: Path, bowden: Command) -> No
         ran_with(declared, faults=[{"kind": "emergency_stop", "node": 2, "start_s": 3.0}])
 
 
+def test_neither_end_nor_knee_drive_is_refused_and_its_wire_planned(here: Path, bowden: Command) -> None:
+    text = text_of("bench_start_only").replace("joint_drive", "joint_encoder").replace("driven_by", "measured_by")
+    (here / "bench.toml").write_text(text)
+    status, out, err = bowden("trial", "--config", "bench.toml", "-o", "trial.mcap")
+    assert (status, out) == (2, "")
+    assert "nor that without a knee drive" in err
+    assert bowden("check", "config", "bench.toml")[0] == 0
+
+
 @pytest.mark.exhaustive
 def test_it_is_identified_controlled_and_diagnosed(declared: Path, bowden: Command) -> None:
     assert bowden("identify", "all", "--config", "bench.toml", "-o", "own.toml")[0] == 0
