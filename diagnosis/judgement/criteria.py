@@ -39,7 +39,9 @@ class SearchCriteria:
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
         # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
-        least_fall = verdict.least_fall(self.setting.structure, lesser.prior_penalty - model.prior_penalty)
+        relief = lesser.prior_penalty - model.prior_penalty
+        least = verdict.STRAINED if self.setting.elsewhere else verdict.LEAST_FALL
+        least_fall = least if relief >= least else verdict.least_fall(self.setting.structure)
         fall = self._fall(lesser, model, added)
         if min(fall, 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
@@ -52,17 +54,17 @@ class SearchCriteria:
             return False
         if any(self._beyond(c, model) for c in added):
             return False
+        if relief >= least:
+            # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
+            return True
         kept = 1.0 - verdict.FURTHER_ELSEWHERE
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
                                           for n in self.setting.checked):
             return False
-        if lesser.prior_penalty - model.prior_penalty >= verdict.LEAST_FALL:
-            # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
-            return True
         noise = {n: self.setting.noise_squares(n) for n in self.setting.checked}
         cuts, base = verdict.cut(lesser, model, noise), search.baseline
-        least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
-        return any(share >= least and lesser.by_relation[n] - model.by_relation[n]
+        share_least = verdict.LEAST_FURTHER if lesser.effects else verdict.LEAST_GAIN
+        return any(share >= share_least and lesser.by_relation[n] - model.by_relation[n]
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _fall(self, lesser: FittedEffects, model: FittedEffects, added: Sequence[Candidate]) -> float:
@@ -161,6 +163,11 @@ class SearchCriteria:
         change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
         named = {f.name for c in model.effects for f in c.frees}
         bands = [f for f in self.setting.reference.nuisance if f.name in effect.level and f.name not in named]
+        if self.setting.elsewhere and bands:
+            level = search.level_alone(model, effect)
+            kept = 1.0 - verdict.FURTHER_ELSEWHERE
+            return all(self.setting.reference.within(f, model.fit.free, values) for f in bands) or any(
+                model.by_relation[n] <= kept * level.by_relation[n] for n in self.setting.checked)
         if all(max(values[f.name] - f.high, f.low - values[f.name]) <= change * abs(healthy[f.name]) for f in bands):
             return True
         if self.setting.any_rig:

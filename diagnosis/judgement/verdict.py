@@ -79,13 +79,12 @@ absence lies among what is expected)."""
 DRAWS: Final = 400
 
 
-def least_fall(structure: float, relief: float = 0.0) -> float:
+def least_fall(structure: float) -> float:
     """Return the χ² that an effect must take away on unseen cycles.
 
     `structure`: χ² that the laws leave on a healthy bench beyond noise, some law of the catalogue may bend to it.
-    `relief`: by how much the effect lets the nuisance return to what is known of it; no bending does that.
     """
-    return LEAST_FALL if relief >= LEAST_FALL else max(BENT, STRUCTURE * structure)
+    return max(BENT, STRUCTURE * structure)
 
 
 @dataclass(frozen=True)

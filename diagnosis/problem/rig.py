@@ -22,14 +22,15 @@ from diagnosis.problem.fit import Fit
 from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learnt_bands import covariance, sigmas
-from diagnosis.problem.prior import Free
+from diagnosis.problem.prior import Free, Prior
 from diagnosis.problem.problem import ProblemSetting, build_problem
 from physics.parameters import RELATION_PARAMETERS
 
-DAILY: Final = 0.2
-"""1σ from one day to another of a rig's friction, of its value: that of a rubber seal, recorded again four times, keeps
-within two of that."""
+DAILY: Final = 0.08
+"""1σ from one session to another of a rig's whole friction, of it; of a rubber seal recorded in five sessions, 0.08."""
+DAILY_PART: Final = 0.25
+"""The same of each of its parts (dry, of the load, viscous), which one session tells apart from the others less well:
+those of the seal have 0.18."""
 FIRM: Final = {"stiffness_scale": 0.03, "stiffness_shape": 0.03, "drive_inertia": 0.02}
 """The same of what does not rub: temperature moves a spring by per cents, and a mass is what it was."""
 DAILY_RATIO: Final = 0.005
@@ -49,10 +50,10 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
     first = build_problem(healthy, HealthyTrials(), None)
     found = searched(first)
     checked = tuple(n for n in first.checked if not relations.allowed(trials)[n])
-    sigma = sigmas(covariance(found))
-    nuisance = tuple(_band(f, found.values[f.name], math.hypot(sigma[f.name], _daily(f.name, found, first)))
-                     for f in found.free)
-    reference = HealthyReference("healthy", dict(found.values), nuisance)
+    prior = _sessions(found, first)
+    nuisance = tuple(_band(f, found.values[f.name], sigma) for f, sigma in zip(
+        found.free, np.sqrt(np.diag(prior.covariance)).tolist(), strict=True))
+    reference = HealthyReference("healthy", dict(found.values), nuisance, prior=prior)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
     # what a law lacks is a share of what it says: of twice the force it is twice as much
@@ -72,6 +73,37 @@ def _spread(blocks: Sequence[Block], name: str) -> float:
                 for v in (b.signals[b.relation.output][b.keep],))
 
 
+def _sessions(found: Fit, setting: ProblemSetting) -> Prior:
+    """Return what constants differ by from one session to another: each by itself, and the friction as a whole by less.
+
+    δ = Σ aᵢ·δθᵢ is the relative change of the friction F = Σ θᵢ·∂r/∂θᵢ along itself, aᵢ = ⟨∂r/∂θᵢ, F⟩ / ⟨F, F⟩, by
+    relation; its 1σ is `DAILY`.
+    """
+    names = tuple(f.name for f in found.free)
+    apart = np.array([_daily(name, found, setting) for name in names])
+    information = np.diag(1.0 / np.maximum(apart, 1e-3 * np.array([f.scale for f in found.free])) ** 2)
+    rubs = np.array([_rubs(name) for name in names])
+    at = np.array([found.values[name] for name in names])
+    for relation in setting.checked:
+        rows = [np.zeros((len(names), 0))]
+        for i, block in enumerate(setting.blocks):
+            if block.relation.name == relation:
+                slopes = np.zeros((len(names), found.slopes[i].shape[1]))
+                slopes[found.reads[i]] = found.slopes[i]
+                rows.append(slopes)
+        slopes = np.concatenate(rows, axis=1) * rubs[:, None]
+        friction = at @ slopes
+        if (size := float(friction @ friction)) > 0.0:
+            along = slopes @ friction / size
+            information += np.outer(along, along) / DAILY**2
+    return Prior(names, np.linalg.inv(information))
+
+
+def _rubs(name: str) -> bool:
+    p = RELATION_PARAMETERS[name]
+    return name not in FIRM and not (p.free and (p.neutral is not None or p.nominal == 1.0))
+
+
 def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
     """Return 1σ of a constant from one day to another."""
     p, at = RELATION_PARAMETERS[name], found.values[name]
@@ -80,7 +112,7 @@ def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
     if p.free and p.neutral is not None:
         peak = max(float(np.nanmax(np.abs(b.signals[b.relation.output]))) for b in setting.blocks if name in b.uses)
         return DAILY_ZERO * peak
-    return FIRM.get(name, DAILY) * abs(at)
+    return FIRM.get(name, DAILY_PART) * abs(at)
 
 
 def _band(f: Free, at: float, sigma: float) -> Free:

@@ -161,7 +161,6 @@ def test_what_leaves_the_bench_strained_must_take_what_some_law_takes_of_a_healt
     assert [judge.criteria.pays(lesser, model, search) for model in models] == [False, True]
     assert verdict.least_fall(0.0) == verdict.BENT
     assert verdict.least_fall(20.0 * verdict.BENT) > verdict.BENT
-    assert verdict.least_fall(0.0, verdict.LEAST_FALL) == verdict.LEAST_FALL
 
 
 def test_a_small_relation_is_not_strange_by_its_share_alone(judge: Judge) -> None:

@@ -61,12 +61,26 @@ def test_the_same_seal_on_another_day_is_the_same(known: Finder, name: str) -> N
     assert known.diagnose(_again(name)).verdict == "none"
 
 
-def test_a_seal_that_rubs_twice_as_much_is_another(known: Finder) -> None:
-    def rubs(path: Path) -> Table:
-        given = read(path)
-        end = given["tension_end_n"]
-        return dataclasses.replace(given, columns={**given.columns, "tension_start_n": end + 2.0 * (
-            given["tension_start_n"] - end)})
+def _rubs(path: Path, share: float) -> Table:
+    """Return a recording whose friction is `share` of what it was; what both directions share is the sensors'."""
+    given = read(path)
+    apart = given["tension_start_n"] - given["tension_end_n"]
+    return dataclasses.replace(given, columns={**given.columns, "tension_start_n": given["tension_start_n"] + (
+        share - 1.0) * (apart - apart.mean())})
 
-    found = known.diagnose([rubs(path) for path in _again("rerun1")])
+
+def test_friction_that_halves_is_named(known: Finder) -> None:
+    found = known.diagnose([_rubs(path, 0.5) for path in _again("rerun1")])
+    assert "cable_friction" in found.rivals
+
+
+def test_a_seal_that_rubs_twice_as_much_is_another(known: Finder) -> None:
+    found = known.diagnose([_rubs(path, 2.0) for path in _again("rerun1")])
     assert found.verdict in ("found", "ambiguous", "unexplained")
+
+
+@pytest.mark.parametrize(("healthy", "changed"), [("napn", "pk"), ("pk", "napn")])
+def test_another_seal_rubs_otherwise_in_either_direction(known: Finder, healthy: str, changed: str) -> None:
+    found = Finder().fit(sorted(SEAL.glob(f"{healthy}_*"))).diagnose(sorted(SEAL.glob(f"{changed}_*")))
+    assert "cable_friction" in found.rivals
+    assert set(found.rivals) <= {"cable_friction", "viscous_friction", "stribeck", "presliding"}
