@@ -126,8 +126,8 @@ def walked(job: Job, calibration: Any) -> Ended:
     worst = np.zeros(plausibility.RELATIONS)
 
     class Watched(plausibility.Plausibility):
-        def check(self, *given: Any) -> Any:
-            found = super().check(*given)
+        def check(self, *given: Any, **named: Any) -> Any:
+            found = super().check(*given, **named)
             ratios = self.s[plausibility.RATIOS:plausibility.RATIOS + plausibility.RELATIONS]
             np.maximum(worst, np.abs(ratios), out=worst)
             return found
@@ -138,8 +138,8 @@ def walked(job: Job, calibration: Any) -> Ended:
     watches = []
 
     class Kept(repetition.Repetition):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
+        def __init__(self, *given: Any, **named: Any) -> None:
+            super().__init__(*given, **named)
             watches.append(self)
 
     experiment_run.Repetition = Kept  # type: ignore[misc]

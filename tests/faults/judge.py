@@ -42,6 +42,7 @@ class Verdict(NamedTuple):
     walk: str = str(WALK)
     leg_deg: float = 0.0
     beyond: str = ""
+    gradual: bool = False
 
 
 def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
@@ -70,7 +71,7 @@ def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
     verdict = Verdict(
         row.name, told.moment, (detected_ns - told.fault_ns) * 1e-6 if detected_ns >= 0 else float("nan"), named,
         said, *peaks, apart, unsaid, slack, pulled, stop, told.whole, row.silent, (), str(walk),
-        _leg(told, twin, until_ns), row.beyond)
+        _leg(told, twin, until_ns), row.beyond, row.gradual)
     return verdict._replace(faults=tuple(_faults(row, verdict, told)))
 
 

@@ -1,6 +1,6 @@
 """Writes docs/faults.md from the verdicts of the matrix.
 
-The rule of this file: every figure of the page is a verdict's; the words around the table are here.
+Every figure of the page comes from a verdict; the words around the tables are here.
 """
 
 # ruff: noqa: E501 — the page's own lines
@@ -30,10 +30,10 @@ from tests.faults.stage import PEAK_N, SEED, WALK
 
 HEAD = f"""# What happens when something breaks
 
-Written by `make faults` (`python -m tests.faults.run --stealth --page docs/faults.md`) from the rows of `tests/faults/rows.py`:
-{{faults}} faults, {{rows}} rows with their gaits and the moments at which they begin. Unless it says otherwise a row is a gait of {PEAK_N:g} N and {WALK.period_s:g} s
-on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial 1, seed {SEED}), broken at the moment named (ramp 14.5 %, peak
-20 %, idle 60 % of the first cycle; start: before bring-up), and compared with its twin, the same trial unbroken.
+Written by `make faults` (`python -m tests.faults.run --stealth --page docs/faults.md`) from the rows of `tests/faults/rows.py` and
+`tests/faults/slow.py`. A run of some rows (`--kind`, `--stealth`) replaces its own part of this page. Unless a row says otherwise it is a gait of
+{PEAK_N:g} N and {WALK.period_s:g} s on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial 1, seed {SEED}), broken at the moment named
+(ramp 14.5 %, peak 20 %, idle 60 % of the first cycle; start: before bring-up), and compared with its twin, the same trial unbroken.
 
 | column | meaning | bound |
 |---|---|---|
@@ -45,31 +45,58 @@ on the virtual bus ({WALK.cycles} cycles, controller `{WALK.controller}`, serial
 | pull | greatest true tension after the decision by the greatest of: what it was then, {SLACK_N:g} N, and what it becomes with a servo stage that is dead from 0.6 ms later on (momentum and knee: no command acts sooner) | {PULL:g} |
 | stop | from the decision until the servo is last seen enabled, ms | {STOP_MS:.0f} |
 | log | a row for every cycle up to the end, and the stop's own event | whole |
-
-{{summary}}
-
 """
+AT_ONCE, SLOW, UNSAID = PARTS = ("at once", "slow", "unsaid")
+"""Parts of the page: faults that begin at once, slow faults, and the search of `tests.faults.stealth`."""
+_ENDS = "<!-- end of {} -->"
 
 
 def write(path: Path, found: Sequence[Verdict], unsaid: Sequence[str] = ()) -> None:
-    """Write the page."""
+    """Write the page; a part that has no results here is kept as the file at `path` has it."""
+    parts = kept(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for name, slow in ((AT_ONCE, False), (SLOW, True)):
+        mine = [verdict for verdict in found if verdict.gradual == slow]
+        if mine:
+            parts[name] = "\n".join(_part(mine, slow))
+    if unsaid:
+        parts[UNSAID] = "\n".join(unsaid).strip()
+    path.write_text("\n".join([HEAD, *(f"{parts[name]}\n\n{_ENDS.format(name)}\n" for name in PARTS if name in parts)]),
+                    encoding="utf-8")
+
+
+def kept(page: str) -> dict[str, str]:
+    """Return the parts of a page by name, without the marks at their ends."""
+    parts, at = {}, page.find("\n## ")
+    for name in PARTS:
+        end = page.find(_ENDS.format(name), at)
+        if end >= 0:
+            parts[name] = page[at:end].strip()
+            at = end + len(_ENDS.format(name))
+    return parts
+
+
+def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
+    """Return the lines of one table with its bounds, and the reasons under it."""
     broken = [verdict for verdict in found if verdict.faults]
-    summary = "Every row keeps its bounds." if not broken else "Beyond a bound:\n\n" + "\n".join(
-        f"- {v.name}, {v.moment}: {'; '.join(v.faults)}" for v in broken)
-    lines = [HEAD.format(faults=len({v.name for v in found}), rows=len(found), summary=summary),
-             "| fault | at | gait | said after | true peak | END off | leg | slack | pull | stop | log | said |",
-             "|---|---|---|---|---|---|---|---|---|---|---|---|"]
-    lines += [_row(verdict) for verdict in found]
-    lines += unsaid
+    count = f"{len({v.name for v in found})} faults, {len(found)} rows"
+    lines = (["## Slow faults", "", f"{count} with their gaits of six cycles and their moments."] if slow else
+             ["## Faults that begin at once", "", f"{count} with their moments."])
+    lines[-1] += " Every row keeps its bounds or has a reason below." if not broken else " Beyond a bound:"
+    lines += ["", *(f"- {v.name}, {v.moment}, {v.walk}: {'; '.join(v.faults)}" for v in broken), *([""] if broken else [])]
+    gait, leg = ("gait | ", "leg | ") if slow else ("", "")
+    lines += [f"| fault | at | {gait}said after | true peak | END off | {leg}slack | pull | stop | log | said |",
+              "|---|---|---|---|---|---|---|---|---|---|" + "---|---|" * slow]
+    lines += [_row(verdict, slow) for verdict in found]
     quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
-    over = {v.name: v.beyond for v in found if v.beyond}
+    over = {v.name: v.beyond for v in found if v.beyond and (
+        v.apart_n > MOMENT_N or v.unsaid_n > UNSAID_N or v.leg_deg > LEG_DEG)}
     if over:
-        lines += ["", "## Bounds that are not kept, and why", ""]
+        lines += ["", "### Bounds that are not kept, and why", ""]
         lines += [f"- {name}: {_worst(name, found)}; {reason}." for name, reason in over.items()]
     if quiet:
-        lines += ["", "## What goes unsaid, and why no signal could show it", ""]
+        lines += ["", "### What goes unsaid, and why no signal could show it", ""]
         lines += [f"- {name}: {excuse}." for name, excuse in quiet.items()]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return lines
 
 
 def _worst(name: str, found: Sequence[Verdict]) -> str:
@@ -79,10 +106,11 @@ def _worst(name: str, found: Sequence[Verdict]) -> str:
             f"ms, the leg by {max(v.leg_deg for v in mine):.1f}°, true tension {max(v.peak_end_n for v in mine):.0f} N")
 
 
-def _row(v: Verdict) -> str:
+def _row(v: Verdict, slow: bool) -> str:
     said = v.said.replace("|", "/") or "–"
-    return (f"| {v.name} | {v.moment} | {v.walk} | {_number(v.detected_ms, 1)} | {v.peak_start_n:.0f} / {v.peak_end_n:.0f} "
-            f"| {v.apart_n:.1f} / {v.unsaid_n:.1f} | {v.leg_deg:.1f} | {_number(v.slack_ms)} | {_number(v.pulled, 2)} "
+    gait, leg = (f"{v.walk} | ", f"{v.leg_deg:.1f} | ") if slow else ("", "")
+    return (f"| {v.name} | {v.moment} | {gait}{_number(v.detected_ms, 1)} | {v.peak_start_n:.0f} / {v.peak_end_n:.0f} "
+            f"| {v.apart_n:.1f} / {v.unsaid_n:.1f} | {leg}{_number(v.slack_ms)} | {_number(v.pulled, 2)} "
             f"| {_number(v.stop_ms)} | {'whole' if v.whole else 'torn'} | {said} |")
 
 

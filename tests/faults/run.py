@@ -1,5 +1,5 @@
-"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--stealth]
-[--page FILE] [--json FILE] [--jobs N]`.
+"""Runs the matrix: `python -m tests.faults.run [--rows PATTERN] [--walks PATTERN] [--moments …] [--kind KIND]
+[--stealth] [--page FILE] [--json FILE] [--jobs N]`.
 
 The rule of this file: it prints every row and says at the end which bounds are not kept; its exit status is their
 number, at most 1.
@@ -20,6 +20,8 @@ from tests.faults.page import write
 from tests.faults.rows import ROWS
 from tests.faults.stage import trial
 
+KINDS: dict[str, tuple[bool, ...]] = {"all": (False, True), "at-once": (False,), "slow": (True,), "none": ()}
+"""Values of `Row.gradual` by the name that `--kind` takes; "none" is for a run of the search alone."""
 HEAD = (f"{'fault':42} {'at':7} {'gait':15} {'ms':>7} {'true peaks, N':>13} {'unsaid, N':>11} {'leg':>5} {'slack':>6} "
         f"{'pull':>5}  said")
 
@@ -32,11 +34,12 @@ def line(verdict: Verdict) -> str:
             f"{'; '.join(v.faults) + ': ' if v.faults else ''}{v.said[:170]}")
 
 
-def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = (), walks: str = "") -> list[Verdict]:
-    """Run every row whose name matches, at its moments and gaits."""
+def verdicts(pattern: str = "", jobs: int = 2, moments: tuple[str, ...] = (), walks: str = "",
+             kind: str = "all") -> list[Verdict]:
+    """Run every row of a kind (`KINDS`) whose name matches, at its moments and gaits."""
     from dataclasses import replace
 
-    rows = [row for row in ROWS if re.search(pattern, row.name)]
+    rows = [row for row in ROWS if re.search(pattern, row.name) and row.gradual in KINDS[kind]]
     if moments:
         rows = [replace(row, moments=tuple(m for m in row.moments if m in moments)) for row in rows]
     by_name = {row.name: row for row in rows}
@@ -56,6 +59,7 @@ def main() -> int:
     asked.add_argument("--rows", default="")
     asked.add_argument("--walks", default="")
     asked.add_argument("--moments", nargs="*", default=())
+    asked.add_argument("--kind", choices=list(KINDS), default="all", help="faults that begin at once, or slow faults")
     asked.add_argument("--stealth", action="store_true", help="search the worst that goes unsaid, too")
     asked.add_argument("--page", type=Path)
     asked.add_argument("--json", type=Path)
@@ -65,7 +69,7 @@ def main() -> int:
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     unsaid = stealth.table(stealth.found(given.jobs)) if given.stealth else []
     print("\n".join(unsaid))
-    found = verdicts(given.rows, given.jobs, tuple(given.moments), given.walks)
+    found = verdicts(given.rows, given.jobs, tuple(given.moments), given.walks, given.kind)
     print(HEAD)
     for verdict in found:
         print(line(verdict))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from tests.faults import slow
-from tests.faults.judge import Verdict, judged
+from tests.faults.judge import LEG_DEG, MOMENT_N, UNSAID_MS, UNSAID_N, Verdict, judged
 from tests.faults.slow import DEGREE, Act
 from tests.faults.stage import Row, Walk, trial
 
@@ -20,12 +20,16 @@ WALKS = (Walk(1.1, "paper", 6), Walk(2.0, "extended", 6))
 
 @dataclass(frozen=True)
 class Attack:
-    """One lie of free size: `most` is its greatest, in `unit`; `made` gives the fault of a size."""
+    """One lie of free size: `most` is its greatest, in `unit`; `made` gives the fault of a size.
+
+    `beyond`: why no signal could show a size that moves END or the leg beyond its bound.
+    """
 
     name: str
     most: float
     unit: str
     made: Callable[[float], Act]
+    beyond: str = ""
 
 
 ATTACKS: tuple[Attack, ...] = (
@@ -35,13 +39,14 @@ ATTACKS: tuple[Attack, ...] = (
     Attack("START's gain, within 2 s", 30.0, "%", lambda x: slow.start_gain(x / 100.0)),
     Attack("START late, within 6 s", 20.0, "ms", lambda x: slow.start_late(x / 1e3)),
     Attack("END's gain, within 2 s", -30.0, "%", lambda x: slow.end_gain(x / 100.0)),
-    Attack("START, END and torque alike, within 2 s", -35.0, "%", lambda x: slow.alike(x / 100.0)),
+    Attack("START, END and torque alike, within 2 s", -35.0, "%", lambda x: slow.alike(x / 100.0),
+           slow.TWO_LIE),
     Attack("sheath slips, within 2 s", 4.0, "mm", lambda x: slow.slips(x / 1e3)),
     Attack("sheath slips, within 2 s", -4.0, "mm", lambda x: slow.slips(x / 1e3)),
     Attack("servo encoder creeps", 1.0, "mm/s", lambda x: slow.servo_creeps(x / 1e3)),
     Attack("servo encoder errs with START", 0.1, "mm/N", lambda x: slow.servo_by_tension(x / 1e3)),
-    Attack("knee encoder's scale, within 2 s", 15.0, "%", lambda x: slow.knee_scale(x / 100.0)),
-    Attack("knee encoder creeps", 1.5, "°/s", lambda x: slow.knee_creeps(x * DEGREE)),
+    Attack("knee encoder's scale, within 2 s", 15.0, "%", lambda x: slow.knee_scale(x / 100.0), slow.LEG),
+    Attack("knee encoder creeps", 1.5, "°/s", lambda x: slow.knee_creeps(x * DEGREE), slow.LEG),
     Attack("friction, within 2 s", 3.0, "×", lambda x: slow.friction(1.0 + x)),
 )
 
@@ -111,4 +116,9 @@ def table(told: list[Stealthy]) -> list[str]:
         moved = ("– | – | –" if v is None else f"{v.apart_n:.1f} / {v.unsaid_n:.1f} | {v.leg_deg:.1f} | "
                  f"{v.peak_start_n:.0f} / {v.peak_end_n:.0f}")
         lines.append(f"| {one.attack.name} | {one.walk} | {one.size:.3g} {unit} | {said} | {moved} |")
+    over = [one for one in told if one.moved is not None and (
+        one.moved.apart_n > MOMENT_N or one.moved.unsaid_n > UNSAID_N or one.moved.leg_deg > LEG_DEG)]
+    lines += ["", f"Bounds: {MOMENT_N:g} N for a moment, {UNSAID_N:g} N for {UNSAID_MS} ms, {LEG_DEG:g}°. "
+              f"{len(over)} of {len(told)} searches found a size beyond one." + "\n" * bool(over)]
+    lines += [f"- {one.attack.name} ({one.walk}): {one.attack.beyond or 'no reason is known'}." for one in over]
     return lines
