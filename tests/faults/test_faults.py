@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from tests.faults.page import kept, write
 from tests.faults.rows import ROWS
 
 ROOT = Path(__file__).parents[2]
@@ -56,3 +57,21 @@ def test_every_row_keeps_its_bounds(tmp_path: Path) -> None:
     told = matrix(tmp_path)
     assert [(row["name"], row["moment"], row["faults"]) for row in told if row["faults"]] == []
     assert len(told) >= 250
+
+
+def test_a_run_of_one_part_of_the_page_keeps_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "faults.md"
+    path.write_text((ROOT / "docs" / "faults.md").read_text(encoding="utf-8"), encoding="utf-8")
+    before = kept(path.read_text(encoding="utf-8"))
+    write(path, (), ["", "## The worst that goes unsaid", "", "another search"])
+    after = kept(path.read_text(encoding="utf-8"))
+    assert set(before) == {"at once", "slow", "unsaid"}
+    assert after == before | {"unsaid": "## The worst that goes unsaid\n\nanother search"}
+
+
+@pytest.mark.faults
+def test_the_count_of_healthy_trials_runs() -> None:
+    run = subprocess.run([sys.executable, "-m", "benchmarks.supervision", "--healthy", "1", "--jobs", "1"], cwd=ROOT,
+                         capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "1 healthy trials, 0 stopped" in run.stdout
