@@ -18,6 +18,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from bowden import testing
     from bowden.any_node import Node
     from bowden.buses import BusSettings, bus, simulated
     from bowden.diagnosing import Diagnosis, DiagnosisResult
@@ -42,14 +43,14 @@ _HOMES = {
     "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
     "read": "bowden.recorded_trial:read_trial",
     "read_model": "bowden.model_files:read", "run": "bowden.experiment", "simulate": "bowden.simulating",
-    "simulated": "bowden.buses", "write_model": "bowden.model_files:write",
+    "simulated": "bowden.buses", "testing": "bowden.testing", "write_model": "bowden.model_files:write",
 }
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Node", "Progress",
     "Simulation", "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read", "read_model",
-    "run", "simulate", "simulated", "write_model",
+    "run", "simulate", "simulated", "testing", "write_model",
 ]
 
 
@@ -57,7 +58,9 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'bowden' has no attribute {name!r}")
     module, _, attribute = _HOMES[name].partition(":")
-    found = getattr(importlib.import_module(module), attribute or name)
+    found: Any = importlib.import_module(module)
+    if module != f"{__name__}.{name}":
+        found = getattr(found, attribute or name)
     globals()[name] = found
     return found
 

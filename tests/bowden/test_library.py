@@ -191,3 +191,14 @@ def test_the_cycle_of_a_packaged_controller_has_no_column_more() -> None:
     from trial.signals import COLUMNS
 
     assert tuple(trial.columns) == COLUMNS
+
+
+def test_the_testing_module_is_a_name_of_the_library(site: Path, tmp_path: Path) -> None:
+    said = outside(site, tmp_path, "-c", "import bowden; print(bowden.testing.CanBus.__name__)")
+    assert said.stdout == "CanBus\n"
+
+
+def test_no_page_installs_a_package_that_no_index_has() -> None:
+    for page in ("tutorial.md", "library.md", "sweep.md"):
+        text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+        assert not re.search(r"^pip install '?bowden-bench", text, re.MULTILINE), page
