@@ -157,24 +157,27 @@ class Finder:
         judge, said = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
         causes = judge.causes()
+        session = judge.session()
         if all(t.turning for t in trials):
-            figures, causes = _turned(figures, causes)
+            figures, causes, session = _turned(figures, causes, session)
         return Findings(judge.word(), causes, judge.rivals(), judge.experiment(), figures,
                         warnings + _said(settled, bool(healthy)) + said + judge.blind_rivals() + judge.on_bounds(),
                         judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
-                        bench=_bench(settled, known))
+                        bench=_bench(settled, known), session=session)
 
 
-def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]]
-            ) -> tuple[dict[str, Figures], list[dict[str, Any]]]:
-    """Return figures and causes of a turning axis in its units."""
+def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]], session: Mapping[str, Any] | None
+            ) -> tuple[dict[str, Figures], list[dict[str, Any]], dict[str, Any] | None]:
+    """Return figures, causes and session of a turning axis in its units."""
     units = table.TURNED_UNITS
     return ({n: replace(f, unit=units.get(f.unit, f.unit)) if n in ("drive_force", "servo") else f
              for n, f in figures.items()},
             [{**c, "parameters": {n: {**p, "unit": units.get(p["unit"], p["unit"])}
-                                  for n, p in c["parameters"].items()}} for c in causes])
+                                  for n, p in c["parameters"].items()}} for c in causes],
+            None if session is None else {**session, "shifts": [
+                {**one, "unit": units.get(one["unit"], one["unit"])} for one in session["shifts"]]})
 
 
 def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> BenchModel | None:

@@ -20,7 +20,7 @@ class Findings:
     split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
     `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.  Of the evidence
     core: `part` of the bench that changed, `evidence` that the answer rests on, `traces` by output, on each trial and
-    `held_traces` on each held-out trial.
+    `held_traces` on each held-out trial.  Of a rig of another kind: how its `session` differs from the healthy ones.
     """
 
     verdict: str
@@ -43,6 +43,7 @@ class Findings:
     evidence: dict[str, Any] | None = None
     traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
+    session: dict[str, Any] | None = None
 
     def unnamed(self) -> Findings:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
@@ -59,5 +60,6 @@ class Findings:
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
             "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
+            **({"session": self.session} if self.session is not None else {}),
             **({"candidates": self.candidates} if self.candidates else {}),
             **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}

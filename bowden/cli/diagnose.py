@@ -264,12 +264,19 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
             _say(sentence)
     if not found.candidates:
         print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
-    _tell_relations(result["relations"], "signal" if found.evidence else "relation")
+    before = "the simulation as it was" if found.session is None else "constants fitted within what sessions differ by"
+    _tell_relations(result["relations"], "signal" if found.evidence else "relation", before)
+    if found.session is not None and found.session["shifts"]:
+        terminal.table("what this session's constants differ by, named or not", (
+            "constant", "healthy", "here", "95 %", "unit"), [
+            (one["parameter"], f"{one['was']:.4g}", f"{one['value']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}",
+             one["unit"])
+            for one in found.session["shifts"]])
     for warning in found.warnings:
         _say(f"Warning: {warning}")
 
 
-def _tell_relations(relations: dict[str, Any], word: str) -> None:
+def _tell_relations(relations: dict[str, Any], word: str, before: str) -> None:
     """Print what is left of each relation, or signal, RMS; names are never cut at 80 columns."""
     figure = terminal.number
     checked = {name: row for name, row in relations.items() if row["checked"]}
@@ -279,7 +286,7 @@ def _tell_relations(relations: dict[str, Any], word: str) -> None:
         word, "unit", "floor", "before", "after", "gain (%)"), [
         (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
          figure(row["gain_percent"], 1)) for name, row in checked.items()])
-    _say("floor: what a healthy bench leaves; before: the simulation as it was; after: with what was found.")
+    _say(f"floor: what a healthy bench leaves; before: {before}; after: with what was found.")
     held = {name: row for name, row in checked.items() if row["holdout_before"] is not None}
     if held:
         terminal.table("on the trials held out, to which nothing was fitted", (word, "unit", "before", "after"), [

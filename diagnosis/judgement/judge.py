@@ -20,7 +20,7 @@ from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, Search, SearchResult
 from physics.effects.catalogue import CATALOGUE
-from physics.parameters import PARAMETERS
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
@@ -137,6 +137,25 @@ class Judge:
         reference, fit = self.setting.reference, self.found.best.fit
         band = next((f for f in reference.nuisance if f.name == parameter and math.isfinite(f.sigma)), None)
         return 0.0 if band is None else reference.prior.expected(band, fit.free, fit.values)[1]
+
+    def session(self) -> dict[str, Any] | None:
+        """Return what differs from the healthy trials of a rig of another kind, named or not; None on the bench.
+
+        `as_identified`: RMSE by relation of the healthy trials' model, nothing refitted.  `shifts`: constants that
+        differ for certain, with 95 % intervals by the fit's curvature.
+        """
+        if not self.setting.elsewhere:
+            return None
+        was, best = self.setting.reference.values, self.found.best
+        named = {f.name for c in best.effects for f in c.frees}
+        shifts = []
+        for f in best.fit.free:
+            at, half = best.fit.values[f.name], 1.96 * verdict.curvature_sigma(best, f.name)
+            if f.name in RELATION_PARAMETERS and f.name not in named and 0.0 < half < abs(at - was[f.name]):
+                shifts.append({"parameter": f.name, "was": was[f.name], "value": at, "low": at - half,
+                               "high": at + half, "unit": RELATION_PARAMETERS[f.name].unit})
+        return {"as_identified": {n: blocks.rmse(b.residual(was) for b in self.setting.blocks if b.relation.name == n)
+                                  for n in self.setting.checked}, "shifts": shifts}
 
     def figures(self) -> dict[str, verdict.Figures]:
         """Return every relation's figures, those that were not checked marked so."""

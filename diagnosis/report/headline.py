@@ -51,7 +51,8 @@ def _wrong(found: Findings) -> str:
     if found.verdict == "unexplained":
         return "Something is wrong that no effect of the catalogue explains; no cause is named."
     if not found.causes:
-        return f"Nothing is wrong that these trials show: the bench agrees with {_against(found)}."
+        within = "" if found.session is None else ", within what two sessions differ by"
+        return f"Nothing is wrong that these trials show: the bench agrees with {_against(found)}{within}."
     told = " ".join(_cause(found, cause) for cause in found.causes)
     others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
     return told + (f" These trials cannot tell it from: {', '.join(others)}." if others else "")
@@ -114,9 +115,13 @@ def _cost(found: Findings) -> str:
     if one is None:
         return " ".join(lines)
     name, f = one
+    if found.session is not None:
+        lines.append(f"The model of its healthy trials, as it was, misses these by "
+                     f"{number(found.session['as_identified'][name], 3)} N RMS ({name}).")
     floor = f"; healthy trials leave {number(f.floor, 3)} N" if f.floor is not None else ""
     if not found.causes:
-        lines.append(f"The force is predicted to {number(f.rmse_before, 3)} N RMS ({name}, {UNSEEN}{floor}).")
+        fitted = " with constants fitted within what sessions differ by" if found.session is not None else ""
+        lines.append(f"The force is predicted to {number(f.rmse_before, 3)} N RMS{fitted} ({name}, {UNSEEN}{floor}).")
         return " ".join(lines)
     first, left = f.rmse_before or 0.0, f.rmse_after or 0.0
     if f.gain_percent is None or f.gain_percent < 1.0:

@@ -179,7 +179,21 @@ def test_a_seals_friction_over_speed_is_named(seals: list[Path]) -> None:
 
 def test_the_same_seal_is_the_same_and_another_is_named(seals: list[Path]) -> None:
     known = ("--healthy", seals[0], "--healthy", seals[1])
-    assert diagnosed(seals[2], *known)["verdict"] == "none"
-    other = diagnosed(seals[3], *known)
+    again, other = (diagnosed(path, *known) for path in seals[2:])
+    assert again["verdict"] == "none"
+    # what the healthy model misses as it was is said, and is little of the same seal and much of another
+    as_it_was = [found["session"]["as_identified"][FORCE] for found in (again, other)]
+    assert as_it_was[0] < 1.5 * again["relations"][FORCE]["floor"] < as_it_was[1]
+    assert all(one["low"] <= one["value"] <= one["high"] for one in other["session"]["shifts"])
     assert other["verdict"] in ("found", "ambiguous")
     assert other["causes"][0]["effect"] == "drive_coulomb"
+
+
+def test_what_a_session_differs_by_is_said_though_nothing_is_named(seals: list[Path], tmp_path: Path,
+                                                                   capsys: pytest.CaptureFixture[str]) -> None:
+    tighter = rigs.write(tmp_path / "seal.csv", rigs.seal(5, 12.9))
+    assert run(["diagnose", str(tighter), "--healthy", str(seals[0]), "--healthy", str(seals[1])]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "within what two sessions differ by" in told
+    assert "The model of its healthy trials, as it was, misses these by" in told
+    assert "drive_coulomb" in told[told.index("what this session's constants differ by"):]
