@@ -12,7 +12,7 @@ trial: $(VENV)/.installed
 	@mkdir -p out
 	$(BIN)/bowden trial --peak 40 --overwrite --picture out/trial.png -o out/trial.mcap
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist=loadfile
+PYTEST := $(BIN)/python -m pytest -n 2 --dist=loadfile --no-loadscope-reorder
 
 test: $(VENV)/.installed-test
 	$(PYTEST)
