@@ -274,6 +274,8 @@ def test_a_report_is_kept_unless_told_and_its_place_must_exist(tmp_path: Path) -
 
 def test_the_summary_has_labels_in_words_and_folds_digests() -> None:
     told = {"peak_n": "40.0", "commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}, "notes": "",
-            "my_rig": "7"}
-    assert labels.shown(told) == {"peak force (N)": "40.0", "my rig": "7"}
+            "my_rig": "7", "outcome": '"completed"', "stop_reason": "null",
+            "friction_half_width_m": "0.0005158193832210658"}
+    assert labels.shown(told) == {"peak force (N)": "40.0", "my rig": "7", "ended": "completed",
+                                  "rope travel to reverse friction at homing (m)": "0.000515819"}
     assert labels.folded(told) == {"commit": "0a1b2c", "course": "ff00", "signal": 0, "day": {"offset_m": 1.0}}

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping
 
 LABELS: Mapping[str, str] = {
@@ -29,8 +31,17 @@ def label(key: str) -> str:
 
 def shown(told: Mapping[str, object]) -> dict[str, object]:
     """Return what is shown at once, by label: known keys with a value, and keys of others' files."""
-    return {label(key): value for key, value in told.items()
-            if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}")}
+    return {label(key): _plain(value) for key, value in told.items()
+            if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}", "null")}
+
+
+def _plain(value: object) -> object:
+    """Return a text that the file holds as JSON without its quotes, and a long fraction with six digits."""
+    if isinstance(value, str) and value[:1] == value[-1:] == '"' and len(value) > 1:
+        return json.loads(value)
+    if isinstance(value, str) and re.fullmatch(r"-?\d+\.\d{7,}(e-?\d+)?", value):
+        return f"{float(value):.6g}"
+    return value
 
 
 def folded(told: Mapping[str, object]) -> dict[str, object]:
