@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.likelihood_data import MOTION
 from diagnosis.findings import Findings
 from diagnosis.judgement import simulator_verdict as judgement
 from diagnosis.judgement import wire_faults
@@ -76,7 +77,7 @@ class Finder:
         """Read and examine `healthy` as `fit` does, and leave the fit to the first diagnosis; returns itself."""
         self._read = [_read(t) for t in healthy]
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
-        self._plain = [] if any(f.refuses for f in self._findings) else [integrity.usable(t) for t in self._read]
+        self._plain = [] if any(f.refuses for f in self._findings) else [self._usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
         by_evidence = self._healthy and self.core != "relations"
         self._evidence = EvidenceFinder(self._healthy.tables, self.session_sd) if by_evidence else None
@@ -113,7 +114,7 @@ class Finder:
         refusals = [f.text for f in findings if f.refuses]
         if refusals:
             return Findings("refused", warnings=refusals + warnings)
-        plain = [[integrity.usable(t) for t in group] for group in held]
+        plain = [[self._usable(t) for t in group] for group in held]
         groups = [[_filtered(t, self.lowpass) for t in group] for group in plain]
         carried = wire_faults.examine(plain[0], self._plain)
         by_evidence = self._by_evidence(groups[0], groups[1])
@@ -122,6 +123,10 @@ class Finder:
         if carried.told:
             return replace(_of_wire(carried, warnings), part="wire", evidence={})
         return replace(by_evidence.diagnose(groups[0], groups[1], warnings), bench=self._bench(groups[0]))
+
+    def _usable(self, given: Table) -> Table:
+        """Return a table without the signals that hold nothing; the evidence core simulates from a locked knee, too."""
+        return integrity.usable(given, MOTION if self.core == "evidence" else ())
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
         """Return the evidence core where it is asked for; raises `InputError` where it cannot simulate these trials."""

@@ -187,10 +187,15 @@ def examine(given: Table) -> list[Finding]:
     return found
 
 
-def usable(given: Table) -> Table:
-    """Return `given` without the signals that hold nothing."""
-    kept = {name: values for name, values in given.columns.items()
-            if name in COUNTERS or (np.isfinite(values).any() and np.ptp(values[np.isfinite(values)]) > 0.0)}
+def usable(given: Table, motion: Sequence[str] = ()) -> Table:
+    """Return `given` without the signals that hold nothing; `motion`: columns that do even where constant, as a locked
+    knee's angle does."""
+    kept = {}
+    for name, values in given.columns.items():
+        finite = values[np.isfinite(values)]
+        varies = finite.size > 0 and np.ptp(finite) > 0.0
+        if name in COUNTERS or varies or (name in motion and finite.size == values.size):
+            kept[name] = values
     return replace(given, columns=kept)
 
 

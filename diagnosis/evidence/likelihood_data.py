@@ -24,7 +24,9 @@ TAUT_N: Final = 3.0
 COARSEST_N: Final = 0.01
 """Least noise of a bin, N: the quantisation step of the sensors."""
 SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
-NEEDED: Final = ("servo_position_m", "knee_angle_rad", "tension_start_n")
+MOTION: Final = ("servo_position_m", "knee_angle_rad")
+"""Inputs of the forward model."""
+NEEDED: Final = (*MOTION, "tension_start_n")
 """Columns without which no likelihood can be formed."""
 
 
