@@ -52,8 +52,8 @@ class Parameter:
     transmission with true sensors (none: nominal); `search`: bounds of a fit on such a bench; `any_rig`: bounds on
     rigs of any size, given for each quantity that a relation reads; `free`: on an unknown rig it is whatever the data
     say; `nameless`: free there, and no effect of the catalogue says it; `bench_only`: its law holds for this bench's
-    geometry alone; `likely`: range under a fault; `neutral`: the value at which a fault is absent (none: only a
-    calibration knows).
+    geometry alone; `turning`: its law holds for an axis recorded in rad alone; `likely`: range under a fault;
+    `neutral`: the value at which a fault is absent (none: only a calibration knows).
 
     For simulated benches: `made`: tolerance of manufacture, `daily`: change from day to day.
     """
@@ -77,6 +77,7 @@ class Parameter:
     neutral: float | None = None
     free: bool = False
     bench_only: bool = False
+    turning: bool = False
     made: Tolerance | None = None
     daily: Tolerance | None = None
     nameless: bool = False
@@ -322,6 +323,12 @@ _DRIVES: Final = (
     _P("drive_offset", "N", "constant force against pulling", 0.0, -50.0, 50.0, "assumed: none",
        plant="plant.servo_offset_n", like_benches=0.1, ideal=0.0, any_rig=(-1e4, 1e4), likely=(-5.0, 5.0),
        neutral=0.0),
+    _P("unbalance", "N", "force against pulling by a mass off the drum's axis, where it is greatest: m·g·r/R", 0.0,
+       0.0, 50.0, "assumed: balanced", plant="plant.servo_unbalance_n", any_rig=(0.0, 1e4), likely=(0.5, 5.0),
+       neutral=0.0, turning=True),
+    _P("unbalance_phase", "rad", "angle φ of the mass from below the axis at position 0", 0.0, -6.3, 6.3,
+       "assumed: below", plant="plant.servo_unbalance_rad", search=(-math.pi, math.pi), any_rig=(-math.pi, math.pi),
+       likely=(-math.pi, math.pi), turning=True),
     _P("drive_asymmetry", "", "Coulomb friction greater pulling (> 0) than releasing, relative", 0.0, -0.95, 0.95,
        "assumed: none", plant="plant.servo_asymmetry", like_benches=0.02, ideal=0.0, any_rig=(-0.95, 0.95),
        likely=(-0.5, 0.5), neutral=0.0),

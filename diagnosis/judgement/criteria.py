@@ -41,7 +41,8 @@ class SearchCriteria:
         # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
         relief = lesser.prior_penalty - model.prior_penalty
         least = verdict.STRAINED if self.setting.elsewhere else verdict.LEAST_FALL
-        least_fall = least if relief >= least else verdict.least_fall(self.setting.structure)
+        least_fall = least if relief >= least else verdict.least_fall(
+            self.setting.structure, self.setting.elsewhere)
         fall = self._fall(lesser, model, added)
         if min(fall, 2.0 * (lesser.fit.cost - model.fit.cost)) < least_fall:
             return False
@@ -143,7 +144,7 @@ class SearchCriteria:
             return False
         outside = [f.name for f in effect.frees if f.name not in bands
                    or not self.setting.reference.within(bands[f.name], model.fit.free, model.fit.values)]
-        if self.setting.any_rig:
+        if self.setting.any_rig or self.setting.elsewhere:
             return bool(outside)
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
         shapes = _shapes(CATALOGUE[effect.name])

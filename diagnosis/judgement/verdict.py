@@ -79,12 +79,13 @@ absence lies among what is expected)."""
 DRAWS: Final = 400
 
 
-def least_fall(structure: float) -> float:
+def least_fall(structure: float, elsewhere: bool = False) -> float:
     """Return the χ² that an effect must take away on unseen cycles.
 
     `structure`: χ² that the laws leave on a healthy bench beyond noise, some law of the catalogue may bend to it.
+    `elsewhere`: a rig of another kind, where an effect must take `FURTHER_ELSEWHERE` besides.
     """
-    return max(BENT, STRUCTURE * structure)
+    return max(LEAST_FALL if elsewhere else BENT, STRUCTURE * structure)
 
 
 @dataclass(frozen=True)

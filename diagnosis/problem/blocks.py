@@ -108,6 +108,8 @@ def signals_of(given: Table, rate_hz: float) -> Signals:
     gap = np.concatenate(([True], np.diff(time) > 5.0 * step))
     fine = dict(given.columns)
     _derive(fine)
+    if given.turning and "rope_m" in fine:
+        fine["turned_rad"] = fine["rope_m"]
     columns = {name: _thinned(values, stride, name) for name, values in fine.items()}
     fresh = np.add.reduceat(gap, np.arange(0, len(time), stride)) > 0
     span = columns["time_s"][-1] - columns["time_s"][0]

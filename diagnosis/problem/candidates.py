@@ -53,17 +53,21 @@ def candidates(
     """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
 
     An effect is offered where the relation that shows it first can be checked; `blind`: those where it cannot.
-    `any_rig`: bounds are those for rigs of any size, and what reads this bench's geometry is left out.
+    `any_rig`: bounds are those for rigs of any size, a shape that healthy trials taught stays, and what reads this
+    bench's geometry is left out; else what holds about an axis recorded in rad alone.
     """
     checked = tuple(checked)
     visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))
     swallowed = {f.name for f in nuisance if math.isinf(f.sigma)}
+    taught = {f.name for f in nuisance} - swallowed if any_rig else set()
     found = []
     for effect in CATALOGUE.values():
         if any_rig and any(PARAMETERS[p.name].bench_only for p in effect.parameters if p.name in PARAMETERS):
             continue
+        if not any_rig and any(PARAMETERS[p.name].turning for p in effect.parameters if p.name in PARAMETERS):
+            continue
         frees = [_free(p, reference, any_rig) for p in effect.parameters
-                 if p.name in visible and p.name not in swallowed]
+                 if p.name in visible and p.name not in swallowed and (_moves(p, effect) or p.name not in taught)]
         if not any_rig and blind == (effect.relations[0] in checked or _drives_alone(effect, checked)):
             continue
         if frees and any(_moves(p, effect) for p in effect.parameters if p.name in {f.name for f in frees}):

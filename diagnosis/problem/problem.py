@@ -158,10 +158,15 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
     per_sample = math.sqrt(max(1.0, CORRELATED_S / step))
     weights = {n: UNEXPLAINED_SHARE * per_sample * relations.rmse(
         b.residual(values) for b in blocks if b.relation.name == n) for n in checked}
-    offered = [c for c in candidates(checked, reference.values, reference.nuisance, True)
-               if any(c.parameters & relation.read_on(b.relation, b.signals) for b in blocks)]
+    offered = offered_on(blocks, checked, reference)
     return ProblemSetting(True, missing, checked, blocks, folds, reference, reference.values, weights, None, offered,
                           rate_hz=rate)
+
+
+def offered_on(blocks: Sequence[Block], checked: tuple[str, ...], reference: HealthyReference) -> list[Candidate]:
+    """Return the effects that the relations show on these signals, of a rig of any kind."""
+    return [c for c in candidates(checked, reference.values, reference.nuisance, True)
+            if any(c.parameters & relation.read_on(b.relation, b.signals) for b in blocks)]
 
 
 def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:

@@ -15,7 +15,6 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.problem import blocks as relations
 from diagnosis.problem.blocks import Block, rmse
-from diagnosis.problem.candidates import candidates
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import correlated
 from diagnosis.problem.fit import Fit
@@ -23,7 +22,7 @@ from diagnosis.problem.floors import LEAST_CORRELATION_LENGTH
 from diagnosis.problem.healthy_reference import BAND, HealthyReference
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.prior import Free, Prior
-from diagnosis.problem.problem import ProblemSetting, build_problem
+from diagnosis.problem.problem import ProblemSetting, build_problem, offered_on
 from physics.parameters import RELATION_PARAMETERS
 
 DAILY: Final = 0.08
@@ -31,8 +30,11 @@ DAILY: Final = 0.08
 DAILY_PART: Final = 0.25
 """The same of each of its parts (dry, of the load, viscous), which one session tells apart from the others less well:
 those of the seal have 0.18."""
-FIRM: Final = {"stiffness_scale": 0.03, "stiffness_shape": 0.03, "drive_inertia": 0.02}
+FIRM: Final = {"stiffness_scale": 0.03, "stiffness_shape": 0.03, "drive_inertia": 0.02,
+               "unbalance": 0.02}
 """The same of what does not rub: temperature moves a spring by per cents, and a mass is what it was."""
+DAILY_ANGLE: Final = 0.02
+"""The same of the angle of a mass on a turning axis, rad: its encoder's zero."""
 DAILY_RATIO: Final = 0.005
 """The same of the ratio of two sensors."""
 DAILY_ZERO: Final = 0.002
@@ -61,7 +63,7 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
               for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
-    offered = candidates(checked, reference.values, nuisance, True)
+    offered = offered_on(blocks, checked, reference)
     return ProblemSetting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values,
                           weights,
                           floors, offered, rate_hz=first.rate_hz)
@@ -101,7 +103,7 @@ def _sessions(found: Fit, setting: ProblemSetting) -> Prior:
 
 def _rubs(name: str) -> bool:
     p = RELATION_PARAMETERS[name]
-    return name not in FIRM and not (p.free and (p.neutral is not None or p.nominal == 1.0))
+    return name not in FIRM and not p.turning and not (p.free and (p.neutral is not None or p.nominal == 1.0))
 
 
 def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
@@ -112,6 +114,8 @@ def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
     if p.free and p.neutral is not None:
         peak = max(float(np.nanmax(np.abs(b.signals[b.relation.output]))) for b in setting.blocks if name in b.uses)
         return DAILY_ZERO * peak
+    if p.unit == "rad" and p.turning:
+        return DAILY_ANGLE
     return FIRM.get(name, DAILY_PART) * abs(at)
 
 

@@ -51,6 +51,14 @@ EFFECTS: Final = (
            "servo force turns over gradually after each reversal, at any speed",
            "The drive's own friction needs travel to turn over.", ("drive_coulomb", "drive_inertia")),
     Effect(
+        name="unbalance", site="servo drive", law="F = (m·g·r/R)·sin(q + φ)", source="weight on a lever",
+        parameters=(of_table("unbalance"), of_table("unbalance_phase")),
+        forward={"plant.servo_unbalance_n": takes("unbalance"), "plant.servo_unbalance_rad": takes("unbalance_phase")},
+        relations=("drive_force",), signature="servo force follows the sine of the axis' angle, at any speed",
+        words="A mass off the axis pulls with gravity: it is another than it was.",
+        rivals=("drive_offset", "drive_inertia", "demand_gain"), level=("drive_inertia",), experiment="three_speeds",
+    ),
+    Effect(
         name="drive_stribeck", site="servo drive", law="F = Fc·s·(1 + (r − 1)·e^(−(v/vs)²))",
         source="Stribeck curve", parameters=(of_table("drive_stribeck_ratio"), of_table("drive_stribeck_speed")),
         forward={"plant.servo_stribeck_ratio": takes("drive_stribeck_ratio"),

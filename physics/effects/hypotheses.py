@@ -140,6 +140,7 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
 """Effects that the forward model of the force path can have.  Sizes: the catalogue's likely ranges as a 1σ."""
 ELSEWHERE: Final[Mapping[str, str]] = {
     "saturation": "limits of the drive are no output of the force path", "supply_sag": "as saturation",
+    "unbalance": "shown by an axis recorded in rad",
     "drive_stribeck": "confounded with Coulomb friction within one gait", "quantisation": "read off the values",
     "late_pdo": "read off staleness and repeats", "lost_pdo": "read off staleness and repeats"}
 """Effects of the catalogue that the forward model has no constant for, and why."""

@@ -31,6 +31,8 @@ class ServoParameters:
     servo_viscous_asymmetry: float = declared("drive_viscous_asymmetry")
     demand_gain: float = declared("demand_gain")
     servo_offset_n: float = declared("drive_offset")
+    servo_unbalance_n: float = declared("unbalance")
+    servo_unbalance_rad: float = declared("unbalance_phase")
     servo_asymmetry: float = declared("drive_asymmetry")
     servo_presliding_m: float = declared("drive_presliding")
     servo_stribeck_ratio: float = declared("drive_stribeck_ratio")

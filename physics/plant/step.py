@@ -44,6 +44,8 @@ def servo(m: Any, demand_a: float, arm: float) -> None:
     coulomb *= stribeck(m[SLOT.servo_stribeck_ratio], m[SLOT.servo_stribeck_speed_m_s], speed)
     drag = m[SLOT.servo_viscous] * (speed + m[SLOT.servo_viscous_asymmetry] * abs(speed))
     loss = coulomb + drag + m[SLOT.servo_offset_n] + m[SLOT.tension] * arm
+    if m[SLOT.servo_unbalance_n] > 0.0:
+        loss += m[SLOT.servo_unbalance_n] * math.sin(m[SLOT.servo_x] / radius + m[SLOT.servo_unbalance_rad])
     m[SLOT.servo_v] += STEP_S / m[SLOT.servo_inertia_kg] * (force - loss)
     m[SLOT.servo_x] += STEP_S * m[SLOT.servo_v]
     m[SLOT.servo_s] = presliding_step(s, STEP_S * m[SLOT.servo_v] / m[SLOT.servo_presliding_m])

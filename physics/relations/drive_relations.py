@@ -26,13 +26,18 @@ SUBSTEPS: Final = 8
 
 
 def drive_force(signals: Signals, p: Values) -> Array:
-    """Predict the servo's force, N: START tension on the drum's arm, Coulomb by direction, viscous, inertia, offset."""
+    """Predict the servo's force, N: START tension on the drum's arm, Coulomb by direction, viscous, inertia, offset.
+
+    About a turning axis, N·m: a mass off the axis, m·g·r·sin(q + φ), besides.
+    """
     slip, square = signals.remember(_turned, p["drive_presliding"], p["drive_calm"], p["drive_stribeck_ratio"],
                                    p["drive_stribeck_speed"] if p["drive_stribeck_ratio"] != 1.0 else 1.0)
     force = p["drive_coulomb"] * (slip + p["drive_asymmetry"] * square) + p["drive_offset"]
     speed = signals["rope_m_s"]
     drag = speed if p["drive_viscous_asymmetry"] == 0.0 else speed + p["drive_viscous_asymmetry"] * np.abs(speed)
     force = force + p["drive_viscous"] * drag + p["drive_inertia"] * signals["rope_m_s2"]
+    if p["unbalance"] != 0.0 and signals.has("turned_rad"):
+        force = force + p["unbalance"] * np.sin(signals["turned_rad"] + p["unbalance_phase"])
     if signals.has("tension_start_n"):
         force = force + arm(signals, p) * signals.later(start_tension(signals, p), p["timestamp_skew"])
     return np.asarray(force / p["demand_gain"])

@@ -96,7 +96,7 @@ def _probe(fine: bool = False, only: set[str] | None = None) -> Signals:
         columns = {name: column for name, column in columns.items() if name in {"time_s", *only}}
     slope = np.gradient(wave, time)
     columns |= {"rope_m": 0.02 * wave, "rope_m_s": 0.02 * slope, "rope_m_s2": np.gradient(0.02 * slope, time),
-                "strain_m_s": 0.02 * slope, "knee_acceleration": slope, "end_rate": 8.0 * slope}
+                "strain_m_s": 0.02 * slope, "knee_acceleration": slope, "end_rate": 8.0 * slope, "turned_rad": wave}
     fresh = np.zeros(time.size, dtype=np.bool_)
     fresh[0] = True
     rope = Fine(columns["rope_m"], columns["rope_m_s"], fresh, lambda values: values) if fine else None

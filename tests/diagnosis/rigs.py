@@ -52,9 +52,12 @@ def _rubbed(z: float, v: float, f: Array) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def _driven(target: Array, mass: float, f: Array, offset: float, spring: float, gains: Array, every: int
+def _driven(target: Array, mass: float, f: Array, offset: float, weight: Array, gains: Array, every: int
             ) -> tuple[Array, Array]:
-    """Return (position, drive's force) of an axis that follows `target` under a PD loop sampled `every` steps."""
+    """Return (position, drive's force) of an axis that follows `target` under a PD loop sampled `every` steps.
+
+    `weight`: greatest torque of a mass on the axis, and its angle from below at position 0.
+    """
     position, force = np.empty(target.size), np.empty(target.size)
     x, v, z, drive = target[0], 0.0, 0.0, 0.0
     for k in range(target.size):
@@ -62,7 +65,7 @@ def _driven(target: Array, mass: float, f: Array, offset: float, spring: float, 
             ahead = (target[min(k + every, target.size - 1)] - target[k]) / (every * STEP_S)
             drive = gains[0] * (target[k] - x) + gains[1] * (ahead - v)
         z, rub = _rubbed(z, v, f)
-        v += STEP_S / mass * (drive - rub - offset - spring * x)
+        v += STEP_S / mass * (drive - rub - offset - weight[0] * math.sin(x + weight[1]))
         x += STEP_S * v
         position[k], force[k] = x, drive
     return position, force
@@ -119,9 +122,26 @@ def drive_axis(seed: int, load_kg: float = 0.0, rate_hz: float = 1000.0) -> Colu
     speeds = list(rng.permutation([0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.12]))
     target = strokes(0.22 + 0.02 * rng.random(), speeds, 2.5)
     rub = Friction(18.0, 180.0, 0.05, 0.15, bristle=2e-5)
-    position, force = _driven(target, 60.0 + load_kg, rub.row(), -3.0, 0.0, np.array([6e4, 4e3]), 10)
+    position, force = _driven(target, 60.0 + load_kg, rub.row(), -3.0, np.zeros(2), np.array([6e4, 4e3]), 10)
     return _timed({"servo_position_m": sensed(position, rate_hz, rng, grid=1e-6),
                    "servo_force_n": sensed(force, rate_hz, rng, 0.8, 0.01, min(100.0, 0.4 * rate_hz))}, rate_hz)
+
+
+def pendulum(seed: int, mass_kg: float = 0.5, rate_hz: float = 200.0) -> Columns:
+    """A motor swings a mass at 0.15 m, level at position 0.2 rad: rad and N·m, 20 s of three sines drawn by the seed.
+
+    Torque by the current (noise 4 mN·m, 40 Hz), encoder of 0.1 mrad; armature 2e-3 kg·m².
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 20.0, STEP_S)
+    target = sum(a * np.sin(6.2832 * f * (1.0 + 0.1 * rng.random()) * time + 6.28 * rng.random())
+                 for a, f in ((0.7, 0.3), (0.3, 0.8), (0.1, 1.7)))
+    rub = Friction(0.05, 0.02, bristle=2e-3)
+    weight = np.array([mass_kg * 9.81 * 0.15, 0.5 * math.pi - 0.2])
+    angle, torque = _driven(np.asarray(target), mass_kg * 0.15**2 + 2e-3, rub.row(), 0.0, weight,
+                            np.array([40.0, 1.0]), 10)
+    return _timed({"servo_position_rad": sensed(angle, rate_hz, rng, grid=1e-4),
+                   "servo_torque_nm": sensed(torque, rate_hz, rng, 4e-3, 1e-4, 40.0)}, rate_hz)
 
 
 def seal(seed: int, coulomb: float = 12.0, viscous: float = 150.0, rest: float = 0.8, rate_hz: float = 200.0

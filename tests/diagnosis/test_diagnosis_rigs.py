@@ -80,6 +80,35 @@ def test_the_same_axis_again_is_the_same(axis: list[Path]) -> None:
     assert any("compared with what its healthy trials are" in text for text in again["warnings"])
 
 
+@pytest.fixture(scope="module")
+def swung(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three trials of a pendulum, then one with 20 % more mass."""
+    folder = tmp_path_factory.mktemp("pendulum")
+    return [rigs.write(folder / f"swung_{seed}.csv", rigs.pendulum(seed, mass))
+            for seed, mass in ((1, 0.5), (2, 0.5), (3, 0.5), (4, 0.6))]
+
+
+def test_gravity_inertia_and_friction_of_a_pendulum_are_named(swung: list[Path]) -> None:
+    alone = diagnosed(swung[0], swung[1])
+    assert {"unbalance", "drive_inertia", "drive_coulomb"} <= named(alone)
+    assert value(alone, "unbalance") == pytest.approx(0.5 * 9.81 * 0.15, rel=0.03)
+    assert value(alone, "unbalance_phase") == pytest.approx(0.5 * np.pi - 0.2, abs=0.05)
+    assert value(alone, "drive_inertia") == pytest.approx(0.5 * 0.15**2 + 2e-3, rel=0.05)
+
+
+def test_another_motion_of_the_same_pendulum_is_the_same(swung: list[Path]) -> None:
+    assert diagnosed(swung[2], "--healthy", swung[0], "--healthy", swung[1])["verdict"] == "none"
+
+
+def test_a_mass_that_is_added_to_a_pendulum_is_told_within_five_per_cent(swung: list[Path]) -> None:
+    heavier = diagnosed(swung[3], "--healthy", swung[0], "--healthy", swung[1])
+    assert "unbalance" in named(heavier)
+    found = next(c for c in heavier["causes"] if c["effect"] == "unbalance")["parameters"]["unbalance"]
+    added = 0.1 * 9.81 * 0.15
+    assert found["value"] - 0.5 * 9.81 * 0.15 == pytest.approx(added, rel=0.05)
+    assert found["low"] <= 0.6 * 9.81 * 0.15 <= found["high"]
+
+
 def test_an_axis_at_100_hz_is_told_as_far_as_it_goes(tmp_path: Path) -> None:
     given = rigs.write(tmp_path / "axis.csv", rigs.decimated(rigs.drive_axis(1), 10))
     found = bowden.Diagnosis().diagnose(given).as_json()

@@ -29,7 +29,7 @@ FIRST_EDITION = (
     "presliding friction_drift stiffness fabric_creep slack knee_backlash moment_arm drum_eccentricity end_mass "
     "end_gain start_gain end_offset start_offset end_drift start_drift end_delay end_filter timestamp_skew late_pdo "
     "lost_pdo quantisation drive_coulomb drive_viscous drive_offset drive_asymmetry drive_inertia saturation "
-    "supply_sag drive_viscous_asymmetry drive_presliding drive_stribeck demand_gain"
+    "supply_sag drive_viscous_asymmetry drive_presliding drive_stribeck demand_gain unbalance"
 )
 RELATIONS = {
     "friction", "elasticity", "kinematics", "servo", "drive_force", "knee", "start_sensor", "end_sensor", "bus"}

@@ -146,7 +146,8 @@ EFFECTS = PATH | SENSOR | DRIVE | WIRE
 """Every effect of the catalogue that the family has, by the catalogue's name."""
 IN_PLANT = frozenset(PATH | SENSOR | DRIVE | OUTSIDE)
 """Those that a plant behind nodes can have; dead times, rounding and lost PDOs are the converters' or the wire's."""
-ABSENT = {"saturation": "shows only in a drive that is driven to its limit: use the plant's force_limit",
+ABSENT = {"unbalance": "the family's drums are round and balanced",
+          "saturation": "shows only in a drive that is driven to its limit: use the plant's force_limit",
           "supply_sag": "no supply in the family's drive",
           "drive_stribeck": "the family's drives rub by Coulomb's law and a film's"}
 """What the catalogue has and the family has not, with the reason."""
