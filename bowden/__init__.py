@@ -17,20 +17,24 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from bowden import own_packages
+
 if TYPE_CHECKING:
-    from bowden import testing
+    from bowden import replay, sweep, testing
     from bowden.any_node import Node
     from bowden.buses import BusSettings, bus, simulated
     from bowden.diagnosing import Diagnosis, DiagnosisResult
-    from bowden.experiment import Experiment, run
-    from bowden.identification import StoppedError, identify
+    from bowden.examination import doctor
+    from bowden.experiment import Experiment, Verified, run, verify
+    from bowden.identification import StoppedError, fit, identify
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
     from bowden.planning import WalkPlan, plan
     from bowden.progress import Progress
-    from bowden.recorded_trial import Trial
+    from bowden.recorded_trial import Trial, compare, export
     from bowden.recorded_trial import read_trial as read
+    from bowden.recording import record
     from bowden.simulating import Simulation, simulate
     from parameters import InputError
 
@@ -39,24 +43,31 @@ _HOMES = {
     "DiagnosisResult": "bowden.diagnosing", "Experiment": "bowden.experiment", "InputError": "parameters",
     "Node": "bowden.any_node", "Progress": "bowden.progress",
     "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
-    "Trial": "bowden.recorded_trial", "WalkPlan": "bowden.planning", "bus": "bowden.buses",
+    "Trial": "bowden.recorded_trial", "Verified": "bowden.experiment", "WalkPlan": "bowden.planning",
+    "bus": "bowden.buses", "compare": "bowden.recorded_trial", "doctor": "bowden.examination",
+    "export": "bowden.recorded_trial", "fit": "bowden.identification",
     "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
     "read": "bowden.recorded_trial:read_trial",
-    "read_model": "bowden.model_files:read", "run": "bowden.experiment", "simulate": "bowden.simulating",
-    "simulated": "bowden.buses", "testing": "bowden.testing", "write_model": "bowden.model_files:write",
+    "read_model": "bowden.model_files:read", "record": "bowden.recording", "replay": "bowden.replay",
+    "run": "bowden.experiment", "simulate": "bowden.simulating", "simulated": "bowden.buses", "sweep": "bowden.sweep",
+    "testing": "bowden.testing", "verify": "bowden.experiment", "write_model": "bowden.model_files:write",
 }
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
     "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Node", "Progress",
-    "Simulation", "StoppedError", "Trial", "WalkPlan", "bus", "identify", "nominal", "plan", "read", "read_model",
-    "run", "simulate", "simulated", "testing", "write_model",
+    "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare", "doctor", "export", "fit",
+    "identify", "nominal", "plan", "read", "read_model", "record", "replay", "run", "simulate", "simulated", "sweep",
+    "testing", "verify", "write_model",
 ]
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'bowden' has no attribute {name!r}")
+    hidden = own_packages.hidden()
+    if hidden is not None:
+        raise ImportError(f"bowden.{name}: {hidden}")
     module, _, attribute = _HOMES[name].partition(":")
     found: Any = importlib.import_module(module)
     if module != f"{__name__}.{name}":

@@ -6,15 +6,17 @@ would print is in the trial that comes back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bowden import buses, configuration, model_files, provenance, session
+from bowden import buses, configuration, model_files, output_files, provenance, session
 from bowden.buses import BusSettings
 from bowden.model_files import Model
 from bowden.progress import SILENT, Progress
 from bowden.recorded_trial import TemporaryFolder, Trial
+from parameters import InputError
 
 GAIT = "gait"
 _OF_GAIT = ("peak_n", "period_s", "cycles", "settle", "soft_start", "controller", "idle_slack_m")
@@ -106,3 +108,52 @@ def run(
     return trial
 
 
+@dataclass(frozen=True)
+class Verified:
+    """One experiment twice: the controller not told (`before`) and told (`after`) of a model's effects.
+
+    `judged_by`: the figure that is compared, of the true END where the bench is simulated, else of its sensor;
+    `gain_percent`: by how much it fell, None where a trial has no such figure.
+    """
+
+    before: Trial
+    after: Trial
+    judged_by: str
+    gain_percent: float | None
+
+
+def gained(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Return the figure that two trials of one experiment are judged by, and by how much it fell, %."""
+    judged = "true_relative_rmse_percent" if before["true_relative_rmse_percent"] is not None else (
+        "relative_rmse_percent")
+    first, second = before[judged], after[judged]
+    return judged, 100.0 * (1.0 - second / first) if first and second is not None else None
+
+
+def verify(
+    model: Model, experiment: Experiment | None = None, *, bus: BusSettings | None = None,
+    output: str | Path | None = None, overwrite: bool = False, progress: Progress = SILENT,
+) -> Verified:
+    """Run one experiment twice, with the model's constants alone and with its effects known to the controller too.
+
+    `model`: what `DiagnosisResult.model` is, or the file that `bowden diagnose -o` wrote.  `experiment`: its own
+    `model` must be None, its controller is "extended" where it names none.  `output`: the trials to write, with -before
+    and -after before the suffix (None: they are not kept).  Raises `InputError`.
+    """
+    asked, chosen = experiment or Experiment(), bus or buses.simulated()
+    if asked.model is not None:
+        raise InputError("verify: the experiment states a model, and verify is given one; leave it out of the "
+                         "experiment.")
+    known = model_files.read(model, bench=chosen.bench) if isinstance(model, str | Path) else model_files.given(model)
+    if not known.effects:
+        raise InputError(f"verify: {known.label} states no effect that a controller could be told of; give what a "
+                         "diagnosis found.")
+    asked = replace(asked, controller=asked.controller or "extended")
+    paths = {name: None if output is None else Path(output).with_stem(f"{Path(output).stem}-{name}")
+             for name in ("before", "after")}
+    output_files.refuse(paths.values(), overwrite=overwrite)
+    not_told = replace(known, effects={}, found={}) if known.values else None
+    before, after = (
+        run(replace(asked, model=told), bus=chosen, output=paths[name], overwrite=overwrite, progress=progress)
+        for name, told in (("before", not_told), ("after", known)))
+    return Verified(before, after, *gained(before.figures, after.figures))

@@ -135,3 +135,25 @@ def _model(found: Identified) -> BenchModel:
     if found.calibration is None:
         raise StoppedError(found.reason or "the identification found nothing")
     return of_calibration(found.calibration)
+
+
+def fit(
+    trials: Sequence[Trial | str | Path], *, model: Model | None = None, lowpass_hz: float | None = None,
+    progress: Progress = SILENT,
+) -> BenchModel:
+    """Fit the simulation's constants to healthy trials of one bench, as `bowden fit` does.
+
+    `trials`: any motion, own or imported, with rope position and START, END or both; `model`: the point that the fit
+    starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz.  What the fit says of trials that
+    it had not seen is in `BenchModel.fitted`.  Raises `InputError`.
+    """
+    import tomllib
+
+    from diagnosis import bench_fit
+    from physics import bench_model
+
+    start = None if model is None else tomllib.loads(model_files.given(model).text())
+    with progress.waiting("fitting"):
+        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], start,
+                              lowpass_hz)
+    return bench_model.from_tables(tomllib.loads(found.text()), "fit")

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     import matplotlib.figure
     import pandas
 
+    from trial.compare import TrialComparison
+
 
 class Trial:
     """One recorded experiment.
@@ -153,6 +155,31 @@ def read_trial(path: str | Path, *, columns: str | Path | None = None) -> Trial:
         raise
     folder.hand_to(trial)
     return trial
+
+
+def export(
+    trial: Trial | str | Path, path: str | Path, *, mat73: bool = False, overwrite: bool = False,
+) -> int:
+    """Write a trial in the format that the ending of `path` names; return the rows or frames written.
+
+    .csv, .csv.gz, .xlsx, .tdms, .parquet, .mf4 and .mat (v5; v7.3 with `mat73`) hold its cycles, .log (candump), .asc,
+    .blf and .trc its frames.  Raises `InputError`.
+    """
+    from trial.convert.export import export as exported
+
+    given = trial if isinstance(trial, Trial) else Trial(trial)
+    output_files.refuse([Path(path)], overwrite=overwrite, inputs=[given.path])
+    return exported(given.recorded, path, mat73=mat73, overwrite=overwrite)
+
+
+def compare(a: Trial | str | Path, b: Trial | str | Path) -> TrialComparison:
+    """Return what differs between two trials, A − B: metadata, attached files, results and signals.
+
+    Signals are compared row by row, by gait phase or by time; `matched` says which.  Raises `InputError`.
+    """
+    from trial.compare import compare as compared
+
+    return compared(*((each if isinstance(each, Trial) else Trial(each)).recorded for each in (a, b)))
 
 
 class TemporaryFolder:

@@ -6,12 +6,18 @@ frame that did not fit; nothing is lost between two.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from eds.bench_network import WireLayout
+import can
+
+from bowden import buses, configuration, output_files
+from bowden.buses import BusSettings
+from eds.bench_network import WireLayout, wire
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers, rows_of
 from trial.convert.python_can import flags_of, payload_of, time_ns_of
@@ -22,6 +28,7 @@ from trial.signals import SIGNALS
 
 RARE = frozenset((0x000, *range(0x081, 0x100), *range(0x701, 0x780)))
 """COB-IDs of NMT, EMCY and boot-up, which can be events."""
+LOOK_S = 0.05  # between two looks at the clock
 LOOK_FRAMES = 256  # frames between two looks at the size of the file
 
 
@@ -105,6 +112,14 @@ class BusRecording:
             self._recorder.close({"outcome": "recorded", "frames": self._in_file, "channels": self._channels.names})
             self._recorder = None
 
+    def listen(self, bus: Any, seconds: float | None, frames: int | None) -> None:
+        """Take what `bus` gives until `seconds` of wall time or `frames` frames (None: until it is interrupted)."""
+        deadline = None if seconds is None else time.monotonic() + seconds
+        while (deadline is None or time.monotonic() < deadline) and (frames is None or self.frames < frames):
+            message = bus.recv(LOOK_S)
+            if message is not None:
+                self.take(message)
+
     def close(self) -> None:
         """Write what is waiting and close the file."""
         self._finish()
@@ -121,3 +136,26 @@ class BusRecording:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def record(
+    bus: BusSettings, output: str | Path, *, seconds: float | None = None, frames: int | None = None,
+    config: str | Path | None = None, overwrite: bool = False,
+) -> BusRecording:
+    """Record a real bus, listening only, until `seconds` of wall time or `frames` frames; return what was recorded.
+
+    `bus`: `bowden.bus(…)`; a simulated bench moves only while a master asks, and `bowden.run` records that.  A bus that
+    fails ends it: what it gave is in the file.  Raises `InputError`, also where neither limit is given.
+    """
+    if bus.simulated:
+        raise InputError("record: a simulated bench is recorded by bowden.run; give a real bus, bowden.bus(…).")
+    if seconds is None and frames is None:
+        raise InputError("record: nothing says when to end; give seconds or frames.")
+    network = configuration.read(None if config is None else Path(config))["network"]
+    output_files.refuse_ending(Path(output), ".mcap", what="a recording")
+    about = {name: str(bus.arguments.get(name) or "") for name in ("interface", "channel")}
+    made = BusRecording(Path(output), wire(network), overwrite=overwrite, about={
+        **about, "bitrate": str(network.bitrate)})
+    with buses.opened_one(bus, network.bitrate) as heard, made, suppress(can.CanError, OSError):
+        made.listen(heard, seconds, frames)
+    return made

@@ -237,10 +237,10 @@ def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
     for name, sigma in found.sigma.items():
         if name not in RELATION_PARAMETERS:
             continue
-        low, high = learnt_bands.bounds(name)
-        half = 1.96 * sigma
-        constants[name] = Constant(values[name], max(values[name] - half, low), min(values[name] + half, high),
-                                   RELATION_PARAMETERS[name].unit, sigma < DETERMINED * known.get(name, math.inf))
+        stated = RELATION_PARAMETERS[name]  # a fit lets END lead START by a millisecond, a simulation cannot
+        value, low, high = (min(max(values[name] + side * 1.96 * sigma, stated.low), stated.high)
+                            for side in (0.0, -1.0, 1.0))
+        constants[name] = Constant(value, low, high, stated.unit, sigma < DETERMINED * known.get(name, math.inf))
     fixed = ("theta1", "phi0", "home_preload", "drum_radius")
     return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False) for n in fixed}
 

@@ -1,5 +1,21 @@
 """The command line, one file a command: each parses its options, calls the library and prints."""
 
-from bowden.cli.app import main
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from bowden import own_packages
 
 __all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command line (None: the process's) and end the process; status 2 where a package of ours is hidden."""
+    hidden = own_packages.hidden()
+    if hidden is not None:
+        print(f"bowden: {hidden}", file=sys.stderr)
+        raise SystemExit(2)
+    from bowden.cli.app import main as run
+
+    run(arguments)

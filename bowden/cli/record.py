@@ -5,7 +5,6 @@ The rule of this file: it never sends a frame, so a master may run or not; every
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 import typer
@@ -14,7 +13,6 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 from bowden.cli.option_groups import Bus, grouped
 
-LOOK_S = 0.05  # between two looks at the clock
 Interface = Annotated[str, typer.Option(
     metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
 Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
@@ -61,15 +59,11 @@ def record(
         "interface": interface, "channel": channel or "", "bitrate": str(bitrate or network.bitrate)},
         max_bytes=None if max_size is None else round(max_size * 1e6),
         max_ns=None if max_time is None else round(max_time * 1e9))
-    deadline = None if seconds is None else time.monotonic() + seconds
     failure = None
     with buses.opened_one(chosen, network.bitrate) as heard, made:
         terminal.remark(f"recording {interface} {channel or ''}; Ctrl-C ends it.")
         try:
-            while (deadline is None or time.monotonic() < deadline) and (frames is None or made.frames < frames):
-                message = heard.recv(LOOK_S)
-                if message is not None:
-                    made.take(message)
+            made.listen(heard, seconds, frames)
         except (can.CanError, OSError) as error:
             failure = str(error)
         except KeyboardInterrupt:

@@ -83,7 +83,7 @@ def replay(
     Example: bowden replay trial.mcap --onto controller
     """
     from bowden import buses, output_files, recorded
-    from bowden.replay import onto_bus
+    from bowden.replay import onto_bus, refuse_imported
     from bowden.replay.schedule import Selection
     from trial.read import open as opened
 
@@ -92,7 +92,7 @@ def replay(
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     output_files.refuse_ending(output, ".mcap", what="residuals")
     given = opened(trial)
-    _refuse_imported(given, onto)
+    refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, allow_controller, json=json)
     chosen = reached.chosen(simulated, always_simulated=onto == "plant")
@@ -113,26 +113,6 @@ def replay(
             with terminal.progress("replay", shown=not json) as update:
                 playing.run(update)
         return _played(given, playing.played(), json=json)
-
-
-def _refuse_imported(recorded: Trial, onto: str) -> None:
-    """Raise `InputError`, with what can be done instead, for what a log or table of others cannot be replayed onto."""
-    source = recorded.metadata.get("imported_from")
-    if source is None:
-        return
-    said = f"{recorded.path}: was imported from {source}"
-    if not len(recorded.frames):
-        raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
-                         "it, and bowden report shows it.")
-    from eds.bench_network import Network, wire
-
-    commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
-    others = "--onto bus" + (" or --onto plant" if commands else "")
-    if onto == "controller":
-        raise InputError(f"{said}, which carries neither the calibration nor the configuration that the controller's "
-                         f"steps need; replay it {others}.")
-    if onto == "plant" and not commands:
-        raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")
 
 
 def _controller(recorded: Trial, allowed: str | None, *, json: bool) -> int:

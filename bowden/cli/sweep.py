@@ -61,6 +61,7 @@ def sweep(
     """
     from bowden import configuration
     from bowden.sweep import rows as sweep_rows
+    from bowden.sweep import run as sweep_run
     from bowden.sweep.sweep_table import SweepTable as Growing
 
     if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
@@ -76,7 +77,7 @@ def sweep(
         resumed = sum(table.found(row) is not None for row in rows)
         _say_resumed(table, resumed, len(rows))
         with _crew(scheduler, tls, workers, quiet=json, idle=resumed == len(rows)) as crew:
-            _run(rows, table, crew, _calibrations(output, overwrite), keep, quiet=json)
+            _run(rows, table, crew, sweep_run.calibrations_beside(output, overwrite), keep, quiet=json)
         found = [table.found(row) or {} for row in rows]
     cells = _cells(found, [name for name, _ in axes])
     failed = sum(row["outcome"] != "completed" for row in found)
@@ -180,14 +181,6 @@ def _keeping(keep: Path | None) -> None:
 
     if keep is not None and not keep.is_dir():
         raise InputError(f"--keep {keep}: is no directory; make it first.")
-
-
-def _calibrations(output: Path, overwrite: bool) -> Path:
-    """The directory beside the table that keeps what was identified for it; emptied with `overwrite`."""
-    folder = output.with_suffix(".calibrations")
-    for stale in folder.glob("serial-*.toml") if overwrite else ():
-        stale.unlink()
-    return folder
 
 
 def _say_resumed(table: Any, resumed: int, total: int) -> None:

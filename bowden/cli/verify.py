@@ -71,10 +71,9 @@ def verify(
 
 
 def _compared(model: Path, known: Any, figures: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    judged = "true_relative_rmse_percent" if figures["before"]["true_relative_rmse_percent"] is not None else (
-        "relative_rmse_percent")
-    before, after = (figures[name][judged] for name in ("before", "after"))
-    gain = 100.0 * (1.0 - after / before) if before and after is not None else None
+    from bowden.experiment import gained
+
+    judged, gain = gained(figures["before"], figures["after"])
     return {"controller_model": str(model), "effects": {name: dict(values) for name, values in known.items()},
             "judged_by": judged, "gain_percent": gain, **figures}
 

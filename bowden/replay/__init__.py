@@ -1,1 +1,72 @@
-"""Replay of a recorded trial onto a bus, the controller or a plant."""
+"""Replay of a recorded trial onto a bus, the controller or a plant.
+
+    bowden.replay.onto("controller", trial)                        # its inputs, stepped again: bit for bit the same?
+    bowden.replay.onto("plant", trial, bus=bowden.simulated(3))    # its commands, to a simulated bench: residuals
+
+The rule of this package: `onto` is its public name, imported without what it uses.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bowden.progress import SILENT, Progress
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.buses import BusSettings
+    from bowden.recorded_trial import Trial
+    from bowden.replay.onto_controller import ControllerComparison
+    from bowden.replay.plant_residuals import Residuals
+    from trial.read import Trial as Recorded
+
+__all__ = ["onto"]
+
+
+def onto(
+    target: str, trial: Trial | str | Path, *, bus: BusSettings | None = None, allow: str | None = None,
+    progress: Progress = SILENT,
+) -> ControllerComparison | Residuals:
+    """Replay a trial and return the comparison with its recording (`same`: bit for bit).
+
+    `target`: "controller", the trial's measurements to its controller's steps, or "plant", what the master sent to a
+    simulated bench, `bus` (None: the one of serial number 1).  `allow`: a controller outside of this package that the
+    trial names and that may be imported.  Raises `InputError`; replay onto a real bus is `bowden replay`.
+    """
+    from bowden import buses, recorded
+    from bowden.recorded_trial import Trial
+
+    if target not in ("controller", "plant"):
+        raise InputError(f"onto {target!r}: expected 'controller' or 'plant'; say bowden replay for a real bus.")
+    given = (trial if isinstance(trial, Trial) else Trial(trial)).recorded
+    refuse_imported(given, target)
+    if target == "plant":
+        from bowden.replay import onto_plant
+
+        return onto_plant.replay(given, bus or buses.simulated(), progress=progress)
+    from bowden.replay import onto_controller
+
+    experiment = recorded.experiment(given, allowed=allow)
+    with progress.running("controller") as update:
+        return onto_controller.replay(given, experiment, update)
+
+
+def refuse_imported(recorded: Recorded, onto: str) -> None:
+    """Raise `InputError`, with what can be done instead, for what a log or table of others cannot be replayed onto."""
+    source = recorded.metadata.get("imported_from")
+    if source is None:
+        return
+    said = f"{recorded.path}: was imported from {source}"
+    if not len(recorded.frames):
+        raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
+                         "it, and bowden report shows it.")
+    from eds.bench_network import Network, wire
+
+    commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
+    others = "--onto bus" + (" or --onto plant" if commands else "")
+    if onto == "controller":
+        raise InputError(f"{said}, which carries neither the calibration nor the configuration that the controller's "
+                         f"steps need; replay it {others}.")
+    if onto == "plant" and not commands:
+        raise InputError(f"{said}, which holds no targets that a plant could follow; replay it {others}.")

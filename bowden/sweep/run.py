@@ -82,6 +82,14 @@ def _certificates(folder: Path) -> dict[str, str]:
     return {"tls_ca_file": ca, "tls_client_cert": certificate, "tls_client_key": key}
 
 
+def calibrations_beside(table: Path, overwrite: bool) -> Path:
+    """Return the folder beside a table that keeps what was identified for it; emptied with `overwrite`."""
+    folder = table.with_suffix(".calibrations")
+    for stale in folder.glob("serial-*.toml") if overwrite else ():
+        stale.unlink()
+    return folder
+
+
 def sweep(
     rows: Sequence[Row], table: SweepTable, workers: Workers, calibrations: Path, *, keep: str | None = None,
     update: Callable[[float], None] = lambda share: None,

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,19 @@ def test_progress_is_handed_in() -> None:
     (lambda: bowden.identify(trials=["a.mcap"], bus=bowden.simulated()), "without a bus"),
     (lambda: bowden.Diagnosis().fit("none.mcap"), "none.mcap"),
     (lambda: bowden.Diagnosis().diagnose([]), "no trial"),
+    (lambda: bowden.fit([]), "no trial given"),
+    (lambda: bowden.fit(["none.mcap"]), "none.mcap"),
+    (lambda: bowden.compare("none.mcap", "more.mcap"), "none.mcap"),
+    (lambda: bowden.export("none.mcap", "table.csv"), "none.mcap"),
+    (lambda: bowden.doctor(config="none.toml"), "none.toml"),
+    (lambda: bowden.verify(bowden.nominal()), "no effect"),
+    (lambda: bowden.verify("none.toml"), "none.toml"),
+    (lambda: bowden.verify("none.toml", bowden.Experiment(model="some.toml")), "leave it out"),
+    (lambda: bowden.record(bowden.simulated(), "bus.mcap", seconds=1.0), "bowden.run"),
+    (lambda: bowden.record(bowden.bus("virtual", "none"), "bus.mcap"), "seconds or frames"),
+    (lambda: bowden.replay.onto("bus", "none.mcap"), "bowden replay"),
+    (lambda: bowden.replay.onto("plant", "none.mcap"), "none.mcap"),
+    (lambda: bowden.sweep.over({"peek": [40]}, "table.csv"), "did you mean peak?"),
 ])
 def test_bad_input_is_one_sentence(call: Callable[[], object], says: str, tmp_path: Path,
                                    monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,6 +180,86 @@ def test_bad_input_is_one_sentence(call: Callable[[], object], says: str, tmp_pa
     assert says in str(raised.value)
     assert "\n" not in str(raised.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_trial_is_exported_compared_and_replayed(tmp_path: Path) -> None:
+    trial = bowden.run(SHORT, output=tmp_path / "a.mcap")
+    other = bowden.run(SHORT, bus=bowden.simulated(seed=1))
+    assert bowden.export(trial, tmp_path / "a.csv") == len(trial)
+    assert np.array_equal(bowden.read(tmp_path / "a.csv").columns["tension_end_n"], trial.columns["tension_end_n"])
+    with pytest.raises(bowden.InputError, match="exists"):
+        bowden.export(trial, tmp_path / "a.csv")
+    assert bowden.compare(trial, tmp_path / "a.mcap").same
+    differing = {row.name for row in bowden.compare(trial, other).signals if row.rms > 0}
+    assert "tension_start_n" in differing
+    assert bowden.replay.onto("controller", trial).same
+    assert bowden.replay.onto("plant", tmp_path / "a.mcap").same
+    assert not bowden.replay.onto("plant", trial, bus=bowden.simulated(2)).same
+
+
+def test_a_bench_is_fitted_to_the_friction_that_it_was_made_with() -> None:
+    walk = bowden.Experiment(period_s=1.1, cycles=4, settle=0)
+    rubbing = bowden.simulated(serial=0, plant_model={"plant": {"mu1": 0.11}})
+    trial = bowden.run(walk, bus=rubbing)
+    fitted = bowden.fit([trial], model=bowden.nominal())
+    from physics.parameters import RELATION_PARAMETERS
+
+    assert all(p.low <= fitted.values[name] <= p.high for name, p in RELATION_PARAMETERS.items()
+               if name in fitted.values)
+    assert fitted.values["mu1"] == pytest.approx(0.11, rel=0.1)
+    assert fitted.evidence["mu1"].low <= fitted.values["mu1"] <= fitted.evidence["mu1"].high
+    assert fitted.fitted["tension_end_n"]["unseen_rms_n"] < 0.02 * 40.0
+
+
+def test_a_told_controller_is_verified_against_one_that_is_not() -> None:
+    effect = {"start_gain": {"start_gain": 1.15}}
+    model = bowden.BenchModel(effects=effect)
+    found = bowden.verify(model, SHORT, bus=bowden.simulated(plant_model={"effects": effect}))
+    assert found.judged_by == "true_relative_rmse_percent"
+    assert found.before.figures["controller"] == found.after.figures["controller"] == "extended"
+    assert found.gain_percent is not None
+    before, after = (trial.figures[found.judged_by] for trial in (found.before, found.after))
+    assert found.gain_percent == pytest.approx(100.0 * (1.0 - after / before))
+    assert found.gain_percent > 20.0
+
+
+def test_a_simulated_bench_is_examined_and_a_table_is_swept(tmp_path: Path) -> None:
+    found = bowden.doctor(seconds=0.1)
+    nodes = [finding for finding in found if "(node " in finding.what]
+    assert len(nodes) == 4, found
+    assert all(finding.good for finding in nodes), nodes
+    rows = bowden.sweep.over({"peak": [30, 40], "cycles": [1], "settle": [0], "period": [0.6]},
+                             tmp_path / "table.csv", workers=1)
+    assert [float(row["gait.peak_n"]) for row in rows] == [30.0, 40.0]
+    assert {row["outcome"] for row in rows} == {"completed"}
+
+
+@pytest.mark.walltime
+def test_a_bus_is_recorded_by_who_only_listens(tmp_path: Path) -> None:
+    import can
+
+    with can.Bus(interface="virtual", channel="recorded from Python") as sender, ThreadPoolExecutor(1) as pool:
+        listening = pool.submit(bowden.record, bowden.bus("virtual", "recorded from Python"), tmp_path / "bus.mcap",
+                                frames=3, seconds=20.0)
+        while not listening.done():
+            sender.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+            sender.recv(0.01)
+    made = listening.result()
+    assert made.frames == 3
+    assert set(bowden.Trial(tmp_path / "bus.mcap").frames["can_id"]) == {0x80}
+
+
+@pytest.mark.parametrize("name", ["master", "trial"])
+def test_what_hides_a_package_is_named_in_one_sentence(name: str, tmp_path: Path) -> None:
+    (tmp_path / f"{name}.py").write_text("", encoding="utf-8")
+    paths = os.pathsep.join((str(tmp_path), str(ROOT)))
+    for code, status in (("from bowden.cli import main; main(['--version'])", 2), ("import bowden; bowden.run", 1)):
+        told = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+                              env={**os.environ, "PYTHONPATH": paths})
+        assert told.returncode == status, told.stderr
+        said = told.stderr.splitlines()[-1]
+        assert f"{name}.py hides the package {name} of bowden-bench" in said
+        assert "rename that file" in said
 
 
 def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkeypatch: pytest.MonkeyPatch) -> None:
