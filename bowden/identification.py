@@ -145,7 +145,8 @@ def fit(
 
     `trials`: any motion, own or imported, with rope position and START, END or both; `model`: the point that the fit
     starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz.  What the fit says of trials that
-    it had not seen is in `BenchModel.fitted`.  Raises `InputError`.
+    it had not seen is in `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`.  Raises
+    `InputError`.
     """
     import tomllib
 
@@ -156,4 +157,4 @@ def fit(
     with progress.waiting("fitting"):
         found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], start,
                               lowpass_hz)
-    return bench_model.from_tables(tomllib.loads(found.text()), "fit")
+    return bench_model.from_tables(tomllib.loads(found.text()), "fit", rigs=True)

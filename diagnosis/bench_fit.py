@@ -18,16 +18,16 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import simulation
+from diagnosis import rig_fit, simulation
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
 from diagnosis.problem import blocks, learnt_bands, simulated_blocks
-from diagnosis.problem.healthy_reference import of_bench
+from diagnosis.problem.healthy_reference import like_this_bench, of_bench
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.learnt_bands import Learnt
 from parameters import InputError, declarations, read_toml
 from physics import bench_model
-from physics.bench_model import FITTED, OLDER, BenchModel
+from physics.bench_model import FITTED, OLDER, RIG, BenchModel
 from physics.calibration import VERSION, Calibration, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
@@ -39,10 +39,13 @@ Values = Mapping[str, float]
 BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
+HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
 DETERMINED: Final = 0.7
 """1σ, of that known beforehand, below which the data have said something of a constant."""
 SEEN: Final = 0.6
 """Share of each trial that the fit which is judged has seen."""
+UNFIT: Final = 0.2
+"""Share of a signal's spread that a fit may leave of it before it says nothing."""
 SECONDS: Final = 6.0
 """Length of each trial that the simulation is fitted on, s."""
 
@@ -64,6 +67,7 @@ class FittedBench:
 
     `told`: what a file says of the relations in another form than theirs, as `bowden identify` writes it.
     `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
+    `rig`: the terms found on a rig of another kind; None: it is a bench, a rope over a knee.
     """
 
     constants: Mapping[str, Constant]
@@ -74,6 +78,7 @@ class FittedBench:
     warnings: tuple[str, ...] = ()
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     told: Mapping[str, float] = field(default_factory=dict)
+    rig: tuple[str, ...] | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -97,18 +102,23 @@ class FittedBench:
         """Return the model as plain values."""
         return {"trials": list(self.trials), "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
                 "not_determined": self.undetermined, "simulation": dict(self.figures),
+                "rig": None if self.rig is None else list(self.rig),
                 "relations": {n: dict(r) for n, r in self.relations.items()}, "warnings": list(self.warnings)}
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD, f"version = {VERSION}", 'bench = ""', "", f"[{FITTED}]",
+        lines = [HEAD if self.rig is None else HEAD_OF_RIG, f"version = {VERSION}", 'bench = ""', "", f"[{FITTED}]",
                  f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}", f"pulls = {self.pulls}"]
         lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
                   for end, row in self.figures.items() if row["rms_n"] is not None]
+        if self.rig is not None:
+            lines += [f"terms = {json.dumps(list(self.rig))}"]
+            lines += [f"{name} = {{ unseen_rms = {row['unseen']!r}, unit = {json.dumps(row['unit'])} }}"
+                      for name, row in self.relations.items() if row["unseen"] is not None]
         for name, c in self.constants.items():
-            lines += ["", f"[{BENCH}.{name}]  # {PARAMETERS[name].meaning}", f"value = {c.value!r}",
-                      f'unit = "{c.unit}"', f"interval = [{c.low!r}, {c.high!r}]",
-                      f"determined = {str(c.determined).lower()}"]
+            lines += ["", f"[{BENCH if self.rig is None else RIG}.{name}]  # {PARAMETERS[name].meaning}",
+                      f"value = {c.value!r}", f'unit = "{c.unit}"', f"interval = [{c.low!r}, {c.high!r}]"]
+            lines += [f"determined = {str(c.determined).lower()}"] if self.rig is None else []
         return "\n".join(lines) + "\n"
 
 
@@ -139,7 +149,8 @@ def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[
     """Fit the constants of a bench to healthy trials of any motion; `calibration`: one point to start from.
 
     `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
-    Raises `InputError` for trials that contradict themselves, or do not move a rope that a tension stretches.
+    A rig of another kind (no rope that a tension stretches over a knee) is fitted as `rig_fit` says.
+    Raises `InputError` for trials that contradict themselves, or whose columns no relation can be checked on.
     """
     if not trials:
         raise InputError("fit: no trial given; name at least one healthy trial.")
@@ -153,18 +164,25 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
     for finding in findings:
         if finding.refuses:
             raise InputError(finding.text)
-    usable = [_locked(integrity.usable(t)) for t in given]
+    usable = [integrity.usable(t) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
-    tables, pulls = learnt_bands.oriented(usable)
+    tables, pulls = learnt_bands.oriented([_locked(t) for t in usable])
     known = read_toml(Path(calibration)) if isinstance(calibration, str | Path) else calibration
-    _refuse_other_rigs(tables)
-    first, rest = [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
-    judged = _values(_learnt(first, known), first)
+    other, like = _other_rig(tables), like_this_bench(usable)
+    if other is not None:
+        if like:
+            raise InputError(other)
+        return _rig(usable, given, findings)
+    first, rest = _parts(tables)
+    early = _learnt(first, known)
+    if not like and any(left > UNFIT * early.spread[name] for name, left in early.misfit.items()):
+        return _rig(usable, given, findings)
+    unseen = _unseen(rest, _values(early, first))
     whole = _learnt(tables, known)
     values = _values(whole, tables)
     floors = {n: {"unit": RELATIONS[n].unit, "left": whole.floors[n], "laws_alone": whole.plain[n]}
               for n in whole.floors}
-    return FittedBench(_constants(values, whole), _unseen(rest, judged), floors,
+    return FittedBench(_constants(values, whole), unseen, floors,
                        tuple(Path(t.source).name for t in given), pulls, tuple(f.text for f in findings))
 
 
@@ -177,22 +195,38 @@ def _locked(given: Table) -> Table:
                                notes=(*given.notes, "knee_angle_rad is not recorded, or constant: a locked knee."))
 
 
-def _refuse_other_rigs(tables: Sequence[Table]) -> None:
+def _other_rig(tables: Sequence[Table]) -> str | None:
+    """Return what speaks against a rope over a knee that a tension stretches, as a sentence; None: it is one."""
     source = ", ".join(t.source for t in tables)
-    for name in ("servo_position_m",):
-        lacking = [t.source for t in tables if name not in t]
-        if lacking:
-            raise InputError(f"{lacking[0]}: no column {name}; a bench is fitted to the motion of its rope.")
+    lacking = [t.source for t in tables if "servo_position_m" not in t]
+    if lacking:
+        return f"{lacking[0]}: no column servo_position_m; a bench is fitted to the motion of its rope."
     if not any(n in t for t in tables for n in simulation.SIGNALS):
-        raise InputError(f"{source}: no column tension_start_n or tension_end_n; give one at least.")
+        return f"{source}: no column tension_start_n or tension_end_n; give one at least."
     found = learnt_bands.geometry([t.columns for t in tables])
-    if found is None or not found.stretches:
-        told = "too few samples above 5 N" if found is None else (
-            f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
-        least, most = (1e3 * bound for bound in learnt_bands.STRETCH_AT_60_N)
-        raise InputError(f"{source}: no rope that a tension stretches over a knee ({told}); expected "
-                         f"{least:g}…{most:g} mm: give trials "
-                         "of such a bench, or diagnose them as another rig.")
+    if found is not None and found.stretches:
+        return None
+    told = "too few samples above 5 N" if found is None else (
+        f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
+    least, most = (1e3 * bound for bound in learnt_bands.STRETCH_AT_60_N)
+    return (f"{source}: a gait, but no rope that a tension stretches over a knee ({told}); expected {least:g}…{most:g} "
+            "mm: check the columns.")
+
+
+def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[integrity.Finding]) -> FittedBench:
+    first, rest = _parts(usable)
+    found = rig_fit.fit(first, rest, usable)
+    units = table.TURNED_UNITS if all(t.turning for t in given) else {}
+    constants = {}
+    for name, constant in found.constants.items():
+        unit = PARAMETERS[name].unit
+        constants[name] = Constant(*constant, units.get(unit, unit), True)
+    relations = {name: {**row, "unit": units.get(row["unit"], row["unit"])} for name, row in found.relations.items()}
+    blind = (f"{name}: the last part of each trial is predicted no better than by a constant; record longer trials, "
+             "or more kinds of motion." for name, row in relations.items()
+             if row["unseen"] is not None and row["unseen"] > row["spread"])
+    return FittedBench(constants, {}, relations, tuple(Path(t.source).name for t in given),
+                       warnings=(*(f.text for f in findings), *found.on_bounds, *blind), rig=found.effects)
 
 
 def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
@@ -212,6 +246,11 @@ def _part(given: Table, low: float, high: float) -> Table:
     size = len(given)
     rows = slice(round(low * size), round(high * size))
     return dataclasses.replace(given, columns={n: v[rows] for n, v in given.columns.items()})
+
+
+def _parts(tables: Sequence[Table]) -> tuple[list[Table], list[Table]]:
+    """Return the parts of trials that a fit sees, and those that judge it."""
+    return [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
 
 
 def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:

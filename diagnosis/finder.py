@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from diagnosis.bench_fit import UNFIT
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder
@@ -228,10 +229,6 @@ def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Se
     if broken:
         split = Judge(replace(settled, blocks=kept), holdout, first)
     return (split if split.found.best.effects else first), said
-
-
-UNFIT: Final = 0.2
-"""Share of a signal's spread that healthy trials may leave of it before they teach nothing."""
 
 
 def _unfit(settled: problem.ProblemSetting) -> list[str]:

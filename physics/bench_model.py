@@ -24,9 +24,11 @@ from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
 
 FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
+RIG: Final = "rig"
+"""The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
 OLDER: Final = "constants"
 """What `[parameters.NAME]` of `bowden fit` was called before it was one table."""
-TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE, FITTED, OLDER)
+TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE, FITTED, RIG, OLDER)
 """What a bench model holds; a plant model may hold tables of nominal values beside them."""
 Values = Mapping[str, float]
 
@@ -38,6 +40,7 @@ class BenchModel:
     `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
     date and trial by the same names; `effects`: name → parameter → value; `found`: what the effects were found on;
     `fitted`: what `bowden fit` says of its fit (empty: the values are no fit's);
+    `rig`: constants of a rig of another kind by name, each with value, unit and interval;
     `bench`: the bench it belongs to ("": none); `label`: the file, or "nominal".
     """
 
@@ -48,6 +51,7 @@ class BenchModel:
     bench: str = ""
     label: str = calibration.NOMINAL
     fitted: Mapping[str, Any] = field(default_factory=dict)
+    rig: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def calibration(self) -> Calibration:
@@ -97,6 +101,8 @@ class BenchModel:
         lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
+        for name, row in self.rig.items():
+            lines += ["", f"[{RIG}.{name}]", *(f"{key} = {_cell(value)}" for key, value in row.items())]
         if self.found:
             lines += ["", f"[{EVIDENCE}]", *(f"{key} = {_cell(value)}" for key, value in self.found.items())]
         for name, values in self.effects.items():
@@ -141,8 +147,11 @@ def read(path: str | Path, *, bench: str = "") -> BenchModel:
     return model
 
 
-def from_tables(tables: Mapping[str, Any], where: str) -> BenchModel:
-    """Return the model that a file's tables state; other tables are another reader's.  Raises `InputError`."""
+def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) -> BenchModel:
+    """Return the model that a file's tables state; other tables are another reader's.
+
+    `rigs`: whether the constants of a rig of another kind will do, too.  Raises `InputError`.
+    """
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
     values, evidence = calibration.stated(
@@ -150,6 +159,8 @@ def from_tables(tables: Mapping[str, Any], where: str) -> BenchModel:
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):
         raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
-    fitted = tables.get(FITTED, {})
-    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where,
-                      fitted if isinstance(fitted, Mapping) else {})
+    fitted, rig = (told if isinstance(told := tables.get(name, {}), Mapping) else {} for name in (FITTED, RIG))
+    if rig and not rigs:
+        raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
+                         "its trials with its reference trials, --healthy.")
+    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig)

@@ -33,7 +33,8 @@ def fit(
 ) -> int:
     """Fit the simulation to a bench, from its healthy trials.
 
-    Any motion, own or imported: rope position, knee angle (none: locked) and START, END or both.
+    Any motion, own or imported: rope position, knee angle (none: locked) and START, END or both.  A rig of another
+    kind (a seal, a turning axis, a motor) has its own terms fitted.
 
     Example: bowden fit good.mcap -o model.toml
     """
@@ -60,11 +61,26 @@ def _tell(output: Path, found: FittedBench) -> None:
     terminal.table("constants", ("constant", "value", "95 % interval", "unit"), [
         (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
         for name, c in found.constants.items() if c.determined])
+    if found.rig is not None:
+        _tell_rig(found)
+    else:
+        _tell_bench(found)
+    for warning in found.warnings:
+        print(f"Warning: {warning}")
+    print(f"Model: {output}")
+
+
+def _tell_rig(found: FittedBench) -> None:
+    print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
+    terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
+        "relation", "RMS", "of a spread of", "unit"), [
+        (name, terminal.number(row["unseen"]), terminal.number(row["spread"]), row["unit"])
+        for name, row in found.relations.items()])
+
+
+def _tell_bench(found: FittedBench) -> None:
     print(f"Not determined by these trials: {', '.join(found.undetermined)}.")
     terminal.table("measured less simulated, on the last part of each trial, which the fit had not seen", (
         "signal", "RMS (N)", "peak (N)"), [
         (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
         for name, row in found.figures.items()])
-    for warning in found.warnings:
-        print(f"Warning: {warning}")
-    print(f"Model: {output}")

@@ -210,7 +210,7 @@ class Judge:
         values = self.found.best.fit.values
         return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}; it is not measured."
                 for c in self.found.best.effects for f in c.frees
-                if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * (f.high - f.low)]
+                if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * min(f.scale, f.high - f.low)]
 
 
 def of_experiment(block: Block) -> bool:

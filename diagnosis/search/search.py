@@ -176,13 +176,13 @@ class Search:
             self.arrived.add(model.names)
         return self.tried[model.names]
 
-    def grow(self, model: FittedEffects, most: int) -> list[FittedEffects]:
-        """Offer `model` every effect it lacks; fit in full the `most` promising by the screen, once a model.
+    def grow(self, model: FittedEffects, most: int, among: Sequence[Candidate] | None = None) -> list[FittedEffects]:
+        """Offer `model` every effect it lacks (of those `among`); fit in full the `most` promising by the screen.
 
         Screened in turns by slopes at the model's fit and at the healthy constants: where what is lacking has bent
         the fit, slopes there point elsewhere.
         """
-        offered = [c for c in self.offered if c.name not in model.names]
+        offered = [c for c in (self.offered if among is None else among) if c.name not in model.names]
         screened = [promises(self.problem, fit, self.folds, offered) for fit in (
             model.fit, *([self._unbent(model)] if self.near else []))]
         chosen: dict[int, int] = {}

@@ -13,7 +13,7 @@ import bowden
 from bowden.cli.app import run
 from diagnosis import bench_fit, simulation
 from diagnosis.data.table import Table, table
-from parameters import InputError, Remark
+from parameters import Remark
 from physics.plant import PlantParameters, imposed
 from tests.plants import draws
 from tests.plants import imposed as family
@@ -77,13 +77,6 @@ def test_a_model_with_a_table_of_constants_as_older_versions_wrote_it_opens(tmp_
     assert found.values["mu2"] == 0.2
     assert found.pulls == -1
     assert found.undetermined == ["mu2"]
-
-
-def test_a_trial_of_no_rope_over_a_knee_is_refused() -> None:
-    time = np.arange(0.0, 4.0, 0.01)
-    columns = {"time_s": time, "servo_position_m": 0.02 * np.sin(time), "tension_start_n": 30.0 * np.sin(7.0 * time)}
-    with pytest.raises(InputError, match=r"no rope that a tension stretches"):
-        bench_fit.fit([table("axis.csv", columns)])
 
 
 def test_the_comparison_is_told_by_phase_load_and_direction(walked: Table) -> None:
