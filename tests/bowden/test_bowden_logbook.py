@@ -35,7 +35,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "bench.toml").write_text('[record]\nlogbook = "book"\n', encoding="utf-8")
     for day in range(DAYS):
         how = ["--config", str(place / "bench.toml")] if day else ["--logbook", str(place / "book")]
-        assert run(["trial", "--cycles", "3", "--serial", "3", "--day", str(day), *how, "-o",
+        assert run(["trial", "--cycles", "3", "--period", "1.2", "--serial", "3", "--day", str(day), *how, "-o",
                     str(place / f"{day}.mcap"), "--json"]) == 0
     return place
 

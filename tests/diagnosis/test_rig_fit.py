@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +30,15 @@ MADE: dict[str, tuple[Callable[[], Columns], dict[str, float]]] = {
 }
 
 
+@cache
+def fitted(name: str) -> bench_fit.FittedBench:
+    """Fit a made rig, once for all tests that read the fit."""
+    return bench_fit.fit([table(f"{name}.csv", MADE[name][0]())])
+
+
 @pytest.mark.parametrize("name", MADE)
 def test_the_intervals_hold_what_the_rig_was_made_with(name: str) -> None:
-    made, true = MADE[name]
-    found = bench_fit.fit([table(f"{name}.csv", made())])
+    found, true = fitted(name), MADE[name][1]
     assert found.rig is not None
     for constant, value in true.items():
         told = found.constants[constant]
@@ -53,7 +59,7 @@ def terms(columns: Columns, position: str) -> np.ndarray:
 def test_what_it_had_not_seen_is_predicted_as_well_as_by_least_squares_by_hand(name: str, position: str, force: str
                                                                                ) -> None:
     columns = MADE[name][0]()
-    told = bench_fit.fit([table(f"{name}.csv", columns)]).relations["drive_force"]["unseen"]
+    told = fitted(name).relations["drive_force"]["unseen"]
     slow = rigs.decimated(columns, round(1.0 / RATE_HZ / float(columns["time_s"][1])))
     x, y = terms(slow, position), slow[force]
     seen = round(bench_fit.SEEN * y.size)

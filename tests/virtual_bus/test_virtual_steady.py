@@ -13,8 +13,13 @@ from virtual_bus.steady import SWITCH
 FEW = {"lost inputs"}
 """Cases whose faults strike all the time: their cycles are run event by event."""
 
+SHORT = ("gait", "1 kHz", "script", "slow bus", "broken wire", "another plant model", "lost inputs",
+         "extended controller", "two faults far apart", "stop while the knee moves")
+"""Cases of `make test`: each way into and out of whole cycles; the further faults and rates are exhaustive."""
 
-@pytest.mark.parametrize("name", CASES)
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in SHORT else pytest.mark.exhaustive)
+                                  for name in CASES])
 def test_every_byte_is_the_same(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = []
     for switch in ("1", "0"):
