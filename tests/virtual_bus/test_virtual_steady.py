@@ -14,7 +14,7 @@ FEW = {"lost inputs"}
 """Cases whose faults strike all the time: their cycles are run event by event."""
 
 SHORT = ("gait", "1 kHz", "script", "slow bus", "broken wire", "another plant model", "lost inputs",
-         "extended controller", "two faults far apart", "stop while the knee moves")
+         "extended controller", "two faults far apart", "deaf", "stop while the knee moves")
 """Cases of `make test`: each way into and out of whole cycles; the further faults and rates are exhaustive."""
 
 
