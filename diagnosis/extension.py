@@ -17,7 +17,7 @@ from typing import Any, Final
 from diagnosis.data.table import Table
 from diagnosis.findings import Findings
 from parameters import InputError, read_toml
-from physics.bench_model import TABLES
+from physics.bench_model import RIG, TABLES
 from physics.calibration import VERSION, rows
 from physics.effects.catalogue import CATALOGUE, apply
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
@@ -66,9 +66,13 @@ def _bench(found: Findings) -> list[str]:
 def _effect(cause: Mapping[str, Any], seconds: float) -> list[str]:
     name = cause["effect"]
     lines = ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}"]
-    lines += [f"{key} = {_inline(told.items())}" for key, told in cause["parameters"].items()]
+    own = {p.name for p in CATALOGUE[name].parameters}
+    lines += [f"{key} = {_inline(told.items())}" for key, told in cause["parameters"].items() if key in own]
     if math.isfinite(seconds) and _relative(name, {k: t["value"] for k, t in cause["parameters"].items()}):
         lines.append(f"trial_s = {_cell(seconds)}")
+    # further parts of a rig's friction are constants of that rig, and no bench's
+    lines += [f"\n[{RIG}.{key}]\n" + "\n".join(f"{word} = {_cell(value)}" for word, value in told.items())
+              for key, told in cause["parameters"].items() if key not in own]
     return lines
 
 

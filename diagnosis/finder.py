@@ -109,6 +109,7 @@ class Finder:
         findings += self._findings
         if not any(f.refuses for f in findings):
             findings += integrity.between(held[0], held[1], self._read)
+            findings += scales.against_range([*held[0], *held[1]], self._read)
             findings += scales.against_bench([*held[0], *held[1]], self._read, self._known(held[0]))
         warnings = [f.text for f in findings if not f.refuses] + [n for g in (*held, self._read) for t in g
                                                                   for n in t.notes]

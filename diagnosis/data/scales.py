@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from diagnosis.data.integrity import Finding
-from diagnosis.data.table import Table
+from diagnosis.data.table import TURNING, Table
 from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")
@@ -26,6 +26,10 @@ OTHER_SCALE: Final = 2.5
 """Factor between rope per knee angle here and on the bench from which a unit is taken to be another."""
 FOLLOWS: Final = 0.8
 """Correlation of rope and knee from which the one says how the other is scaled."""
+OUT_OF_RANGE: Final = 10.0
+"""Factor between the largest force of a trial and of its healthy trials from which it is the column that is wrong: an
+order of magnitude, where wear and another seal make threefold."""
+RANGED: Final = ("servo_force_n", "tension_start_n", "tension_end_n")
 UNITS: Final = {10.0: "centimetres for millimetres", 0.1: "millimetres for centimetres", 1e3: "millimetres for metres",
                 1e-3: "metres for millimetres", 100.0: "centimetres for metres", 0.01: "metres for centimetres"}
 
@@ -60,6 +64,24 @@ def rope_per_knee(given: Table) -> float | None:
     if abs(float(np.corrcoef(angle[known], rope[known])[0, 1])) < FOLLOWS:
         return None
     return float(np.polyfit(angle[known], rope[known], 1)[0])
+
+
+def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
+    """Yield the forces of a trial that are beyond what they are in the healthy trials by an order of magnitude."""
+    for name in RANGED:
+        usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _told(t, name)), default=0.0)
+        for given in trials:
+            most = float(np.nanmax(np.abs(given[name]))) if usual and _told(given, name) else 0.0
+            if most > OUT_OF_RANGE * usual:
+                column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
+                                     if given.turning and known == name), (name, "N"))
+                yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
+                              f"{usual:.3g}: a signed number read as unsigned, another unit, or another motion; mend "
+                              "the column, or give healthy trials of this range.", True)
+
+
+def _told(given: Table, name: str) -> bool:
+    return name in given and bool(np.isfinite(given[name]).any())
 
 
 def against_bench(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from diagnosis.judgement import verdict
 from diagnosis.problem.candidates import Candidate
+from diagnosis.problem.healthy_reference import BAND
 from diagnosis.problem.problem import ProblemSetting
 from diagnosis.search.search import FittedEffects, Search
 from physics.effects.catalogue import CATALOGUE
@@ -53,7 +54,7 @@ class SearchCriteria:
             return False
         if lesser.effects and any(c.unlikely(model.fit.values, verdict.STRETCHED) for c in added):
             return False
-        if any(self._beyond(c, model) for c in added):
+        if any(self._beyond(c, model) or self.stopped(c, model) for c in added):
             return False
         if relief >= least:
             # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
@@ -130,6 +131,14 @@ class SearchCriteria:
                     return True
         return False
 
+    def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether a bound has stopped an effect's size: what would need more of it than there can be is something else.
+
+        A parameter of its shape may stand on one; against an ideal transmission nothing else could stand in.
+        """
+        shapes = _shapes(CATALOGUE[effect.name])
+        return not self.setting.any_rig and any(name not in shapes for name in effect.on_bound(model.fit.values))
+
     def differs(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
 
@@ -145,7 +154,8 @@ class SearchCriteria:
         outside = [f.name for f in effect.frees if f.name not in bands
                    or not self.setting.reference.within(bands[f.name], model.fit.free, model.fit.values)]
         if self.setting.any_rig or self.setting.elsewhere:
-            return bool(outside)
+            return bool(outside) or (effect.counted is not None and self.setting.reference.prior.squares(
+                {f.name: at[f.name] - healthy[f.name] for f in effect.frees}) > BAND**2)
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
         shapes = _shapes(CATALOGUE[effect.name])
         changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside if n not in shapes}

@@ -116,7 +116,6 @@ class Judge:
         return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
 
     def _cause(self, cause: Candidate) -> dict[str, Any]:
-        units = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
         best = self.found.best
         parameters = {}
         for f in cause.frees:
@@ -127,7 +126,7 @@ class Judge:
                                   self._likeness(f.name), change)
             told = {"value": at, "low": at - half, "high": at + half}
             shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
-            parameters[f.name] = {**shifted, "unit": units[f.name]}
+            parameters[f.name] = {**shifted, "unit": PARAMETERS[f.name].unit}
         without = self.search.without(best, cause)
         return {"effect": cause.name, "site": cause.site, "parameters": parameters,
                 "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
@@ -208,9 +207,8 @@ class Judge:
         if self._strange():
             return []
         values = self.found.best.fit.values
-        return [f"{c.name}: {f.name} stands on its bound, {values[f.name]:.4g}; it is not measured."
-                for c in self.found.best.effects for f in c.frees
-                if min(values[f.name] - f.low, f.high - values[f.name]) <= 1e-6 * min(f.scale, f.high - f.low)]
+        return [f"{c.name}: {name} stands on its bound, {values[name]:.4g}; it is not measured."
+                for c in self.found.best.effects for name in c.on_bound(values)]
 
 
 def of_experiment(block: Block) -> bool:

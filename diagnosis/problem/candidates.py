@@ -25,7 +25,8 @@ class Candidate:
     """One effect: the parameters it frees, and the points its fits start from (at each the effect is at work).
 
     `likely`: by parameter, where its value is expected on such a bench; empty where nothing is known of the rig.
-    `rivals`: the effects that the catalogue says look like it, of either.
+    `rivals`: the effects that the catalogue says look like it, of either.  `counted`: as how many parameters its own
+    are counted, None: as so many.
     """
 
     name: str
@@ -35,11 +36,17 @@ class Candidate:
     likely: Mapping[str, tuple[float, float]]
     level: tuple[str, ...] = ()
     rivals: frozenset[str] = frozenset()
+    counted: int | None = None
 
     def unlikely(self, values: Mapping[str, float], margin: float = 0.0) -> int:
         """Return how many of its parameters are outside of where they are expected, by a `margin` of that range."""
         return sum(not low - margin * (high - low) <= values[f.name] <= high + margin * (high - low)
                    for f in self.frees if f.name in self.likely for low, high in (self.likely[f.name],))
+
+    def on_bound(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Return its parameters that stand on a bound of the search: those are no measurements."""
+        return tuple(f.name for f in self.frees if min(values[f.name] - f.low, f.high - values[f.name])
+                     <= 1e-6 * min(f.scale, f.high - f.low))
 
     @property
     def parameters(self) -> frozenset[str]:

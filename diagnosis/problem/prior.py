@@ -61,6 +61,13 @@ class Prior:
             found[np.ix_(known, known)] = np.linalg.inv(even) / np.outer(sigma, sigma)
         return found
 
+    def squares(self, changes: Mapping[str, float]) -> float:
+        """Return the square of the distance, in 1σ, of joint `changes` of constants, whatever the others do."""
+        held = [name for name in changes if name in self.names]
+        at = [self.names.index(name) for name in held]
+        off = np.array([changes[name] for name in held])
+        return float(off @ np.linalg.solve(self.covariance[np.ix_(at, at)], off))
+
     def expected(self, one: Free, rest: Sequence[Free], values: Values) -> tuple[float, float]:
         """Return mean and 1σ of a parameter where those of `rest` are what `values` have."""
         rest = [f for f in rest if f.name != one.name and np.isfinite(f.sigma)]

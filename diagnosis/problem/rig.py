@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.problem import blocks as relations
 from diagnosis.problem.blocks import Block, rmse
+from diagnosis.problem.candidates import Candidate
 from diagnosis.problem.cross_validation import folds_of
 from diagnosis.problem.deviations import correlated
 from diagnosis.problem.fit import Fit
@@ -39,6 +41,8 @@ DAILY_RATIO: Final = 0.005
 """The same of the ratio of two sensors."""
 DAILY_ZERO: Final = 0.002
 """The same of a zero, of the greatest value that its signal has."""
+WHOLE: Final = "cable_friction"
+PARTS: Final = ("coulomb", "viscous")
 STRUCTURE: Final = 0.5
 """Share of what the laws leave on healthy trials that those of another day may leave in another way."""
 
@@ -63,10 +67,23 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
               for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
     folds = folds_of(np.concatenate([b.cycle for b in blocks]))
-    offered = offered_on(blocks, checked, reference)
+    offered = [_whole(c, reference) for c in offered_on(blocks, checked, reference)]
     return ProblemSetting(False, relations.allowed(trials), checked, blocks, folds, reference, reference.values,
                           weights,
                           floors, offered, rate_hz=first.rate_hz)
+
+
+def _whole(effect: Candidate, reference: HealthyReference) -> Candidate:
+    """Return cable friction with every part of it that the healthy trials have: dry, of the load, and viscous.
+
+    On a bench the sheath's friction is a share of the load alone; another seal, or a drier one, rubs otherwise in all:
+    one change, which no more parameters are counted for than one.
+    """
+    if effect.name != WHOLE:
+        return effect
+    own = tuple(Free(f.name, *RELATION_PARAMETERS[f.name].rig_bounds, f.mean, math.inf, f.scale)
+                for f in reference.nuisance if f.name in PARTS and f.name not in effect.parameters and f.mean != 0.0)
+    return replace(effect, frees=(*effect.frees, *own), counted=len(effect.frees))
 
 
 def _spread(blocks: Sequence[Block], name: str) -> float:

@@ -79,7 +79,8 @@ class FittedEffects:
 
     def _priced(self, score: float) -> float:
         """Return a score with what each parameter costs that the model took, and each where it is not expected."""
-        cost = sum(PARAMETER * len(c.frees) + UNLIKELY * c.unlikely(self.fit.values) for c in self.effects)
+        cost = sum(PARAMETER * (c.counted or len(c.frees)) + UNLIKELY * c.unlikely(self.fit.values)
+                   for c in self.effects)
         return score * (1.0 + cost) if self.price is None else score + self.price / PARAMETER * cost
 
     @property
@@ -92,6 +93,9 @@ class Criteria(Protocol):
 
     def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
+
+    def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
+        """Whether a bound has stopped an effect's size, so that it explains nothing."""
 
     def can_improve(self, model: FittedEffects) -> bool:
         """Whether a model leaves something that a further effect could take away."""
@@ -227,9 +231,10 @@ class Search:
     def prune(self, model: FittedEffects) -> FittedEffects:
         """Take out, one by one, the effects that do not pay for themselves, the least first."""
         while model.effects:
-            lesser = [self.without(model, out) for out in model.effects]
+            stopped = [c for c in model.effects if self.criteria.stopped(c, model)]
+            lesser = [self.without(model, out) for out in stopped or model.effects]
             best = min(lesser, key=lambda m: m.score)
-            if self.criteria.pays(best, model, self):
+            if not stopped and self.criteria.pays(best, model, self):
                 break
             model = best
         return model
@@ -303,8 +308,10 @@ class Search:
         for depth in range(most):
             if not self.criteria.can_improve(best):
                 break
-            ahead, grown = self._ahead((m for model in level for m in self.grow(
-                model, LATER_REFITS if depth else FIRST_REFITS)), best)
+            # the screen ranks by residuals and does not see what the prior pays for several parts that move together
+            whole = [] if depth else [self._grown(best, c, -1) for c in self.offered if c.counted is not None]
+            ahead, grown = self._ahead(itertools.chain((m for model in level for m in self.grow(
+                model, LATER_REFITS if depth else FIRST_REFITS)), whole), best)
             if depth == 0 and self.criteria.needs_full_search(ahead, self.baseline):
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
             level, more = grown, len(ahead.effects) > len(best.effects) and ahead.rank < best.rank

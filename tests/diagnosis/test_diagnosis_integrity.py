@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data.integrity import examine
+from diagnosis.data.integrity import examine, shared_rows
+from diagnosis.data.scales import against_range
 from diagnosis.data.table import Table, low_passed, table
 from diagnosis.finder import diagnose
 from parameters import InputError
@@ -77,6 +78,33 @@ def test_the_same_data_twice_are_refused_as_holdout() -> None:
     found = diagnose([moved()], holdout=[moved()])
     assert found.verdict == "refused"
     assert "the same data" in found.warnings[0]
+
+
+def another(given: Table, name: str, **changed: np.ndarray) -> Table:
+    """Another recording of the same: the same motion, other noise."""
+    noise = np.random.default_rng(len(name)).normal(0.0, 0.1, len(given))
+    return table(name, {**given.columns, "tension_start_n": given["tension_start_n"] + noise, **changed})
+
+
+def test_a_part_of_another_recording_is_said_and_refused_as_holdout() -> None:
+    whole = moved()
+    part = table("part.csv", {name: values[25:] for name, values in whole.columns.items()})
+    assert "100 % of the rows of part.csv are in made.csv, too" in " ".join(diagnose([whole, part]).warnings)
+    refused = diagnose([whole], holdout=[part])
+    assert refused.verdict == "refused"
+    assert "a holdout trial must be another recording" in refused.warnings[0]
+    assert shared_rows(whole, another(whole, "other.csv")) == 0.0
+
+
+def test_a_force_an_order_of_magnitude_beyond_the_healthy_trials_is_refused() -> None:
+    healthy = another(moved(), "healthy.csv")
+    start = moved()["tension_start_n"]
+    refused = diagnose([another(moved(), "wide.csv", tension_start_n=np.where(start < 10.0, start + 655.36, start))],
+                       healthy=[healthy])
+    assert refused.verdict == "refused"
+    assert "wide.csv: tension_start_n reaches 665 N, in the healthy trials at most 38" in refused.warnings[0]
+    threefold = another(moved(), "three.csv", tension_start_n=3.0 * start, tension_end_n=3.0 * moved()["tension_end_n"])
+    assert list(against_range([threefold], [healthy])) == []
 
 
 def test_a_low_pass_at_or_above_half_the_rate_is_refused() -> None:

@@ -79,8 +79,19 @@ def test_a_seal_that_rubs_twice_as_much_is_another(known: Finder) -> None:
     assert found.verdict in ("found", "ambiguous", "unexplained")
 
 
-@pytest.mark.parametrize(("healthy", "changed"), [("napn", "pk"), ("pk", "napn")])
+@pytest.mark.parametrize("share", [0.5, 0.7, 1.4, 2.0, 3.0])
+def test_friction_of_another_size_is_named_with_its_size(known: Finder, share: float) -> None:
+    found = known.diagnose([_rubs(path, share) for path in _again("reconnected3")])
+    assert found.rivals[0] == "cable_friction"
+    assert set(found.rivals) <= {"cable_friction", "viscous_friction", "load_dependent_friction"}
+    # the dry part of that day is 3.5 N where nothing is changed, and is told in proportion
+    told = found.causes[0]["parameters"]["coulomb"]
+    assert told["low"] <= share * 3.5 <= told["high"]
+
+
+@pytest.mark.parametrize(("healthy", "changed"), [
+    ("napn", "pk"), ("pk", "napn"), ("circle", "napn"), ("napn", "circle"), ("pk", "circle")])
 def test_another_seal_rubs_otherwise_in_either_direction(known: Finder, healthy: str, changed: str) -> None:
     found = Finder().fit(sorted(SEAL.glob(f"{healthy}_*"))).diagnose(sorted(SEAL.glob(f"{changed}_*")))
-    assert "cable_friction" in found.rivals
+    assert found.rivals[0] == "cable_friction"
     assert set(found.rivals) <= {"cable_friction", "viscous_friction", "stribeck", "presliding"}
