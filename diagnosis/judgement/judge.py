@@ -116,6 +116,7 @@ class Judge:
         return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
 
     def _cause(self, cause: Candidate) -> dict[str, Any]:
+        own = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
         best = self.found.best
         parameters = {}
         for f in cause.frees:
@@ -126,7 +127,7 @@ class Judge:
                                   self._likeness(f.name), change)
             told = {"value": at, "low": at - half, "high": at + half}
             shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
-            parameters[f.name] = {**shifted, "unit": PARAMETERS[f.name].unit}
+            parameters[f.name] = {**shifted, "unit": own[f.name] if f.name in own else PARAMETERS[f.name].unit}
         without = self.search.without(best, cause)
         return {"effect": cause.name, "site": cause.site, "parameters": parameters,
                 "gain_percent": 100.0 * max(verdict.cut(without, best).values())}

@@ -41,6 +41,9 @@ class Falls:
     def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
         return lesser.score - model.score >= LEAST_FALL
 
+    def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
+        return False
+
     def can_improve(self, model: FittedEffects) -> bool:
         return True
 
