@@ -79,12 +79,6 @@ class BenchModel:
                           f"with {kept:g}.", Remark, stacklevel=3)
         return kept
 
-    def unsimulated(self) -> tuple[str, ...]:
-        """Return the names of values that the simulation has no parameter for."""
-        held = set(BY_PLANT.values())
-        forms = {name for form in (*SIMULATED, *UNRELATED) for name in form.of}
-        return tuple(name for name in self.values if name not in held and name not in forms)
-
     def related(self) -> dict[str, float]:
         """Return what the relations of the diagnosis read, without effects, as far as it is known."""
         told = converted(RELATED, converted(SIMULATED, self.values))

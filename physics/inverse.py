@@ -107,14 +107,6 @@ def law(calibration: Calibration, period_s: float, friction: float = 1.0, softne
     )
 
 
-def adapted(law: Law, friction: float, breakaway: float) -> Law:
-    """The law with its exponents scaled by `friction`, and `breakaway` more of breakaway in sheath and on knee."""
-    return law._replace(
-        cable_exponent=friction * law.cable_exponent, fabric_offset=friction * law.fabric_offset,
-        fabric_slope=friction * law.fabric_slope, breakaway=law.breakaway + breakaway,
-        fabric_breakaway=law.fabric_breakaway + breakaway)
-
-
 @njit(cache=True)
 def elongation(law: Any, force: float) -> Any:
     """(stretch of the fabric, m, its slope, m/N) at a tension, N, without the constant."""

@@ -334,8 +334,6 @@ class Learned:
     `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
     """
 
-    inertia_kg: float
-    coulomb_n: float
     force_rms_n: float
     low: float
     high: float
@@ -428,8 +426,7 @@ class Plausibility:
         way, square = 0.75 * top, 0.9375 * top**2  # from a quarter of the top to the top
         found = (curve[1] + g[ROPE_COMPLIANCE]) * way + curve[2] * square
         ratio = found / (linear * way + quadratic * square) if g[WITH_END] else math.nan
-        return Learned(float(force[0]), float(force[1]), math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]),
-                       float(ratio), top)
+        return Learned(math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]), float(ratio), top)
 
     def begin_learning(self, swing_k: float, knee_home: float, compliance: float) -> None:
         """Start anew with a calibration's geometry, before homing's pull."""
