@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from physics import laws
 from physics.converter import SensorParameters
@@ -65,15 +66,24 @@ def response(spring_n_m: float, damping: float, stiffness: float) -> Response:
     return Response(True, 1.0 - final, rise, max(course) / final - 1.0)
 
 
-def margin(spring_n_m: float, damping: float, stiffness: float) -> float:
-    """Return by how much the loop's gain may grow before it is unstable; below 1 it is."""
-    s = 1j * np.geomspace(1.0, 2e3, 4000)
+def passed(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the answer of everything but law and spring, at s = jω: delay, hold, drive and START's converter."""
     age = PERIOD_S * (1.0 + OLD_SUBSTEPS / SUBSTEPS)
     held = np.exp(-s * age) * ((1.0 - np.exp(-s * PERIOD_S)) / (s * PERIOD_S)) ** 2
     drive = POSITION_RAD_S / (s * (1.0 + s / VELOCITY_RAD_S) + POSITION_RAD_S)
+    return np.asarray(held * drive / (1.0 + s / SENSOR_RAD_S))
+
+
+def sampled_law(s: NDArray[np.complex128], damping: float, stiffness: float) -> NDArray[np.complex128]:
+    """Return the admittance 1/(B·s + K) as the law has it by control cycle, m/N, at s = jω."""
     decay = math.exp(-stiffness / damping * PERIOD_S)
-    law = (1.0 - decay) / stiffness / (1.0 - decay * np.exp(-s * PERIOD_S))
-    loop = spring_n_m * law * held * drive / (1.0 + s / SENSOR_RAD_S)
+    return np.asarray((1.0 - decay) / stiffness / (1.0 - decay * np.exp(-s * PERIOD_S)))
+
+
+def margin(spring_n_m: float, damping: float, stiffness: float) -> float:
+    """Return by how much the loop's gain may grow before it is unstable; below 1 it is."""
+    s = 1j * np.geomspace(1.0, 2e3, 4000)
+    loop = spring_n_m * sampled_law(s, damping, stiffness) * passed(s)
     turned = np.unwrap(np.angle(loop))
     crossing = int(np.argmax(turned < -math.pi))
     return float(1.0 / np.abs(loop[crossing]))

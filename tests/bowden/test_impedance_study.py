@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import impedance_loop as loop
+from benchmarks import impedance_rendered as rendered
 from benchmarks import impedance_study as study
 from benchmarks import printed
 from physics import laws
@@ -78,3 +79,28 @@ def test_the_page_says_what_the_study_says_now(part: object) -> None:
 @pytest.mark.parametrize(("claim", "holds"), study.claims().items())
 def test_the_page_has_the_verdict(claim: str, holds: bool) -> None:
     assert f"| {claim} | {'holds' if holds else '**does not hold**'} |" in PAGE
+
+
+@pytest.fixture(scope="module")
+def measured() -> tuple[rendered.Rendered, rendered.Rendered]:
+    return rendered.measure(study.B, study.K, rendered.NO_FRICTION), rendered.measure(study.B, study.K, {})
+
+
+def test_without_friction_the_bench_renders_what_the_linear_loop_predicts(
+        measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
+    free, _ = measured
+    # the loop has neither the servo's Coulomb friction nor the drive's own integrator
+    assert np.abs(free.ratio - rendered.predicted(study.B, study.K)).max() < 0.07
+    assert free.bandwidth_hz(with_phase=True) == 1.0
+    assert free.bandwidth_hz(with_phase=False) >= 6.8
+
+
+def test_friction_hides_a_small_change_at_end_so_that_no_line_is_rendered(
+        measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
+    _, rubbing = measured
+    assert rubbing.bandwidth_hz(with_phase=False) == 0.0
+    assert 0.5 < rubbing.error_n < 40.0 * (1.0 - np.exp(-study.EXPONENT))
+
+
+def test_the_page_has_the_rendered_impedance(measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
+    assert rendered.section(*measured, study.B, study.K) in PAGE
