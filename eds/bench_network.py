@@ -175,6 +175,11 @@ class WireLayout:
         """Return the frames of a part; each has the COB-ID of its first node."""
         return tuple(self._frame(name, base + group[0], group) for group in self._groups(name))
 
+    def master_frames(self) -> Iterator[tuple[str, PdoPlan, Sequence[int]]]:
+        """Yield the master's frames to the drives: what is in it, its plan, and the node of each object in it."""
+        for name, frames in (("target", self.target_frames), ("controlword", self.controlword_frames)):
+            yield from ((name, plan, group) for plan, group in zip(frames, self._groups(name), strict=True))
+
     def _frame(self, name: str, cob_id: int, group: Sequence[int]) -> PdoPlan:
         """Return one frame: objects of the drives, and angles that joints without a drive are asked for."""
         plans = [self._plan(n, self._shared(n, name, group), cob_id) for n in group if n not in self.followed]

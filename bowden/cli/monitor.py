@@ -35,7 +35,10 @@ def monitor(
     seconds: Annotated[float | None, typer.Option(
         "--for", metavar="S", min=0.0, help="Time to listen (default: until Ctrl-C; simulated: 1 s).")] = None,
     table: Annotated[bool, typer.Option("--table", help="Only the table of rates and load, at the end.")] = False,
+    dbc: Annotated[Path | None, typer.Option("--dbc", metavar="FILE", help="Write the PDOs' layout as DBC.")] = None,
+    mf4: Annotated[Path | None, typer.Option("--mf4", metavar="FILE", help="Write the PDOs' values as MF4.")] = None,
     config: options.Config = None,
+    overwrite: options.Overwrite = False,
     json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
 ) -> int:
     """Show each frame of a bus or of a file in words.
@@ -44,12 +47,21 @@ def monitor(
 
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
+    from bowden import output_files
+    from eds.bench_network import wire
     from eds.bus_load import frame_bits
-    from master.node_access.frame_words import FrameReader, FrameWords
+    from master.node_access.frame_words import FrameReader, FrameWords, of_wire
+    from master.node_access.signal_files import SignalRecording, write_dbc
 
     network = reached.sections(config)["network"]
     kinds, wanted = _kinds(only), _nodes(nodes)
-    reader = FrameReader(_dictionaries(eds or [], network))
+    reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
+    output_files.refuse([dbc, mf4], overwrite=overwrite, inputs=[source])
+    output_files.refuse_ending(dbc, ".dbc", what="a layout of PDOs")
+    output_files.refuse_ending(mf4, ".mf4", what="a recording of values")
+    if dbc is not None:
+        terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=overwrite)} PDOs.")
+    recording = SignalRecording(reader)
     counts: Counter[int] = Counter()
     names: dict[int, str] = {}
     bits, first_ns, last_ns, lost = 0, None, 0, 0
@@ -60,6 +72,8 @@ def monitor(
         words = FrameWords("other", 0, special) if special else reader.read(can_id, data)
         first_ns, last_ns = time_ns if first_ns is None else first_ns, time_ns
         counts[can_id] += 1
+        if mf4 is not None and not special:
+            recording.take(time_ns, can_id, data)
         names.setdefault(can_id, words.text.partition(":")[0] if words.kind == "pdo" else words.kind)
         bits += frame_bits(len(data))
         if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
@@ -73,6 +87,8 @@ def monitor(
     span_s = max((last_ns - (first_ns or 0)) / 1e9, 1e-9)
     if table:
         _show_table(counts, names, span_s, 100.0 * bits / span_s / network.bitrate, lost, json=json)
+    if mf4 is not None:
+        terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=overwrite)} PDOs.")
     if lost:
         terminal.remark(f"{lost} frames were lost, because they came faster than they were read.")
     return 0
@@ -138,12 +154,11 @@ def _special(message: Any) -> str:
     return f"extended identifier: {bytes(message.data).hex(' ')}" if message.is_extended_id else ""
 
 
-def _dictionaries(given: list[str], network: Any) -> dict[int, Dictionary]:
-    from eds.bench_network import wire
+def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
     from eds.dictionary import read
     from parameters import InputError
 
-    found = {} if given else {node: entry.dictionary for node, entry in wire(network).nodes.items()}
+    found = {}
     for text in given:
         node, equals, path = text.partition("=")
         if not equals or not node.isdecimal() or not 1 <= int(node) <= 127:

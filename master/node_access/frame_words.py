@@ -6,10 +6,11 @@ The rule of this file: frames and times in, lines out; it opens no bus and no fi
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from eds.bench_network import WireLayout
 from eds.cia301 import (
     COB_ID_INVALID,
     EMCY_BASE,
@@ -71,16 +72,28 @@ class SdoTransfer:
         return f"SDO block acknowledged up to segment {data[1]}"
 
 
+class KnownPdo(NamedTuple):
+    """A PDO whose objects are known: who sends or takes it (0: the master, to several), its name and its plan.
+
+    `objects`: name of each object, what a count of it is and in which unit, or None.
+    """
+
+    node_id: int
+    name: str
+    plan: PdoPlan
+    objects: tuple[tuple[str, tuple[float, str] | None], ...]
+
+
 class FrameReader:
     """Gives frames their words; `dictionaries` by node id give names, types, units and PDO mappings.
 
-    A PDO is read by the mapping that its EDS or DCF states at start.
+    A PDO is read by `known`, by COB-ID, else by the mapping that its EDS or DCF states at start.
     """
 
-    def __init__(self, dictionaries: Mapping[int, Dictionary]) -> None:
+    def __init__(self, dictionaries: Mapping[int, Dictionary], known: Iterable[KnownPdo] = ()) -> None:
         self.dictionaries = dictionaries
-        self.plans: dict[int, tuple[int, str, PdoPlan]] = {}
-        self._units = {node: units(one) for node, one in dictionaries.items()}
+        self.plans = {one.plan.cob_id: one for one in known}
+        self.units = {node: units(one) for node, one in dictionaries.items()}
         self._transfers: dict[int, SdoTransfer] = {}
         for node, one in dictionaries.items():
             self._plan(node, one)
@@ -96,7 +109,8 @@ class FrameReader:
                     plan = compile_plan(one, one.mapping(index - base + maps), entry.initial & 0x7FF)
                 except InputError:
                     continue
-                self.plans.setdefault(plan.cob_id, (node, name, plan))
+                self.plans.setdefault(plan.cob_id, KnownPdo(node, name, plan, tuple(
+                    (field.name, self.units[node].get(field.key)) for field in plan.fields if not field.dummy)))
 
     def read(self, can_id: int, data: bytes) -> FrameWords:
         """Return a data frame of an 11-bit identifier in words."""
@@ -125,16 +139,15 @@ class FrameReader:
             return FrameWords("pdo", node, f"PDO without an EDS: {data.hex(' ')}")
         return FrameWords("other", 0, data.hex(" "))
 
-    def _pdo(self, known: tuple[int, str, PdoPlan], data: bytes) -> FrameWords:
-        node, name, plan = known
+    def _pdo(self, known: KnownPdo, data: bytes) -> FrameWords:
+        plan = known.plan
         try:
             values = plan.unpack(data)
         except struct.error:
-            return FrameWords("pdo", node, f"{name}: {len(data)} bytes in place of {plan.size}: {data.hex(' ')}")
-        scaled = self._units[node]
-        shown = [_value(one.name, value, scaled.get(one.key))
-                 for one, value in zip([one for one in plan.fields if not one.dummy], values, strict=True)]
-        return FrameWords("pdo", node, f"{name}: {', '.join(shown)}")
+            return FrameWords("pdo", known.node_id,
+                              f"{known.name}: {len(data)} bytes in place of {plan.size}: {data.hex(' ')}")
+        shown = [_value(name, value, unit) for (name, unit), value in zip(known.objects, values, strict=True)]
+        return FrameWords("pdo", known.node_id, f"{known.name}: {', '.join(shown)}")
 
     def _emcy(self, node: int, data: bytes) -> FrameWords:
         if len(data) < 3:
@@ -235,7 +248,7 @@ class FrameReader:
         entry = None if one is None else one.entries.get(transfer.at)
         kind = None if entry is None else entry.data_type
         value = object_text.value_of(kind, bytes(transfer.data))
-        shown = object_text.shown(value, kind, self._units.get(node, {}).get(transfer.at))
+        shown = object_text.shown(value, kind, self.units.get(node, {}).get(transfer.at))
         return f"SDO {'write' if transfer.download else 'read'} {self._named(node, transfer.at)} = {shown}"
 
     def _named(self, node: int, at: int) -> str:
@@ -257,6 +270,26 @@ def _abort(data: bytes) -> str:
 def _initial(one: Dictionary, index: int) -> int:
     entry = one.entries.get(key(index))
     return entry.initial if entry is not None and isinstance(entry.initial, int) else 0
+
+
+def of_wire(layout: WireLayout) -> FrameReader:
+    """Return a reader of a bench's bus: its PDOs have the mapping that bring-up writes, not that of the EDS."""
+    dictionaries = {node: entry.dictionary for node, entry in layout.nodes.items()}
+    scaled = {node: units(one) for node, one in dictionaries.items()}
+
+    def objects(plan: PdoPlan, nodes: Sequence[int]) -> Iterator[tuple[str, tuple[float, str] | None]]:
+        fields = [one for one in plan.fields if not one.dummy]
+        for node, mapped in zip(nodes, fields, strict=True):
+            unit = scaled[node].get(mapped.key)
+            name = mapped.name if len(set(nodes)) == 1 else f"{mapped.name} of {node}"
+            yield name, (mapped.scale, unit[1] if unit else "") if mapped.scale != 1.0 else unit
+
+    known = [KnownPdo(cob_id & 0x7F, "tpdo1", plan, tuple(objects(plan, [cob_id & 0x7F] * len(plan.keys))))
+             for cob_id, plan in layout.tpdo.items()]
+    for name, plan, nodes in layout.master_frames():
+        kept = [node for node, field in zip(nodes, plan.fields, strict=True) if not field.dummy]
+        known.append(KnownPdo(0, f"{name}s", plan, tuple(objects(plan, kept))))
+    return FrameReader(dictionaries, known)
 
 
 def _value(name: str, value: float, scaled: tuple[float, str] | None) -> str:

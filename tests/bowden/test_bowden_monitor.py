@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 
+import bowden as bowden_library
 from bowden.testing import CanBus
 from bowden.testing.conversation import SdoStep, converse
 from eds import packaged
@@ -92,3 +95,47 @@ def test_unreadable_frames_are_shown_as_bytes(bowden: Run, here: Path) -> None:
     assert words(bowden, "odd.log") == [
         "EMCY of 1 bytes: 01", "NMT of 1 bytes: 01", "SDO frame of 1 bytes: 43", "tpdo1: 1 bytes in place of 2: 01",
         "extended identifier: 01 02", "", "heartbeat empty"]
+
+
+@pytest.fixture
+def trial(here: Path) -> bowden_library.Trial:
+    """A short trial: its PDOs have the mapping that bring-up writes, another one than the EDS files' own."""
+    return bowden_library.run(bowden_library.Experiment(period_s=0.6, cycles=1, settle=0), output=here / "trial.mcap")
+
+
+def test_the_pdos_of_the_bench_have_the_mapping_that_bring_up_writes(bowden: Run, trial: Any) -> None:
+    told = [json.loads(line)["text"] for line in bowden("monitor", trial.path, "--only", "pdo", "--json").stdout
+            .splitlines()]
+    targets = [line for line in told if line.startswith("targets: ")]
+    assert targets[-1].startswith("targets: Target position of 1 ")
+    assert re.search(r"Target position of 1 \S+ m, Target position of 2 \S+ rad$", targets[-1])
+    assert re.search(r"tpdo1: Statusword \d+, Position actual value \S+ m, Torque actual value \S+ N·m$",
+                     "\n".join(told), re.MULTILINE)
+    assert not [line for line in told if "bytes in place of" in line]
+
+
+def test_a_dbc_decodes_the_trials_frames_to_its_own_signals(bowden: Run, trial: Any, here: Path) -> None:
+    cantools = pytest.importorskip("cantools")
+    assert bowden("monitor", trial.path, "--table", "--dbc", here / "bench.dbc").status == 0
+    layout = cantools.database.load_file(here / "bench.dbc")
+    frames = trial.frames
+    start = layout.get_message_by_frame_id(0x183)
+    assert start.get_signal_by_name("AI_input_PV_1").unit == "N"
+    decoded = {start.decode(bytes(frame["data"][:frame["dlc"]]))["AI_input_PV_1"]
+               for frame in frames[frames["can_id"] == 0x183]}
+    recorded = trial.columns["tension_start_n"]
+    assert {round(float(value), 2) for value in recorded[np.isfinite(recorded)]} <= {round(v, 2) for v in decoded}
+    again = bowden("monitor", trial.path, "--table", "--dbc", here / "bench.dbc")
+    assert again.status == 2
+    assert "the file exists" in again.stderr
+
+
+def test_the_decoded_values_are_written_as_mf4(bowden: Run, trial: Any, here: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    assert bowden("monitor", trial.path, "--table", "--mf4", here / "bench.mf4").status == 0
+    with asammdf.MDF(here / "bench.mf4") as file:
+        told = file.get("node4_tpdo1.AI_input_PV_1")
+    assert told.unit == "N"
+    assert len(told.samples) == int((trial.frames["can_id"] == 0x184).sum())
+    recorded = trial.columns["tension_end_n"]
+    assert float(told.samples.max()) == pytest.approx(float(np.nanmax(recorded)), abs=1e-9)

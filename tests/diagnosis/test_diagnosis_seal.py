@@ -95,3 +95,15 @@ def test_another_seal_rubs_otherwise_in_either_direction(known: Finder, healthy:
     found = Finder().fit(sorted(SEAL.glob(f"{healthy}_*"))).diagnose(sorted(SEAL.glob(f"{changed}_*")))
     assert found.rivals[0] == "cable_friction"
     assert set(found.rivals) <= {"cable_friction", "viscous_friction", "stribeck", "presliding"}
+
+
+def test_the_result_of_the_readme(known: Finder) -> None:
+    found = Finder().fit(sorted(SEAL.glob("napn_*"))).diagnose(sorted(SEAL.glob("pk_*")))
+    told = found.causes[0]["parameters"]["mu1"]
+    assert found.session is not None
+    assert f"{found.session['as_identified']['friction']:.2f}" == "3.84"
+    assert f"{found.relations['friction'].rmse_after:.2f}" == "0.65"
+    assert f"{told['value']:.3g}" == "0.00951"
+    page = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    assert "mu1 0.0264 → 0.00951" in page
+    assert "misses these by 3.84 N RMS" in page
