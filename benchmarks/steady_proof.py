@@ -70,10 +70,10 @@ def main() -> None:
     for seed in parser.parse_args().seeds:
         case = drawn(seed)
         on, off = both(case)
-        same = on.digest == off.digest and not off.whole_cycles
+        same = on.digest == off.digest and not off.complete_cycles
         different += not same
         troubles = ", ".join(each.kind for each in case.faults) or "no fault"
-        print(f"seed {seed:3d}: {'same' if same else 'DIFFERENT'}, {on.whole_cycles:5d} whole cycles, "
+        print(f"seed {seed:3d}: {'same' if same else 'DIFFERENT'}, {on.complete_cycles:5d} complete cycles, "
               f"{case.rate_hz} Hz, {troubles}; {on.reason or 'completed'}", flush=True)
     print(f"{different} differ")
     sys.exit(1 if different else 0)

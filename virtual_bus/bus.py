@@ -14,6 +14,7 @@ from typing import Any, Final, NoReturn
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
+from eds.complete_cycle import CompleteCycle
 from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
@@ -23,7 +24,7 @@ from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
 from virtual_bus.kernel import NEVER
 from virtual_bus.periodic import Modifier, PeriodicTask
 from virtual_bus.station import Confinement
-from virtual_bus.steady import Steady, Whole, possible
+from virtual_bus.steady import Steady, possible
 from virtual_bus.steady_arrays import CycleRequest, Heartbeat
 
 STATES: Final = {
@@ -56,12 +57,12 @@ _OPEN: dict[str, Shared] = {}
 
 
 class SteadyCycles:
-    """Whole control cycles at once: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
+    """Complete cycles of one master: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
 
     def __init__(self, steady: Steady, asked: CycleRequest, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
 
-    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | bool:
         """Send the targets `data`, the heartbeat at `beat_ns`, and go on to the last input of a SYNC after `after_ns`.
 
         False where this cycle may hold anything else: then nothing has happened.
@@ -124,7 +125,7 @@ class BowdenBus(can.BusABC):
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
         budget_ns: int, heartbeat: tuple[int, int, int],
     ) -> SteadyCycles | None:
-        """Offer whole control cycles at once to a master: see `SteadyCycles`; None where this bench has none.
+        """Offer complete cycles to a master: see `SteadyCycles`; None where this bench has none.
 
         `tap` is the bus on which everything is recorded; `targets` and `inputs` are identifiers and sizes of the frame
         that the master sends in each and of those that it then waits for, within `budget_ns` of their SYNC; `heartbeat`
@@ -139,7 +140,7 @@ class BowdenBus(can.BusABC):
         return SteadyCycles(steady, asked, self._lock)
 
     @property
-    def whole_cycles(self) -> int:
+    def complete_cycles(self) -> int:
         """How many control cycles of this bench were run at once so far; see `cycles`."""
         self._settle()
         return 0 if self._steady is None else self._steady.cycles

@@ -1,4 +1,4 @@
-"""Whole control cycles at once: when they may be, and when the bench's objects hear of them.
+"""Complete control cycles at once: when they may be, and when the bench's objects hear of them.
 
 The rule of this file: a cycle is computed by `steady_law.cycle` only if all that happens up to its end is known
 beforehand; anything else runs event by event, as ever.  Between two such cycles the numbers live in the arrays alone
@@ -8,9 +8,10 @@ beforehand; anything else runs event by event, as ever.  Between two such cycles
 from __future__ import annotations
 
 import os
-from typing import Any, Final, cast
+from typing import Final, cast
 
 from eds.cia301 import HEARTBEAT_BASE, NmtState
+from eds.complete_cycle import CompleteCycle
 from nodes import Device, Drive, TensionSensor
 from physics.converter import Converter
 from physics.plant.bench_plant import BowdenPlant
@@ -32,12 +33,6 @@ ROOM: Final = 32
 WAITING: Final = 12
 """Frames that may wait at the tap when it begins."""
 _NOBODY: Final[frozenset[int]] = frozenset()
-
-Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""One cycle: ends of SYNC and of the targets' frame, ns; of the inputs in the order asked for their ends and data, as
-`eds.pdo_plan.Joined` takes them; identifier, time and state of each heartbeat heard, for the master's own one when it
-was sent; the frames that the tap heard up to this SYNC, as bytes of `cdr.FRAME_ROW`s, and their number.  Bytes hold
-until the next call."""
 
 
 def possible(bench: Bench) -> bool:
@@ -65,7 +60,7 @@ class Steady:
         self._asked: CycleRequest | None = None
         self._sync: PeriodicTask | None = None
 
-    def cycle(self, asked: CycleRequest, data: bytes, beat_ns: int, after_ns: int) -> Whole | None:
+    def cycle(self, asked: CycleRequest, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | None:
         """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
 
         `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
@@ -89,7 +84,8 @@ class Steady:
         if i[law.TRUTH_ROWS] == law.TRUTHS:
             arrays.write_truth()
         beats = self._beats() if i[law.BEATS] or i[law.OWN_AT] >= 0 else ()
-        return sync_ns, i[law.TARGETS_AT], arrays.inputs, beats, arrays.rows[ROW * first:ROW * end], end - first
+        return CompleteCycle(sync_ns=sync_ns, target_ns=i[law.TARGETS_AT], inputs=arrays.inputs, heartbeats=beats,
+                             frames=arrays.rows[ROW * first:ROW * end], frame_count=end - first)
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
         """Give the heartbeats of the last cycle."""

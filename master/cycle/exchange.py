@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any
 
 import can
 
 from eds.bench_network import END, KNEE, SERVO, WireLayout, tpdo_cob_id
 from eds.cia301 import SYNC_COB_ID
+from eds.complete_cycle import CompleteCycle, CompleteCycles
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
@@ -36,30 +37,13 @@ NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
 
 
-WholeCycle = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; of the inputs in `ORDER` time stamps and data, as `eds.pdo_plan.Joined`
-takes them; heartbeats as `Link.heed` takes them; the frames since the last call up to that SYNC, as `Log.take` takes
-them, and their number."""
-
-
-class WholeCycles(Protocol):
-    """What a bus offers, by a method `cycles`, that can run a whole cycle at once where nothing else happens in it."""
-
-    def run(self, data: bytes, beat_ns: int, after_ns: int) -> WholeCycle | bool:
-        """Send targets, and a heartbeat at `beat_ns`, and go on to the last input of the next SYNC; False: by hand.
-
-        True: the targets were sent, the rest by hand; every frame that came waits to be received.  That SYNC has to
-        end after `after_ns`: one before is no new cycle.  Raises `can.CanError` where the bus failed.
-        """
-
-
 class Exchange:
     """The running cycle over a link; SYNC must have been started.
 
     `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
     `annotations` is what a row says of whoever steps, where `advance` is not told.
-    `kept`, where it is a list, gets (target, position, knee, START, END) of each whole cycle.
+    `kept`, where it is a list, gets (target, position, knee, START, END) of each complete cycle.
     `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
 
@@ -102,17 +86,17 @@ class Exchange:
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
         self._patience_ns = guard.limits.stale_cycles * wire.period_ns
-        offer: Callable[..., WholeCycles | None] | None = getattr(link.bus, "cycles", None)
+        offer: Callable[..., CompleteCycles | None] | None = getattr(link.bus, "cycles", None)
         self._observers = observer_slots(wire)
         self._unknown = (NAN,) * sum(len(slots.places) for slots in self._observers.values())
         self._observed = self._unknown
         whole = len(plans) == len(wire.nodes) == len(ORDER) and self.knee_driven
-        self._whole_cycles = None if offer is None or not whole else offer(
+        self._complete_cycles = None if offer is None or not whole else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
 
     def begin(self) -> Inputs:
-        """Wait for a first SYNC and its inputs; SDOs wait by whole cycles from here on."""
+        """Wait for a first SYNC and its inputs; an SDO's wait runs control cycles from here on."""
         sync_ns = self._await_sync()
         if sync_ns < 0:
             self.link.sync_pace(self.wire.period_ns)
@@ -162,14 +146,14 @@ class Exchange:
         if link.watch is not None:
             link.watch.sent(self.wire.targets.cob_id, data)
         sent = False
-        if self._whole_cycles is not None and not inputs.missing and self._early_ns < 0:
+        if self._complete_cycles is not None and not inputs.missing and self._early_ns < 0:
             try:
-                whole = self._whole_cycles.run(data, link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
+                complete = self._complete_cycles.run(data, link.due_ns, inputs.sync_ns + self.wire.period_ns // 2)
             except can.CanError as error:
                 raise LinkError(f"receiving failed: {error}") from error
-            if not isinstance(whole, bool):
-                return self._at_once(whole, annotations)
-            sent = whole
+            if not isinstance(complete, bool):
+                return self._at_once(complete, annotations)
+            sent = complete
         sent = sent or link.try_send(can.Message(
             arbitration_id=self.wire.targets.cob_id, data=data, is_extended_id=False))
         sync_ns = self._await_sync()
@@ -180,20 +164,20 @@ class Exchange:
             raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
         return self._latch(sync_ns)
 
-    def _at_once(self, whole: WholeCycle, annotations: CycleAnnotations | None) -> Inputs:
-        """The same for a cycle that the bus has run as one: nothing but SYNC, inputs and targets was in it."""
-        sync_ns, target_ns, inputs, beats, rows, count = whole
-        if beats:
-            self.link.heed(beats)
+    def _at_once(self, complete: CompleteCycle, annotations: CycleAnnotations | None) -> Inputs:
+        """Record a complete cycle that the bus has run, and return its inputs."""
+        sync_ns = complete.sync_ns
+        if complete.heartbeats:
+            self.link.heed(complete.heartbeats)
         try:
             if self.log.taps:
-                self.log.take(rows, count, sync_ns, target_ns)
+                self.log.take(complete.frames, complete.frame_count, sync_ns, complete.target_ns)
             self._record(sync_ns, True, annotations)
         except StopError:  # the recorder failed; the cycle was run all the same
             with suppress(StopError):
-                self._latch(sync_ns, inputs)
+                self._latch(sync_ns, complete.inputs)
             raise
-        return self._latch(sync_ns, inputs)
+        return self._latch(sync_ns, complete.inputs)
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
         """Record the cycle that a SYNC has ended."""

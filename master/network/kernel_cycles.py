@@ -1,4 +1,4 @@
-"""Whole control cycles on the kernel's CAN: the process is woken once in each, by the last input.
+"""Complete control cycles on the kernel's CAN: the process is woken once in each, by the last input.
 
 The rule of this file: a cycle in which all that comes is SYNC, the inputs and heartbeats of nodes at work is taken as
 one; where anything else comes, every frame of the cycle waits in its order for the master to receive it singly.  A
@@ -18,17 +18,13 @@ from typing import Any, Final, Protocol, cast
 import can
 import numpy as np
 
+from eds.complete_cycle import CompleteCycle
 from master.network import kernel_frames as frames
 
 Socket = socket.socket
 NS: Final = 1_000_000_000
 _HEAD = struct.Struct("=IB3x")
 FRAME_BYTES: Final = 16
-
-Whole = tuple[int, int, Any, tuple[tuple[int, int, int], ...], Any, int]
-"""Time stamps of SYNC and of the targets, ns; time stamps and data of the inputs, as `eds.pdo_plan.Joined` takes them;
-identifier, time and state of heartbeats; the frames received up to that SYNC, bytes of `cdr.FRAME_ROW`s, and their
-number.  Bytes hold until the next call."""
 
 
 class ReadSocket(Protocol):
@@ -86,7 +82,7 @@ class KernelCycles:
         self._data = raw[data:data + size]
         self._behind = True
 
-    def run(self, data: bytes, beat_ns: int, after_ns: int) -> Whole | bool:
+    def run(self, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | bool:
         """Send the targets, and go on to the last input of the next SYNC, which has to come after `after_ns`.
 
         The heartbeat at `beat_ns` is sent where it is due within a period from then, and told with the others.  False:
@@ -115,8 +111,8 @@ class KernelCycles:
         beats = self._beats() if told[frames.BEATS] else ()
         if due and not self._settings[frames.ALIVE]:
             beats = (*beats, (self._heartbeat[0], max(beat_ns, after_ns), self._heartbeat[1]))
-        return (told[frames.AT_NS], heard[frames.MARKED_NS], self._inputs, beats,
-                bus.row_bytes[:frames.ROW_BYTES * count], count)
+        return CompleteCycle(sync_ns=told[frames.AT_NS], target_ns=heard[frames.MARKED_NS], inputs=self._inputs,
+                             heartbeats=beats, frames=bus.row_bytes[:frames.ROW_BYTES * count], frame_count=count)
 
     def _forgotten(self) -> bool:
         """Forget what woke cycles that were received singly; False where the socket failed."""

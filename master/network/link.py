@@ -70,7 +70,7 @@ class Link:
     `returned`: the interface returns the master's own frames to it, as seen during bring-up.
     `watch`, where there is one, hears of every frame that a running bench has no use for.
     `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
-    `pump(deadline_ns)` is how an SDO waits: by receiving, or by whole control cycles once they run.
+    `pump(deadline_ns)` is how an SDO waits: by receiving, or by control cycles once they run.
     """
 
     def __init__(

@@ -71,7 +71,7 @@ class RecordedBus(KernelBus):
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
         budget_ns: int, heartbeat: tuple[int, int, int],
     ) -> KernelCycles | None:
-        """Offer whole control cycles to a master, see `KernelCycles`; None with another bus as the recorder's tap.
+        """Offer complete cycles to a master, see `KernelCycles`; None with another bus as the recorder's tap.
 
         `targets` and `inputs` are identifiers and sizes of the frame that the master sends in each and of those that it
         then waits for, within `budget_ns` of their SYNC; `heartbeat`: identifier, byte and period of its own.

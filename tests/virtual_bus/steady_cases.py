@@ -43,7 +43,7 @@ class Ran(NamedTuple):
     """The digest of both files and of how the run ended; how many of its cycles were run at once; why it stopped."""
 
     digest: str
-    whole_cycles: int
+    complete_cycles: int
     reason: str | None
 
 
@@ -59,7 +59,7 @@ def ran(case: Case, folder: Path) -> Ran:
     try:
         outcome = run_safely(Link(bus, bus.time_ns), tap, recorder, network, Limits(), perform)
         recorder.close({})
-        whole_cycles = bus.whole_cycles
+        complete_cycles = bus.complete_cycles
         ends = (outcome, bus.time_ns(), bus.bench.wire.frames, bus.bench.wire.busy_bits, bus.lost, tap.lost)
     finally:
         tap.shutdown()
@@ -67,7 +67,7 @@ def ran(case: Case, folder: Path) -> Ran:
     told = hashlib.sha256(repr(ends).encode())
     for name in ("trial.mcap", "truth.mcap"):
         told.update((folder / name).read_bytes())
-    return Ran(told.hexdigest(), whole_cycles, outcome.reason)
+    return Ran(told.hexdigest(), complete_cycles, outcome.reason)
 
 
 def _gait(network: Network, controller: str) -> Callable[[Exchange], None]:

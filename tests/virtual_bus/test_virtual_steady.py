@@ -1,4 +1,4 @@
-"""Whole control cycles at once change nothing: files, outcomes and times are those of event by event, to the byte."""
+"""Complete control cycles change nothing: files, outcomes and times are those of event by event, to the byte."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def test_every_byte_is_the_same(name: str, tmp_path: Path, monkeypatch: pytest.M
     on, off = made
     assert on.digest == off.digest
     assert on.reason == off.reason
-    assert off.whole_cycles == 0
-    assert on.whole_cycles > 100 or name in FEW
+    assert off.complete_cycles == 0
+    assert on.complete_cycles > 100 or name in FEW
 
 
 class Plugged:
@@ -53,5 +53,5 @@ def test_a_plant_that_is_plugged_in_runs_event_by_event(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     own = ran(Case(script=script, cycles=60), tmp_path / "own")
     other = ran(Case({"plant": f"{__name__}:plugged"}, script=script, cycles=60), tmp_path / "other")
-    assert own.whole_cycles > 0 == other.whole_cycles
+    assert own.complete_cycles > 0 == other.complete_cycles
     assert own.reason is other.reason is None
