@@ -27,6 +27,9 @@ History = Annotated[Path | None, typer.Option(
 Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
 Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
 Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
+Controllers = Annotated[bool, typer.Option(
+    "--controllers", help="A is the table of a sweep: rank its controllers.")]
+Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="With --controllers: PNG, SVG or PDF.")]
 Everything = Annotated[bool, typer.Option("--all", help="Every value and signal that differs, in tables.")]
 Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Both trials in one HTML page.")]
 
@@ -132,20 +135,27 @@ def export(
 @app.command()
 def compare(
     a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
+    controllers: Controllers = False, picture: Picture = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Compare two trials: their four figures, and in five lines what differs.
 
-    Exit status 1 if any channel differs.  With --logbook: the bench's constants in A against their scatter between
-    sessions; exit status 1 if fewer than 1 in 1,000 healthy sessions depart as far.
+    Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
+    the bench's constants in A against their scatter between sessions; exit status 1 if fewer than 1 in 1,000 healthy
+    sessions depart as far.
 
     Example: bowden compare a.mcap b.mcap --report compared.html
     """
     from bowden import output_files
+    from parameters import InputError
     from trial.compare import compare as compared
     from trial.read import open as opened
 
+    if picture is not None and not controllers:
+        raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
+    if controllers:
+        return _rank_controllers(a, b or logbook or report, picture, overwrite=overwrite, json=json)
     if (b is None) == (logbook is None):
         raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
     if b is None:
@@ -169,6 +179,36 @@ def compare(
     if report is not None and not json:
         print(f"Page: {report}")
     return 0 if found.same else 1
+
+
+def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool, json: bool) -> int:
+    """Print the controllers of a sweep, the best first; 1 where trials of one did not complete."""
+    from bowden import output_files
+    from bowden.sweep import controller_ranking
+    from parameters import InputError
+
+    if other is not None:
+        raise InputError(f"--controllers ranks those of one table; leave {other} out.")
+    output_files.refuse([picture], overwrite=overwrite, inputs=[table])
+    output_files.refuse_picture(picture)
+    rows = controller_ranking.read(table)
+    found = controller_ranking.ranked(rows)
+    if picture is not None:
+        controller_ranking.draw(rows, picture)
+    if json:
+        terminal.emit({"table": str(table), "controllers": [one._asdict() for one in found]})
+    else:
+        number = terminal.number
+        terminal.table("controllers, by the median of END's error over their trials", (
+            "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
+            (one.controller, f"{one.completed} of {one.trials}", number(one.error_percent),
+             f"{number(one.least)} … {number(one.worst)}", number(one.idle_n), number(one.jump_n)) for one in found])
+        for one in found:
+            for reason, count in one.stopped.items():
+                print(f"{one.controller}: {count} not completed: {reason}")
+        if picture is not None:
+            print(f"Picture: {picture}")
+    return 1 if any(one.completed < one.trials for one in found) else 0
 
 
 RARE = 1e-3

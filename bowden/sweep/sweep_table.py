@@ -109,6 +109,11 @@ class SweepTable:
             raise InputError(f"{self.growing}: cannot be written ({error}); give a writable place.") from None
 
 
+def lines_of(path: Path) -> list[list[str]]:
+    """Return header and rows of a table, cells as text; raises `InputError` where it cannot be read."""
+    return _parquet_lines(path) if path.suffix == ".parquet" else _csv_lines(path)
+
+
 def _csv_lines(path: Path) -> list[list[str]]:
     try:
         content = path.read_text(encoding="utf-8")
