@@ -10,6 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from eds.declaration import DeclaredBench
 
 
@@ -68,7 +70,6 @@ TRACE = (
 )
 
 
-
 def with_observers(bench: DeclaredBench) -> tuple[Signal, ...]:
     """Return the columns of `/cycle` on a bench: `SIGNALS`, those of its observers before the controller's trace."""
     observed = tuple(Signal(f"{device.name}_{one.ending}", one.unit, one.text)
@@ -80,3 +81,55 @@ SIGNALS: tuple[Signal, ...] = (*MOTION_AND_FORCE, *PDO_TIMING, *STATUS, *TRACE)
 COLUMNS: tuple[str, ...] = tuple(signal.name for signal in SIGNALS)
 INDEX: dict[str, int] = {name: position for position, name in enumerate(COLUMNS)}
 UNITS: dict[str, str] = {signal.name: signal.unit for signal in SIGNALS}
+_FIRST_TRACE = len(SIGNALS) - len(TRACE)
+
+
+class CycleRow(NamedTuple):
+    """One row of `/cycle`: a field for each of `SIGNALS`, in its unit; NaN where the value is not known.
+
+    Every field is required and given by its name; a test compares the fields with `SIGNALS`.
+    """
+
+    time_s: float
+    gait_percent: float
+    servo_target_m: float
+    servo_position_m: float
+    servo_velocity_m_s: float
+    servo_force_n: float
+    knee_target_rad: float
+    knee_angle_rad: float
+    tension_start_n: float
+    tension_end_n: float
+    desired_force_n: float
+    estimated_end_force_n: float
+    cycle: float
+    servo_pdo_age_ns: float
+    knee_pdo_age_ns: float
+    start_pdo_age_ns: float
+    end_pdo_age_ns: float
+    servo_pdo_arrival_ns: float
+    knee_pdo_arrival_ns: float
+    start_pdo_arrival_ns: float
+    end_pdo_arrival_ns: float
+    servo_statusword: float
+    knee_statusword: float
+    missed_inputs: float
+    missed_outputs: float
+    held: float
+    sync_jitter_ns: float
+    step_duration_ns: float
+    feedforward_m: float
+    impedance_dx_m: float
+    friction_ratio: float
+    rope_direction: float
+    strain_direction: float
+    estimated_end_half_n: float
+
+    def values(self, observed: Sequence[float], own: Sequence[float]) -> tuple[float, ...]:
+        """Return the row in the order of `with_observers`, then the controller's own columns.
+
+        `observed` are the values of the bench's observers, in the order of `with_observers`.
+        """
+        if not observed:
+            return (*self, *own) if own else self
+        return (*self[:_FIRST_TRACE], *observed, *self[_FIRST_TRACE:], *own)

@@ -96,13 +96,12 @@ class RecordedInputs:
         self.frames: list[bytes] = []
         self._pack, self._progress = described.targets.pack_si, progress
         self.outputs = (*OUTPUTS, *own)
-        self._width = len(TRACE) + len(own)
 
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = NOTHING) -> Inputs:
         """Keep the targets that answer `inputs`, and return the next row's inputs."""
-        percent, desired, estimated, cycle, held, trace = annotations
-        lacks = (math.nan,) * (self._width - len(trace))
-        self.made.append((percent, servo_m, knee_rad, desired, estimated, cycle, held, *trace, *lacks))
+        answers = {**annotations._asdict(), "servo_target_m": servo_m, "knee_target_rad": knee_rad}
+        lacks = (math.nan,) * (len(self.outputs) - len(OUTPUTS) - len(annotations.own))
+        self.made.append((*(answers[name] for name in OUTPUTS), *annotations.own, *lacks))
         finite = math.isfinite(servo_m) and math.isfinite(knee_rad)
         self.frames.append(self._pack(servo_m, knee_rad) if finite else b"")
         self.targets = servo_m, knee_rad

@@ -48,6 +48,11 @@ class Trace(NamedTuple):
     estimated_end_half_n: float = NAN
     own: tuple[float, ...] = ()
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Values of all columns, the controller's own last."""
+        return (*self[:-1], *self.own)
+
 
 class Column(NamedTuple):
     """A trace column of a controller's own: its name in the trial, its SI unit ("1" for a pure number), its meaning."""

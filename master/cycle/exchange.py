@@ -19,12 +19,13 @@ from eds.complete_cycle import CompleteCycle, CompleteCycles
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
-from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, observer_slots, places
+from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, KeptCycle, observer_slots, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
 from master.cycle.safety import Condition, StopError
 from master.network.link import Link, LinkError, stamp_ns
+from trial.signals import CycleRow
 
 NAN = math.nan
 FIRST_SENSOR = 2
@@ -43,7 +44,7 @@ class Exchange:
     `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
     `annotations` is what a row says of whoever steps, where `advance` is not told.
-    `kept`, where it is a list, gets (target, position, knee, START, END) of each complete cycle.
+    `kept`, where it is a list, gets each complete cycle.
     `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
 
@@ -53,7 +54,7 @@ class Exchange:
         self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, (1 << len(places(wire))) - 1)
         self.targets = (0.0, 0.0)
         self.annotations = NOTHING
-        self.kept: list[tuple[float, float, float, float, float]] | None = None
+        self.kept: list[KeptCycle] | None = None
         self._budget_ns = budget_ns
         self._order = places(wire)
         self._all = (1 << len(self._order)) - 1
@@ -141,7 +142,8 @@ class Exchange:
         self.targets = (servo_m, knee_rad)
         self._step_ns = link.clock() - self._answered_ns
         if self.kept is not None and not inputs.missing:
-            self.kept.append((servo_m, inputs.servo_position_m, inputs.knee_angle_rad, inputs.start_n, inputs.end_n))
+            self.kept.append(KeptCycle(target=servo_m, position=inputs.servo_position_m, knee=inputs.knee_angle_rad,
+                                       start=inputs.start_n, end=inputs.end_n))
         data = self._pack_targets(servo_m, knee_rad)
         if link.watch is not None:
             link.watch.sent(self.wire.targets.cob_id, data)
@@ -307,8 +309,9 @@ class Exchange:
             missing = self._collect(sync_ns, missing)
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
-            sync_ns, int(servo[0]), servo[1], servo[2] * self._newtons, int(knee[0]), knee[1], start[0], end[0], missing
-        )
+            sync_ns=sync_ns, servo_status=int(servo[0]), servo_position_m=servo[1],
+            servo_force_n=servo[2] * self._newtons, knee_status=int(knee[0]), knee_angle_rad=knee[1],
+            start_n=start[0], end_n=end[0], missing=missing)
         self._derive(inputs)
         late = self._late_in_row
         if missing or late != self._none_late:
@@ -381,21 +384,29 @@ class Exchange:
         self._misses, self._miss_text = 0, ""
 
     def _row(self, annotations: CycleAnnotations, sent: bool) -> tuple[float, ...]:
-        """One row in the order of `trial.signals.SIGNALS`."""
-        inputs, latched, arrival = self.inputs, self._latched_ns, self._arrival_ns
-        sync_ns, missing = inputs.sync_ns, inputs.missing
-        percent, desired, estimated, cycle, held, trace = annotations
+        """Return the values of this cycle's row, in the order of the recorder's signals."""
+        inputs, latched, told = self.inputs, self._latched_ns, annotations
+        sync_ns = inputs.sync_ns
+        servo_heard, knee_heard, start_heard, end_heard = self._arrival_ns
         count, self._count = self._count, self._count + 1
-        return (
-            (sync_ns - self._first_ns) * 1e-9, percent, self.targets[0], inputs.servo_position_m, self._velocity,
-            inputs.servo_force_n, self.targets[1], inputs.knee_angle_rad, inputs.start_n, inputs.end_n, desired,
-            estimated, cycle,
-            sync_ns - latched[0], sync_ns - latched[1], sync_ns - latched[2], sync_ns - latched[3], *arrival,
-            inputs.servo_status, inputs.knee_status if self.knee_driven else NAN, missing.bit_count(),
-            0.0 if sent else 1.0, held,
-            sync_ns - self._first_ns - count * self.wire.period_ns, self._step_ns or NAN, *self._observed,
-            *trace,
-        )
+        return CycleRow(
+            time_s=(sync_ns - self._first_ns) * 1e-9, gait_percent=told.gait_percent, cycle=told.cycle, held=told.held,
+            servo_target_m=self.targets[0], servo_position_m=inputs.servo_position_m, servo_velocity_m_s=self._velocity,
+            servo_force_n=inputs.servo_force_n, knee_target_rad=self.targets[1], knee_angle_rad=inputs.knee_angle_rad,
+            tension_start_n=inputs.start_n, tension_end_n=inputs.end_n,
+            servo_pdo_age_ns=sync_ns - latched[0], knee_pdo_age_ns=sync_ns - latched[1],
+            start_pdo_age_ns=sync_ns - latched[2], end_pdo_age_ns=sync_ns - latched[3],
+            servo_pdo_arrival_ns=servo_heard, knee_pdo_arrival_ns=knee_heard,
+            start_pdo_arrival_ns=start_heard, end_pdo_arrival_ns=end_heard,
+            servo_statusword=inputs.servo_status, knee_statusword=inputs.knee_status if self.knee_driven else NAN,
+            missed_inputs=inputs.missing.bit_count(), missed_outputs=0.0 if sent else 1.0,
+            sync_jitter_ns=sync_ns - self._first_ns - count * self.wire.period_ns,
+            step_duration_ns=self._step_ns or NAN,
+            desired_force_n=told.desired_force_n, estimated_end_force_n=told.estimated_end_force_n,
+            estimated_end_half_n=told.estimated_end_half_n, feedforward_m=told.feedforward_m,
+            impedance_dx_m=told.impedance_dx_m, friction_ratio=told.friction_ratio,
+            rope_direction=told.rope_direction, strain_direction=told.strain_direction,
+        ).values(self._observed, told.own)
 
 
 def _without_status(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:

@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 
 from eds.bench_network import END, KNEE, SERVO, START, WireLayout, tpdo_cob_id
 from eds.pdo_plan import PdoPlan
-from trial.signals import TRACE
 
 NAN: Final = math.nan
 ORDER: Final = (SERVO, KNEE, START, END)
@@ -60,14 +59,33 @@ class Inputs(NamedTuple):
 
 
 class CycleAnnotations(NamedTuple):
-    """Columns of a row that only a controller knows: NaN elsewhere; `cycle` −1 outside the gait."""
+    """Columns of `trial.signals.CycleRow` that a controller gives, else NaN; `cycle` −1 outside the gait.
+
+    `own` are the values of the controller's own columns, in their order.
+    """
 
     gait_percent: float = NAN
     desired_force_n: float = NAN
     estimated_end_force_n: float = NAN
     cycle: float = -1.0
     held: float = 0.0
-    trace: tuple[float, ...] = (NAN,) * len(TRACE)
+    feedforward_m: float = NAN
+    impedance_dx_m: float = NAN
+    friction_ratio: float = NAN
+    rope_direction: float = NAN
+    strain_direction: float = NAN
+    estimated_end_half_n: float = NAN
+    own: tuple[float, ...] = ()
 
 
 NOTHING = CycleAnnotations()
+
+
+class KeptCycle(NamedTuple):
+    """One complete cycle that an identification keeps: target and position of the rope, m, knee, rad, tensions, N."""
+
+    target: float
+    position: float
+    knee: float
+    start: float
+    end: float

@@ -30,7 +30,7 @@ import numpy as np
 from eds.bench_network import Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
-from master.cycle.inputs import Inputs
+from master.cycle.inputs import Inputs, KeptCycle
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.identification import calibration_fit
@@ -192,7 +192,7 @@ class _Experiments:
         self._progress("done", 1.0)
 
     def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:
-        kept: list[tuple[float, float, float, float, float]] = []
+        kept: list[KeptCycle] = []
         exchange.kept = kept
         exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"begin {kind}")
         try:
@@ -200,8 +200,8 @@ class _Experiments:
         finally:
             exchange.kept = None
             exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"end {kind}")
-        columns = np.array(kept).T
-        self.segments.append(Segment(kind, exchange.wire.period_ns * 1e-9, *columns))
+        columns = dict(zip(KeptCycle._fields, np.array(kept).T, strict=True))
+        self.segments.append(Segment(kind=kind, period_s=exchange.wire.period_ns * 1e-9, **columns))
 
     def _slacken(self, exchange: Exchange) -> None:
         moves.reel(exchange, -SPEED_M_S, lambda inputs: inputs.start_n < 1.0, REACH_M, "the rope does not go slack")

@@ -174,7 +174,7 @@ class Planned:
         try:
             rehearsed = self.control(self.table)
             (servo, knee), _, trace = rehearsed.step(ControllerInput(0, 0.0, 0.0, 0.0, 0.0), rehearsed.initial())
-            float(servo), float(knee), [float(value) for value in (*trace[:8], *trace.own)]
+            float(servo), float(knee), [float(value) for value in trace.numbers]
         except InputError:
             raise
         except gait.ENDS_A_STEP as error:

@@ -110,8 +110,7 @@ def run(
         try:
             (servo, knee), state, trace = step(seen, state)
             whole = isfinite(servo) and isfinite(knee) and len(trace.own) == own
-            told = trace[2:8] + trace.own if own else trace[2:8]
-            isfinite(sum(told))  # what is no number must not reach the recorder
+            isfinite(sum(trace.numbers))  # what is no number must not reach the recorder
         except ENDS_A_STEP as error:
             raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}, {_place(i, samples, number(sample))}"
                             ) from error
@@ -119,7 +118,11 @@ def run(
             raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
                                                   f"{_place(i, samples, number(sample))}")
         inputs = advance(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
-            100.0 * i / samples, trace[0], trace[1], number(sample), 0.0, told))
+            gait_percent=100.0 * i / samples, cycle=number(sample), desired_force_n=trace.desired_force_n,
+            estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
+            feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
+            friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,
+            strain_direction=trace.strain_direction, own=trace.own))
 
 
 def _wrong(servo: float, knee: float, trace: Trace, own: int) -> str:

@@ -7,6 +7,7 @@ import resource
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import example_trials
@@ -18,10 +19,29 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
 import trial
+from eds.declaration import ObservedPart, packaged
 from parameters import InputError
 from trial.mcap_file import cdr
 from trial.record import FLUSH_NS
 from trial.recover import recover
+from trial.signals import COLUMNS, CycleRow, with_observers
+
+
+def test_a_cycle_row_has_a_field_for_each_signal_of_the_table() -> None:
+    assert CycleRow._fields == COLUMNS
+
+
+def test_values_of_a_cycle_row_stand_under_their_signals_with_observers_and_own_columns() -> None:
+    bench = packaged()
+    kind = replace(bench.devices[0].type, observed=(ObservedPart("position", "again_m", "m", "rope position"),))
+    bench = replace(bench, devices=(replace(bench.devices[0], type=kind), *bench.devices[1:]))
+    names = [signal.name for signal in with_observers(bench)]
+    observed = [name for name in names if name not in COLUMNS]
+    assert len(observed) == 1
+    row = CycleRow(**{name: float(place) for place, name in enumerate(COLUMNS)})
+    assert row.values((), ()) == tuple(row)
+    found = dict(zip([*names, "own"], row.values([-1.0] * len(observed), (7.0,)), strict=True))
+    assert found == row._asdict() | dict.fromkeys(observed, -1.0) | {"own": 7.0}
 
 
 def test_mcaps_own_reader_finds_summary_indexes_and_attachments(recorded: Path) -> None:
