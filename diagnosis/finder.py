@@ -167,12 +167,25 @@ class Finder:
         session = judge.session()
         if all(t.turning for t in trials):
             figures, causes, session = _turned(figures, causes, session)
-        return Findings(judge.word(), causes, judge.rivals(), judge.experiment(), figures,
+        undecided, proposed = _undecided(trials, judge.word(), judge.rivals(), said), judge.experiment()
+        if undecided is not None and proposed in {t.experiment for t in trials}:
+            proposed = None
+        return Findings(judge.word(), causes, judge.rivals(), proposed, figures,
                         warnings + _said(settled, bool(healthy)) + said + judge.blind_rivals() + judge.on_bounds(),
                         judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
-                        bench=_bench(settled, known), session=session)
+                        bench=_bench(settled, known), session=session, undecided=undecided)
+
+
+def _undecided(trials: Sequence[Table], word: str, rivals: Sequence[str], said: Sequence[str]) -> str | None:
+    """Return what a reader must know of an experiment beside the gait that left a class; None where none did."""
+    run = [t for t in trials if "gait_percent" not in t]
+    if word != "ambiguous" or len(run) in (0, len(trials)):
+        return None
+    names = ", ".join(sorted({t.experiment for t in run if t.experiment})) or "the experiment"
+    why = said[0].rstrip(".") if said else "each of them meets it as well as healthy trials are met"
+    return f"{names} did not decide between {', '.join(rivals)}: {why}."
 
 
 def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]], session: Mapping[str, Any] | None

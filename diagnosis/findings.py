@@ -21,6 +21,7 @@ class Findings:
     `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.  Of the evidence
     core: `part` of the bench that changed, `evidence` that the answer rests on, `traces` by output, on each trial and
     `held_traces` on each held-out trial.  Of a rig of another kind: how its `session` differs from the healthy ones.
+    `undecided`: one sentence on an experiment among the trials that did not split the class.
     """
 
     verdict: str
@@ -44,6 +45,7 @@ class Findings:
     traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     session: dict[str, Any] | None = None
+    undecided: str | None = None
 
     def unnamed(self) -> Findings:
         """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
@@ -61,5 +63,6 @@ class Findings:
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
             "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
             **({"session": self.session} if self.session is not None else {}),
+            **({"undecided": self.undecided} if self.undecided is not None else {}),
             **({"candidates": self.candidates} if self.candidates else {}),
             **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}

@@ -44,7 +44,7 @@ TURNED_UNITS: Final[Mapping[str, str]] = {
 class Table:
     """One trial: float64 columns of equal length; `digest` tells equal files, `calibration` is what it carries.
 
-    `turning`: an axis in rad and N·m, looked at on a lever of 1 m.
+    `turning`: an axis in rad and N·m, looked at on a lever of 1 m.  `experiment`: what a trial ran ("": unknown).
     """
 
     source: str
@@ -54,6 +54,7 @@ class Table:
     lowpass_hz: float | None = None
     notes: tuple[str, ...] = field(default=())
     turning: bool = False
+    experiment: str = ""
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
@@ -170,7 +171,8 @@ def _read_mcap(path: Path) -> Table:
                if (name in UNITS or name.endswith(AGE_SUFFIX)) and not np.isnan(values).all()}
     if _without_knee_drive(trial.columns):
         columns.pop("knee_target_rad", None)  # what a hand was asked for, which no drive answers
-    return table(str(path), columns, _carried_calibration(trial))
+    made = table(str(path), columns, _carried_calibration(trial))
+    return replace(made, experiment=trial.metadata.get("experiment", ""))
 
 
 def _without_knee_drive(columns: Mapping[str, Array]) -> bool:

@@ -55,6 +55,8 @@ def _wrong(found: Findings) -> str:
         return f"Nothing is wrong that these trials show: the bench agrees with {_against(found)}{within}."
     told = " ".join(_cause(found, cause) for cause in found.causes)
     others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
+    if found.undecided is not None:
+        return f"{found.undecided[0].upper()}{found.undecided[1:]} {told}"
     return told + (f" These trials cannot tell it from: {', '.join(others)}." if others else "")
 
 
