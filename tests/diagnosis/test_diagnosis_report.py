@@ -121,7 +121,7 @@ def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found
     ({"verdict": "unexplained", "causes": [], "rivals": [], "experiment": None}, "no effect of the catalogue explains"),
     ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
     ({"verdict": "found", "rivals": ["cable_friction"], "experiment": None}, "--controller-model extended.toml"),
-    ({"undecided": "step did not decide between A, B: both meet it."}, "Step did not decide between A, B: both meet it. "),
+    ({"undecided": "step did not decide between A, B: both meet it."}, "Step did not decide between A, B: both"),
 ])
 def test_every_verdict_has_its_first_lines(found: Findings, changed: dict[str, Any], sentence: str) -> None:
     assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
