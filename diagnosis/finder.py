@@ -164,6 +164,8 @@ class Finder:
         judge, said = _judge(settled, trials, holdout, healthy, known)
         figures = judge.figures() | ({} if settled.any_rig else carried.figures)
         causes = judge.causes()
+        if (wrong := _clock(trials, healthy.tables, causes, settled.reference.values)) is not None:
+            return Findings("refused", warnings=[wrong, *warnings])
         session = judge.session()
         if all(t.turning for t in trials):
             figures, causes, session = _turned(figures, causes, session)
@@ -171,11 +173,42 @@ class Finder:
         if undecided is not None and proposed in {t.experiment for t in trials}:
             proposed = None
         return Findings(judge.word(), causes, judge.rivals(), proposed, figures,
-                        warnings + _said(settled, bool(healthy)) + said + judge.blind_rivals() + judge.on_bounds(),
+                        warnings + _said(settled, bool(healthy)) + said + judge.blind_rivals() + judge.on_bounds()
+                        + _worse(figures),
                         judge.limits(),
                         reference=settled.reference.kind, found=judge.found, split=judge.within is not None,
                         simulation=judgement.judged(judge, trials, holdout, healthy), rate_hz=settled.rate_hz,
                         bench=_bench(settled, known), session=session, undecided=undecided)
+
+
+CLOCK: Final = 0.2
+"""How near the change of an inertia is to the square of a clock's factor, as a share of it, to be that clock's."""
+
+
+def _clock(trials: Sequence[Table], healthy: Sequence[Table], causes: Sequence[Mapping[str, Any]],
+           reference: Mapping[str, float]) -> str | None:
+    """Return, as a sentence, that a changed inertia is a clock's doing; None where the clocks agree, or it is not.
+
+    Of a clock that runs k times too fast an acceleration is k² times too small, and an inertia k² times too large.
+    """
+    told = next((c["parameters"]["drive_inertia"]["value"] for c in causes if c["effect"] == "drive_inertia"), 0.0)
+    if not healthy or told <= 0.0 or reference["drive_inertia"] <= 0.0:
+        return None
+    paces = [float(np.median(np.concatenate([np.diff(t["time_s"]) for t in group]))) for group in (trials, healthy)]
+    factor, change = paces[0] / paces[1], told / reference["drive_inertia"]
+    if abs(factor - 1.0) < CLOCK or abs(change / factor**2 - 1.0) > CLOCK:
+        return None
+    return (f"{', '.join(t.source for t in trials)}: time_s advances {factor:.3g} times as far a row as in the healthy "
+            f"trials, and the inertia would be {change:.3g} times as large, which is what a clock off by {factor:.3g} "
+            f"does: divide time_s by {factor:.3g}, or record at their rate.")
+
+
+def _worse(figures: Mapping[str, Figures]) -> list[str]:
+    """Return, as sentences, the relations that trials held out contradict: what was found predicts them worse."""
+    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_before:.3g} → "
+            f"{f.holdout_after:.3g} {f.unit} RMS; it holds for these trials alone: do not extend the simulation by it."
+            for name, f in figures.items() if f.holdout_before is not None and f.holdout_after is not None
+            and f.holdout_after > f.holdout_before]
 
 
 def _undecided(trials: Sequence[Table], word: str, rivals: Sequence[str], said: Sequence[str]) -> str | None:

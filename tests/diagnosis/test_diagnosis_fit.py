@@ -87,6 +87,16 @@ def test_an_effect_added_at_run_time_is_found_by_name_and_size() -> None:
     assert figures.holdout_after < 0.1 < 1.0 < figures.holdout_before
 
 
+def test_trials_held_out_that_are_predicted_worse_are_said() -> None:
+    with registered(hum()):
+        told = diagnose([table("rig", rig(end_extra=2.5))], holdout=[table("other", rig(1))])
+    figures = told.relations["friction"]
+    assert figures.holdout_before is not None
+    assert figures.holdout_after is not None
+    assert figures.holdout_after > figures.holdout_before
+    assert any("the trials held out are predicted worse" in sentence for sentence in told.warnings)
+
+
 def test_nothing_is_found_where_nothing_is_wrong() -> None:
     found = diagnose([table("rig", rig())])
     assert found.verdict == "none"

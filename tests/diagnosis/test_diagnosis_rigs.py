@@ -14,6 +14,7 @@ import pytest
 import bowden
 from bowden.cli.app import run
 from diagnosis.data.table import table
+from diagnosis.finder import Finder
 from diagnosis.problem.blocks import cycles_of, signals_of
 from parameters import InputError
 from tests.diagnosis import rigs
@@ -186,6 +187,19 @@ def test_a_turning_axis_beside_a_straight_pull_is_refused_with_what_to_do() -> N
     time = np.arange(200) * 0.01
     with pytest.raises(InputError, match="multiply angles by the drum's radius"):
         table("mixed", {"time_s": time, "servo_position_rad": time, "tension_start_n": time})
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.5])
+def test_a_clock_that_is_off_is_no_inertia(factor: float) -> None:
+    """Both from the same axis at 200 Hz; of a heavier load on a right clock the inertia is named."""
+    axes = [rigs.decimated(rigs.drive_axis(seed, load), 5) for seed, load in ((1, 0.0), (2, 0.0), (3, 0.0), (4, 60.0))]
+    finder = Finder().fit([table(f"axis_{i}", columns) for i, columns in enumerate(axes[:2])])
+    refused = finder.diagnose([table("doubled", {**axes[2], "time_s": factor * axes[2]["time_s"]})])
+    assert refused.verdict == "refused"
+    assert f"divide time_s by {factor:g}" in refused.warnings[0]
+    if factor > 1.0:
+        heavier = finder.diagnose([table("heavier", axes[3])])
+        assert "drive_inertia" in {cause["effect"] for cause in heavier.causes}
 
 
 @pytest.fixture(scope="module")
