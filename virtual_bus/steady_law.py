@@ -1,17 +1,19 @@
-"""One whole control cycle between the master's targets and the last input of the next SYNC, compiled.
+"""One complete control cycle between the master's targets and the last input of the next SYNC, compiled.
 
 The rule of this file: it has the kernel's order of events, (time, priority), and no semantics of its own: plant, drive
 ticks, converters, channels, set-points and stuffing are the functions that the devices and the wire call one by one.
 Whatever it does not know ends it with everything as it was: then the cycle is run the other way.
 
-Everything lives in two flat arrays: `f`, float64, and `i`, int64 (times in ns); `rows` gets the frames, three words
-each, as `trial.mcap_file.cdr.FRAME_ROW` has them.  `rings` are the converters' rings, (`GAUGES`, `RING`, 2), an array
-of their own: compiling one `reshape` in here took two seconds, for the text of its error.
+Everything lives in two flat arrays: `f`, float64, laid out as `FLOATS`, and `i`, int64 (times in ns), as `INTEGERS`;
+`rows` gets the frames, three words each, as `trial.mcap_file.cdr.FRAME_ROW` has them.  `rings` are the converters'
+rings, (`GAUGES`, `RING`, 2), an array of their own: compiling one `reshape` in here took two seconds, for the text of
+its error.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +28,8 @@ from physics.plant.state_layout import SIZE, SLOT
 from virtual_bus import bits
 from virtual_bus.bits import INTERMISSION_BITS, TRAILER_BITS
 
+_Part = tuple[str, tuple[int, ...]]
+"""Name and shape of a part of a memory."""
 AXES: Final = 2
 GAUGES: Final = 2
 NODES: Final = AXES + GAUGES
@@ -36,77 +40,154 @@ TAKES: Final = 8
 ROWS: Final = 32
 """How many frames `rows` holds: those left from the cycle before and those of this one."""
 
-# ---- f: what a cycle changes first ----
 _STATE, _SET = axis_law.STATES, axis_law.SETTINGS
 CONVERTER, SENSOR = 5, 11
 """Numbers of a converter's history, and of its parameters."""
-F_PLANT: Final = 0
-F_STATE: Final = F_PLANT + SIZE
-F_SET: Final = F_STATE + AXES * _STATE
-F_CHANNEL: Final = F_SET + AXES * _SET
-F_CONVERTER: Final = F_CHANNEL + GAUGES * channel_law.SIZE
-F_TORQUE: Final = F_CONVERTER + GAUGES * CONVERTER
-F_KEPT: Final = F_TORQUE + AXES
-"""Up to here a cycle that is given up is undone."""
-F_TRUTH: Final = F_KEPT
 TRUTHS: Final = 128
 """How many rows of the truth wait before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
-F_ACTION: Final = F_TRUTH + TRUTHS * TRUTH_WIDTH
 ACTION_WIDTH: Final = 3
 """Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
-F_SENSOR: Final = F_ACTION + ACTION_WIDTH * TAKES
-F_BEFORE: Final = F_SENSOR + GAUGES * SENSOR
-"""Copy of what a cycle changes, from its beginning."""
-F_SIZE: Final = F_BEFORE + F_KEPT
-
-# ---- i: what a cycle changes first ----
-NOW, PLANT_NS, TICK_NS, SAMPLE_NS, SYNC_NS, IDLE_NS, FRAMES, BUSY, FIRST_ROW, LAST_ROW, SYNC_ROW, SYNC_AT, \
-    TARGETS_AT, OWN_NS, OWN_AT, BEATS, TRUTH_ROWS, WAITING = 0, 1, 2, 3, *range(3 + GAUGES, 17 + GAUGES)
-"""Times; frames and bits on the wire; rows: first to keep, end, the one after SYNC's; ends of SYNC and targets; the
-master's heartbeat: when it is due, when it was sent last; heartbeats heard; rows of the truth; frames that wait.
-`SAMPLE_NS` has `GAUGES` places."""
-TOLD: Final = WAITING + 1
-"""Per node: when it was last told of a frame, or of its heartbeat's time."""
-BEAT_NS: Final = TOLD + NODES
-"""Per node: when its next heartbeat is due; when the last one ended, −1 for none in this cycle."""
-WATCH_NS: Final = BEAT_NS + 2 * NODES
-"""Per node: when it will miss the master's heartbeat."""
-COUNTED: Final = WATCH_NS + NODES
-"""Per axis `axis_law.COUNTS` integers of the last latch."""
-SENT: Final = COUNTED + AXES * axis_law.COUNTS
-"""Per TPDO: when its frame ended, its data."""
-TOOK: Final = SENT + 2 * SENDS
 TOOK_WIDTH: Final = 5
 """Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
-PENDING: Final = TOOK + TOOK_WIDTH * TAKES
 PENDING_WIDTH: Final = 5
 """Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
 WAIT: Final = SENDS + 2 * NODES + 6
-I_KEPT: Final = PENDING + (WAIT + 1) * PENDING_WIDTH
-"""Up to here a cycle that is given up is undone."""
-LIMIT, AFTER, BUDGET, PERIOD, BIT_NS, MASTER_NS, NODE_NS, TARGETS_ID, TARGETS_SIZE, TARGETS_DATA, HEARD, TRUTH, \
-    OWN_ID, OWN_DATA, OWN_PERIOD, RETURNED = range(I_KEPT, I_KEPT + 16)
-"""A cycle ends before `LIMIT`, its SYNC after `AFTER`, the rest within `BUDGET` of that; SYNC's period; bit time;
-turnarounds; the master's frame; whether frames are heard by a recorder, and truth by a file; the master's heartbeat;
-how the cycle ended."""
-BEAT: Final = RETURNED + 1
-"""Per node: its heartbeat's identifier, data, period; after how long it misses the master's."""
-INTERVAL: Final = BEAT + 4 * NODES
-SEED: Final = INTERVAL + GAUGES
-WORDS: Final = SEED + GAUGES
-"""Per axis the statusword for each of 16 flags."""
-SEND_COUNT: Final = WORDS + 16 * AXES
-SEND: Final = SEND_COUNT + 1
+"""How many frames can wait; one more place has the frame on the wire."""
 SEND_WIDTH: Final = 4 + 3 * 4
 """Per TPDO: node, identifier, size, fields; each field its source, bits, signed."""
-TAKE_COUNT: Final = SEND + SENDS * SEND_WIDTH
-TAKE: Final = TAKE_COUNT + 1
 TAKE_WIDTH: Final = 12
 """Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
-TRUTH_NS: Final = TAKE + TAKES * TAKE_WIDTH
-I_BEFORE: Final = TRUTH_NS + TRUTHS
-I_SIZE: Final = I_BEFORE + I_KEPT
+
+
+def _memory(code: str, kept: Sequence[_Part], rest: Sequence[_Part]) -> np.dtype[np.void]:
+    """Return the layout of a memory of 8-byte words: what a cycle changes, the rest, a copy of what a cycle changes.
+
+    The copy (`before`) is what a cycle that is given up is undone from.
+    """
+    changed, other = (np.dtype([(name, code, shape) for name, shape in parts]) for parts in (kept, rest))
+    return np.dtype([("kept", changed), ("rest", other), ("before", changed)])
+
+
+def places(memory: np.dtype[np.void]) -> dict[str, int]:
+    """Return at which 8-byte word of a memory each of its parts begins; `before` and the whole, `size`, with them."""
+    found = {"before": _word(memory, "before"), "size": memory.itemsize // 8}
+    for half in ("kept", "rest"):
+        part = memory[half]
+        found |= {name: _word(memory, half) + _word(part, name) for name in part.names or ()}
+    return found
+
+
+def _word(kind: np.dtype[np.void], name: str) -> int:
+    assert kind.fields is not None
+    return int(kind.fields[name][1]) // 8
+
+
+FLOATS: Final = _memory("f8", [
+    ("plant", (SIZE,)), ("state", (AXES, _STATE)), ("set", (AXES, _SET)), ("channel", (GAUGES, channel_law.SIZE)),
+    ("converter", (GAUGES, CONVERTER)), ("torque", (AXES,)),
+], [
+    ("truth", (TRUTHS, TRUTH_WIDTH)), ("action", (TAKES, ACTION_WIDTH)), ("sensor", (GAUGES, SENSOR)),
+])
+"""Layout of `f`."""
+INTEGERS: Final = _memory("i8", [
+    # now; the plant's time; next tick of the drives, sample of each converter, SYNC
+    ("now", ()), ("plant_ns", ()), ("tick_ns", ()), ("sample_ns", (GAUGES,)), ("sync_ns", ()),
+    # the wire: when it is idle, frames and bits on it; rows: first to keep, end, the one after SYNC's
+    ("idle_ns", ()), ("frames", ()), ("busy", ()), ("first_row", ()), ("last_row", ()), ("sync_row", ()),
+    # ends of SYNC and of the targets; the master's heartbeat: when it is due, when it was sent last
+    ("sync_at", ()), ("targets_at", ()), ("own_ns", ()), ("own_at", ()),
+    # heartbeats heard; rows of the truth; frames that wait
+    ("beats", ()), ("truth_rows", ()), ("waiting", ()),
+    # by node: when it was last given a frame or its heartbeat's time; next heartbeat, end of the last one (−1: none in
+    # this cycle); when it will miss the master's heartbeat
+    ("told", (NODES,)), ("beat_ns", (NODES, 2)), ("watch_ns", (NODES,)),
+    # by axis the integers of the last latch; by TPDO when its frame ended, and its data
+    ("counted", (AXES, axis_law.COUNTS)), ("sent", (SENDS, 2)),
+    ("took", (TAKES, TOOK_WIDTH)), ("pending", (WAIT + 1, PENDING_WIDTH)),
+], [
+    # a cycle ends before `limit`, its SYNC after `after`, the rest within `budget` of that; SYNC's period; bit time;
+    # turnarounds of the master and of a node
+    ("limit", ()), ("after", ()), ("budget", ()), ("period", ()), ("bit_ns", ()), ("master_ns", ()), ("node_ns", ()),
+    # the master's frame; whether a recorder hears frames, and a file gets the truth; the master's heartbeat
+    ("targets_id", ()), ("targets_size", ()), ("targets_data", ()), ("heard", ()), ("truth", ()),
+    ("own_id", ()), ("own_data", ()), ("own_period", ()), ("returned", ()),
+    # by node its heartbeat's identifier, data, period, and after how long it misses the master's; by gauge the interval
+    # and the seed of its samples; by axis the statusword for each of 16 flags
+    ("beat", (NODES, 4)), ("interval", (GAUGES,)), ("seed", (GAUGES,)), ("words", (AXES, 16)),
+    ("send_count", ()), ("send", (SENDS, SEND_WIDTH)), ("take_count", ()), ("take", (TAKES, TAKE_WIDTH)),
+    ("truth_ns", (TRUTHS,)),
+])
+"""Layout of `i`; `returned` is how the cycle ended."""
+
+_F, _I = places(FLOATS), places(INTEGERS)
+F_PLANT: Final = _F["plant"]
+F_STATE: Final = _F["state"]
+F_SET: Final = _F["set"]
+F_CHANNEL: Final = _F["channel"]
+F_CONVERTER: Final = _F["converter"]
+F_TORQUE: Final = _F["torque"]
+F_TRUTH: Final = _F["truth"]
+F_ACTION: Final = _F["action"]
+F_SENSOR: Final = _F["sensor"]
+F_KEPT: Final = FLOATS["kept"].itemsize // 8
+"""Up to here, and up to `I_KEPT`, a cycle that is given up is undone."""
+F_BEFORE: Final = _F["before"]
+F_SIZE: Final = _F["size"]
+
+NOW: Final = _I["now"]
+PLANT_NS: Final = _I["plant_ns"]
+TICK_NS: Final = _I["tick_ns"]
+SAMPLE_NS: Final = _I["sample_ns"]
+SYNC_NS: Final = _I["sync_ns"]
+IDLE_NS: Final = _I["idle_ns"]
+FRAMES: Final = _I["frames"]
+BUSY: Final = _I["busy"]
+FIRST_ROW: Final = _I["first_row"]
+LAST_ROW: Final = _I["last_row"]
+SYNC_ROW: Final = _I["sync_row"]
+SYNC_AT: Final = _I["sync_at"]
+TARGETS_AT: Final = _I["targets_at"]
+OWN_NS: Final = _I["own_ns"]
+OWN_AT: Final = _I["own_at"]
+BEATS: Final = _I["beats"]
+TRUTH_ROWS: Final = _I["truth_rows"]
+WAITING: Final = _I["waiting"]
+TOLD: Final = _I["told"]
+BEAT_NS: Final = _I["beat_ns"]
+WATCH_NS: Final = _I["watch_ns"]
+COUNTED: Final = _I["counted"]
+SENT: Final = _I["sent"]
+TOOK: Final = _I["took"]
+PENDING: Final = _I["pending"]
+LIMIT: Final = _I["limit"]
+AFTER: Final = _I["after"]
+BUDGET: Final = _I["budget"]
+PERIOD: Final = _I["period"]
+BIT_NS: Final = _I["bit_ns"]
+MASTER_NS: Final = _I["master_ns"]
+NODE_NS: Final = _I["node_ns"]
+TARGETS_ID: Final = _I["targets_id"]
+TARGETS_SIZE: Final = _I["targets_size"]
+TARGETS_DATA: Final = _I["targets_data"]
+HEARD: Final = _I["heard"]
+TRUTH: Final = _I["truth"]
+OWN_ID: Final = _I["own_id"]
+OWN_DATA: Final = _I["own_data"]
+OWN_PERIOD: Final = _I["own_period"]
+RETURNED: Final = _I["returned"]
+BEAT: Final = _I["beat"]
+INTERVAL: Final = _I["interval"]
+SEED: Final = _I["seed"]
+WORDS: Final = _I["words"]
+SEND_COUNT: Final = _I["send_count"]
+SEND: Final = _I["send"]
+TAKE_COUNT: Final = _I["take_count"]
+TAKE: Final = _I["take"]
+TRUTH_NS: Final = _I["truth_ns"]
+I_KEPT: Final = INTEGERS["kept"].itemsize // 8
+I_BEFORE: Final = _I["before"]
+I_SIZE: Final = _I["size"]
 
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
 """The statusword's place among an axis' counts, where the flags are."""
