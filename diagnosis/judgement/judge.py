@@ -118,10 +118,10 @@ class Judge:
     def _cause(self, cause: Candidate) -> dict[str, Any]:
         own = {p.name: p.unit for p in CATALOGUE[cause.name].parameters}
         best = self.found.best
-        parameters = {}
+        parameters, was = {}, {}
         for f in cause.frees:
             shift = self.setting.declared[f.name] - self.setting.reference.values[f.name]
-            at = best.fit.values[f.name]
+            at, was[f.name] = best.fit.values[f.name], f.mean + shift
             change = at - self.setting.reference.values[f.name]
             half = verdict.spread(best.unseen.fitted, f.name, verdict.curvature_sigma(best, f.name),
                                   self._likeness(f.name), change)
@@ -129,7 +129,7 @@ class Judge:
             shifted = {key: _inside(value + shift, f.low, f.high) for key, value in told.items()}
             parameters[f.name] = {**shifted, "unit": own[f.name] if f.name in own else PARAMETERS[f.name].unit}
         without = self.search.without(best, cause)
-        return {"effect": cause.name, "site": cause.site, "parameters": parameters,
+        return {"effect": cause.name, "site": cause.site, "parameters": parameters, "was": was,
                 "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
 
     def _likeness(self, parameter: str) -> float:

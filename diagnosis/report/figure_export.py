@@ -40,7 +40,7 @@ def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
             (name, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high, f.holdout_before,
              f.holdout_after) for name, f in found.relations.items() if f.checked]),
         "causes.csv": _csv(CAUSE_COLUMNS, [
-            (c["effect"], c["site"], name, healthy_value(found, c, name), one["value"], one["low"], one["high"],
+            (c["effect"], c["site"], name, healthy_value(c, name), one["value"], one["low"], one["high"],
              one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),
         "detection_limit.csv": _csv([name.replace(" ", "_") for name in figure_tables.LIMIT_COLUMNS],
                                     figure_tables.limit_rows(found))}

@@ -133,7 +133,7 @@ LIMIT_COLUMNS: Final = ("effect", "parameter", "smallest", "unit", "likely range
 def limit_rows(found: Findings) -> list[tuple[Cell, ...]]:
     """Return a row of `LIMIT_COLUMNS` for each effect."""
     sizes = {(c["effect"], name): abs(float(one["value"]) - old) for c in found.causes
-             for name, one in c["parameters"].items() if (old := healthy_value(found, c, name)) is not None}
+             for name, one in c["parameters"].items() if (old := healthy_value(c, name)) is not None}
     named = {c["effect"] for c in found.causes}
     return [_limit(name, one, sizes.get((name, one["parameter"])), name in named)
             for name, one in (found.detection_limit or {}).items() if isinstance(one, Mapping)]

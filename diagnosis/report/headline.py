@@ -68,26 +68,21 @@ def _cause(found: Findings, cause: Mapping[str, Any]) -> str:
 
 def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
     """Return a parameter as: name old → new unit (95 %: low … high); the old value left out where it is not known."""
-    one, old = cause["parameters"][name], healthy_value(found, cause, name)
+    one, old = cause["parameters"][name], healthy_value(cause, name)
     unit = f" {one['unit']}" if one["unit"] else ""
     before = "" if old is None else f"{number(old, 3)} → "
     return (f"{name} {before}{number(one['value'], 3)}{unit} (95 %: {number(one['low'], 3)} … "
             f"{number(one['high'], 3)}{'' if old is None else f'; old: {_against(found)}'})")
 
 
-def healthy_value(found: Findings, cause: Mapping[str, Any], name: str) -> float | None:
+def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
     """Return the value that a parameter had in the simulation; None where it is not known.
 
-    The fit works from the healthy trials' value; a cause is told on the scale of the calibration, shifted by the
-    difference of the two, and so is this.
+    A cause says it itself; a fault of wire or converter is nothing where none is.
     """
     if "was" in cause:
         return float(cause["was"][name])
-    if found.found is None:
-        return next((p.neutral for p in CATALOGUE[cause["effect"]].parameters if p.name == name), None)
-    best = found.found.best
-    mean = next((f.mean for e in best.effects if e.name == cause["effect"] for f in e.frees if f.name == name), None)
-    return None if mean is None else mean + float(cause["parameters"][name]["value"]) - best.fit.values[name]
+    return next((p.neutral for p in CATALOGUE[cause["effect"]].parameters if p.name == name), None)
 
 
 def _against(found: Findings) -> str:

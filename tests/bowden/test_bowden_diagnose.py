@@ -133,7 +133,7 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns
         "unit", "checked", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent",
         "low", "high"}
     assert {name for name, row in result["relations"].items() if row["checked"]} == {"friction", *SENSORS}
-    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent"}
+    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent", "was"}
     assert "lowpass_hz = 20.0" in (here / "extended.toml").read_text(encoding="utf-8")
     assert "low-passed at 20 Hz" in (here / "page.html").read_text(encoding="utf-8")
     assert "(low-pass 20 Hz)" in bowden(*arguments).stdout

@@ -49,7 +49,8 @@ def found(measured: Table) -> Findings:
     figures = {name: Figures(relation.unit, name in setting.checked, 0.25, 2.0, 0.5, 2.2, 0.6, 75.0, 70.0, 79.0)
                if name in setting.checked else Figures(relation.unit, False) for name, relation in RELATIONS.items()}
     cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
-        "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}}}
+        "mu1": {"value": fitted.values["mu1"], "low": 0.1, "high": 0.2, "unit": ""}},
+             "was": {"mu1": setting.reference.values["mu1"]}}
     return Findings("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
                     ["the clock is told from one column"], {
                          "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
@@ -100,7 +101,7 @@ def test_the_page_says_what_could_have_been_seen(found: Findings, measured: Tabl
 def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found: Findings,
                                                                            measured: Table) -> None:
     told = headline(found)
-    old = healthy_value(found, found.causes[0], "mu1")
+    old = healthy_value(found.causes[0], "mu1")
     new = found.causes[0]["parameters"]["mu1"]["value"]
     assert old == pytest.approx(0.08, rel=0.5)
     assert f"mu1 {old:.3g} → {new:.3g} (95 %: 0.1 … 0.2; old: the nominal bench)" in told.wrong
@@ -128,7 +129,7 @@ def test_every_verdict_has_its_first_lines(found: Findings, changed: dict[str, A
 
 
 def test_the_detection_limit_never_contradicts_what_was_found(found: Findings) -> None:
-    change = found.causes[0]["parameters"]["mu1"]["value"] - healthy_value(found, found.causes[0], "mu1")
+    change = found.causes[0]["parameters"]["mu1"]["value"] - healthy_value(found.causes[0], "mu1")
     for limit in (None, 5.0, 0.001):
         told = dataclasses.replace(found, detection_limit={
             "cable_friction": {"parameter": "mu1", "value": limit, "unit": ""},
