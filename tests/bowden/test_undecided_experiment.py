@@ -1,4 +1,4 @@
-"""A proposed experiment that was run and did not decide: said first, with the reason, and not proposed again."""
+"""The proposed experiment decides; one that does not is said first, with the reason, and is not proposed again."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ CHANGED = {"effects": {"load_dependent_friction": {"load_slope": 0.7}}}
 
 
 @pytest.mark.exhaustive
-def test_an_experiment_that_did_not_decide_is_said_first_and_not_proposed_again(tmp_path: Path) -> None:
+def test_the_proposed_experiment_decides_and_another_one_that_does_not_is_said_first(tmp_path: Path) -> None:
     healthy = [bowden.run(WALK, bus=bowden.simulated(serial=3, seed=seed)) for seed in (1, 2)]
     finder = bowden.Diagnosis().fit(healthy)
     worn = bowden.run(WALK, bus=bowden.simulated(serial=3, seed=5, plant_model=CHANGED))
     alone = finder.diagnose(worn)
-    assert (alone.verdict, alone.experiment) == ("ambiguous", "step")
+    assert (alone.verdict, alone.experiment) == ("ambiguous", "two_peaks")
     assert "undecided" not in alone.as_json()
+    peaks = bowden.run(bowden.Experiment(name="two_peaks"), bus=bowden.simulated(serial=3, seed=5, plant_model=CHANGED))
+    assert finder.diagnose([worn, peaks]).rivals == ["load_dependent_friction"]
     step = bowden.run(bowden.Experiment(name="step"), bus=bowden.simulated(serial=3, seed=5, plant_model=CHANGED))
     both = finder.diagnose([worn, step])
     told = both.as_json()["undecided"]
