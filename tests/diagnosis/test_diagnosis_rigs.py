@@ -189,6 +189,18 @@ def test_a_turning_axis_beside_a_straight_pull_is_refused_with_what_to_do() -> N
         table("mixed", {"time_s": time, "servo_position_rad": time, "tension_start_n": time})
 
 
+@pytest.mark.parametrize("zero_m", [0.009, -0.009])
+def test_an_encoders_zero_is_no_slack(zero_m: float) -> None:
+    """A series-elastic drive whose motor encoder counts from elsewhere: nothing is wrong, and the zero is said."""
+    drives = [rigs.series_elastic(seed) for seed in (1, 2, 3)]
+    finder = Finder().fit([table(f"elastic_{i}", columns) for i, columns in enumerate(drives[:2])])
+    found = finder.diagnose([table("moved", {**drives[2], "servo_position_m": drives[2]["servo_position_m"] + zero_m})])
+    assert (found.verdict, found.causes) == ("none", [])
+    assert found.session is not None
+    shift = next(one for one in found.session["shifts"] if one["parameter"] == "rope_zero")
+    assert shift["value"] - shift["was"] == pytest.approx(zero_m, rel=0.02)
+
+
 @pytest.mark.parametrize("factor", [2.0, 0.5])
 def test_a_clock_that_is_off_is_no_inertia(factor: float) -> None:
     """Both from the same axis at 200 Hz; of a heavier load on a right clock the inertia is named."""
