@@ -28,7 +28,7 @@ from diagnosis.finder import Finder
 from tests.hidden import cases
 from tests.hidden.cases import Job
 
-PAGE = Path("docs/diagnosis.md")
+PAGE = Path("docs/diagnosis_figures.md")
 LENGTHS = (5, 10, 20, 40)
 SINGLE = ("cable_friction", "presliding", "end_gain", "drive_viscous", "moment_arm", "end_delay")
 PAIRS = (("end_gain", "presliding"), ("cable_friction", "knee_backlash"))

@@ -35,7 +35,7 @@ BESIDE: Final[Mapping[str, tuple[str, bool]]] = {
 }
 """The experiment that is recorded beside the gait, and whether it is recorded healthy, too: the gait alone shows no
 lever arm, since the knee turns by five degrees while the rope pulls."""
-PAGE = Path("docs/diagnosis.md")
+PAGE = Path("docs/diagnosis_figures.md")
 HEAD = f"""Printed by `python -m benchmarks.diagnosis_gain` at commit COMMIT. Bench {SERIAL} is identified
 (`bowden identify all`), recorded healthy, and recorded with an effect at work; `bowden diagnose` sees both trials and
 the calibration, and what it finds goes to the extended controller (`bowden verify`). Ten gait cycles of {PERIOD_S} s,

@@ -20,6 +20,9 @@ from trial.report.page import number
 AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nominal bench",
                   "healthy": "its healthy trials", "none": "an ideal transmission"}
 TENSIONS: Final = {"tension_start_n": "START", "tension_end_n": "END"}
+WRITTEN: Final = {"m": (1e3, "mm"), "s": (1e3, "ms")}
+"""Units as an engineer writes values below `LARGE` of the SI unit."""
+LARGE: Final = 0.1
 UNSEEN: Final = "on cycles that the fit has not seen"
 
 
@@ -69,10 +72,13 @@ def _cause(found: Findings, cause: Mapping[str, Any]) -> str:
 def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
     """Return a parameter as: name old → new unit (95 %: low … high); the old value left out where it is not known."""
     one, old = cause["parameters"][name], healthy_value(cause, name)
-    unit = f" {one['unit']}" if one["unit"] else ""
-    before = "" if old is None else f"{number(old, 3)} → "
-    return (f"{name} {before}{number(one['value'], 3)}{unit} (95 %: {number(one['low'], 3)} … "
-            f"{number(one['high'], 3)}{'' if old is None else f'; old: {_against(found)}'})")
+    scale, symbol = WRITTEN.get(one["unit"], (1.0, one["unit"]))
+    if max(abs(one[key]) for key in ("value", "low", "high")) >= LARGE:
+        scale, symbol = 1.0, one["unit"]
+    value, low, high = (number(scale * one[key], 3) for key in ("value", "low", "high"))
+    before = "" if old is None else f"{number(scale * old, 3)} → "
+    return (f"{name} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high}"
+            f"{'' if old is None else f'; old: {_against(found)}'})")
 
 
 def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
@@ -104,10 +110,12 @@ def _cost(found: Findings) -> str:
     simulated: Mapping[str, Any] | None = getattr(found, "simulation", None)
     lines = []
     if simulated is not None:
-        after = f", {number(simulated['after_rms_n'], 3)} N with what was found" if found.causes else ""
+        before, left = simulated["before_rms_n"], simulated["after_rms_n"]
+        after = f", {number(left, 3)} N with what was found" if found.causes else ""
+        if found.causes and before is not None and left is not None and left >= before:
+            after = ", which what was found does not lower: the name rests on the relations, not on this figure"
         missed = " and ".join(TENSIONS[name] for name in simulated["signals"])
-        lines.append(f"The simulation of this bench misses {missed} by {number(simulated['before_rms_n'], 3)} N "
-                     f"RMS{after}.")
+        lines.append(f"The simulation of this bench misses {missed} by {number(before, 3)} N RMS{after}.")
     one = strongest(found, "N")
     if one is None:
         return " ".join(lines)

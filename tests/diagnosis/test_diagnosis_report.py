@@ -19,7 +19,7 @@ from diagnosis.problem.fit import solve
 from diagnosis.problem.problem import build_problem
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals, words
 from diagnosis.report.diagnosis_page import build, write
-from diagnosis.report.headline import headline, healthy_value
+from diagnosis.report.headline import change, headline, healthy_value
 from diagnosis.report.remaining import concentrated
 from diagnosis.search.search import FittedEffects, SearchResult
 from parameters import InputError
@@ -126,6 +126,25 @@ def test_first_come_what_is_wrong_by_how_much_what_it_costs_and_what_to_do(found
 ])
 def test_every_verdict_has_its_first_lines(found: Findings, changed: dict[str, Any], sentence: str) -> None:
     assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
+
+
+@pytest.mark.parametrize(("after", "says"), [
+    (0.2, "misses START by 0.23 N RMS, 0.2 N with what was found."),
+    (0.277, "misses START by 0.23 N RMS, which what was found does not lower: the name rests on the relations")])
+def test_a_name_never_makes_the_headline_worse(found: Findings, after: float, says: str) -> None:
+    told = {"signals": ["tension_start_n"], "before_rms_n": 0.23, "after_rms_n": after, "on": "holdout"}
+    cost = headline(dataclasses.replace(found, simulation=told)).cost
+    assert says in cost
+    assert "0.277" not in cost
+
+
+def test_a_length_is_written_in_millimetres(found: Findings) -> None:
+    cause: dict[str, Any] = {
+        "effect": "presliding", "site": "cable", "gain_percent": 30.0, "was": {"presliding": 4.73e-5}, "parameters": {
+            "presliding": {"value": 4.67e-4, "low": 3.58e-4, "high": 5.77e-4, "unit": "m"}}}
+    assert change(found, cause, "presliding").startswith("presliding 0.0473 → 0.467 mm (95 %: 0.358 … 0.577; old: ")
+    far = {**cause, "parameters": {"presliding": {"value": 0.5, "low": 0.4, "high": 0.6, "unit": "m"}}}
+    assert "0.5 m (95 %: 0.4 … 0.6" in change(found, far, "presliding")
 
 
 def test_the_detection_limit_never_contradicts_what_was_found(found: Findings) -> None:

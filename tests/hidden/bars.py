@@ -20,7 +20,7 @@ IDENTIFIABLE = (
     "viscous_friction", "friction_drift", "presliding", "knee_backlash", "end_mass", "end_gain", "start_gain",
     "end_offset", "start_offset", "end_drift", "start_drift", "end_delay", "end_filter", "timestamp_skew",
     "drive_coulomb", "drive_viscous", "drive_inertia", "drive_offset")
-"""Effects whose parameter one gait trial determines: listed in docs/diagnosis.md before the run."""
+"""Effects whose parameter one gait trial determines: listed in docs/diagnosis_figures.md before the run."""
 
 
 FAINT = 1.5

@@ -25,7 +25,7 @@ from tests.hidden.family import Answer, answer, from_json
 from tests.hidden.family_jobs import KINDS, SERIALS, digest, jobs
 
 OUT = Path("out")
-DOCS = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+DOCS = Path(__file__).parents[2] / "docs" / "diagnosis_figures.md"
 EVIDENCE = DOCS.with_name("evidence.md")
 
 

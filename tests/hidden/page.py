@@ -1,4 +1,4 @@
-"""The judging's part of docs/diagnosis.md: bars, what tells against those not met, and the confusion matrix.
+"""The judging's part of docs/diagnosis_figures.md: bars, what tells against those not met, and the confusion matrix.
 
 The rule of this file: pure text from answers.
 """

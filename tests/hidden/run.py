@@ -32,7 +32,7 @@ FULL = {"one": 14 * len(cases.EFFECTS), "two": 60, "none": 90, "outside": 45, "w
 QUICK = {"one": len(cases.EFFECTS), "two": 8, "none": 14, "outside": 6, "wire": 6}
 OUT = Path("out")
 Question = Callable[[Any], Any]
-DOCS = Path("docs/diagnosis.md")
+DOCS = Path("docs/diagnosis_figures.md")
 
 
 def jobs(quick: bool, first: int) -> list[Job]:
