@@ -22,11 +22,16 @@ from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.search.search import FittedEffects
 
 Values = Mapping[str, float]
+TAUGHT = 3
+"""Healthy trials that are simulated for comparison: enough for a figure, and no more time than the trial itself."""
 
 
 def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials
            ) -> dict[str, Any] | None:
-    """Return `before_rms_n`, `after_rms_n`, of which `signals` and `on` what; None where nothing can be simulated."""
+    """Return `before_rms_n`, `after_rms_n`, of which `signals` and `on` what; None where nothing can be simulated.
+
+    `healthy_rms_n`: what the same simulation misses of the healthy trials that it was fitted to; None without any.
+    """
     setting = judge.setting
     able = [t for t in (holdout or trials) if simulated_blocks.can(t)]
     if setting.any_rig or setting.elsewhere or not able:
@@ -34,12 +39,13 @@ def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], heal
     signals = [n for n in simulation.SIGNALS if any(n in t for t in able)]
     base = healthy.simulated(setting.learnt) if setting.learnt is not None else dict(setting.reference.values)
     before, after = judge.found.baseline, judge.found.best
+    taught = [t for t in healthy if simulated_blocks.can(t)][:TAUGHT]
+    known = {"signals": signals, "healthy_rms_n": simulation.rms(taught, base) if taught else None}
     if holdout:
         told = [simulation.rms(able, _moved(base, setting.reference.values, m.fit.values)) for m in (before, after)]
-        return {"before_rms_n": told[0], "after_rms_n": told[1], "signals": signals, "on": "holdout"}
+        return {"before_rms_n": told[0], "after_rms_n": told[1], **known, "on": "holdout"}
     told = [_unseen(judge, m, trials, base) for m in (before, after if after.effects else before)]
-    return {"before_rms_n": told[0], "after_rms_n": told[1], "signals": signals,
-            "on": "cycles that the fit has not seen"}
+    return {"before_rms_n": told[0], "after_rms_n": told[1], **known, "on": "cycles that the fit has not seen"}
 
 
 def _moved(base: Values, learnt: Values, fitted: Values) -> dict[str, float]:

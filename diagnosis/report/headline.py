@@ -114,8 +114,10 @@ def _cost(found: Findings) -> str:
         after = f", {number(left, 3)} N with what was found" if found.causes else ""
         if found.causes and before is not None and left is not None and left >= before:
             after = ", which what was found does not lower: the name rests on the relations, not on this figure"
+        own = simulated.get("healthy_rms_n")
+        beside = "" if own is None else f" (its healthy trials by {number(own, 3)} N)"
         missed = " and ".join(TENSIONS[name] for name in simulated["signals"])
-        lines.append(f"The simulation of this bench misses {missed} by {number(before, 3)} N RMS{after}.")
+        lines.append(f"The simulation of this bench misses {missed} by {number(before, 3)} N RMS{beside}{after}.")
     one = strongest(found, "N")
     if one is None:
         return " ".join(lines)

@@ -135,6 +135,8 @@ def test_a_name_never_makes_the_headline_worse(found: Findings, after: float, sa
     told = {"signals": ["tension_start_n"], "before_rms_n": 0.23, "after_rms_n": after, "on": "holdout"}
     cost = headline(dataclasses.replace(found, simulation=told)).cost
     assert says in cost
+    known = headline(dataclasses.replace(found, simulation={**told, "healthy_rms_n": 0.162})).cost
+    assert "misses START by 0.23 N RMS (its healthy trials by 0.162 N), " in known
     assert "0.277" not in cost
 
 
