@@ -134,10 +134,11 @@ class SearchCriteria:
     def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a bound has stopped an effect's size: what would need more of it than there can be is something else.
 
-        A parameter of its shape may stand on one; against an ideal transmission nothing else could stand in.
+        A parameter of its shape may stand on one.  Of a rig beside its healthy trials alone: against an ideal
+        transmission nothing else could stand in, and the bench's laws reach a bound by what they lack (0034).
         """
         shapes = _shapes(CATALOGUE[effect.name])
-        return not self.setting.any_rig and any(name not in shapes for name in effect.on_bound(model.fit.values))
+        return self.setting.elsewhere and any(name not in shapes for name in effect.on_bound(model.fit.values))
 
     def differs(self, effect: Candidate, model: FittedEffects) -> bool:
         """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
