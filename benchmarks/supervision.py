@@ -4,12 +4,19 @@
 days, peaks, periods, rates and controllers: half of them on the bench's own plant, a quarter on the structures of
 `tests/hidden`, a quarter on the family of `tests/plants`, and prints how many were stopped, by what, and how near to
 its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be another one
-is refused before it moves, identified as the refusal says, and run again.  `--from N` goes on with the trials from N.
+is refused before it moves, identified as the refusal says, and run again.  `--kept FILE` keeps each trial as a line of
+JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
+
+Two bounds of the false-alarm rate are printed, each the upper end of a 95 % interval: by count (no model; a run without
+an alarm shows 3.0 by its hours), and by the tail of the greatest share of a tolerance that each trial reached (a Pareto
+law through the upper tenth, Hill's estimate of its exponent).
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import multiprocessing
 import sys
 import tempfile
@@ -41,21 +48,27 @@ class Job(NamedTuple):
     period_s: float
     controller: str
     rate_hz: int
+    cycles: int
 
 
 class Ended(NamedTuple):
-    """How it ended, and the greatest normalised residual of each relation; whether the bench had to be identified."""
+    """How it ended, and the greatest normalised residual of each relation; whether the bench had to be identified.
+
+    `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
+    """
 
     number: int
     reason: str | None
     ratios: list[float]
     identified: bool
-    compared: tuple[float, ...] = ()
+    compared: list[float]
+    trial_s: float
+    gait_s: float
 
 
-def jobs(first: int, count: int) -> Iterator[Job]:
+def jobs(count: int, cycles: int) -> Iterator[Job]:
     """Draw the trials: own plant, a structure of `tests/hidden`, own plant, a bench of the family, and so on."""
-    for n in range(first, count):
+    for n in range(count):
         bench: dict[str, Any] = {"seed": n}
         peak = PEAKS[n // 2 % 4]
         if n % 4 == 1:
@@ -66,7 +79,7 @@ def jobs(first: int, count: int) -> Iterator[Job]:
         else:
             bench |= {"serial": n // 2, "day": n // 2 % 9}
         rate = 1000 if n % 10 else (500, 200)[n // 10 % 2]
-        yield Job(n, bench, peak, PERIODS[n // 3 % 4], CONTROLLERS[n % 5], rate)
+        yield Job(n, bench, peak, PERIODS[n // 3 % 4], CONTROLLERS[n % 5], rate, cycles)
 
 
 def family(place: int, day: int | None = None) -> dict[str, Any]:
@@ -150,11 +163,12 @@ def walked(job: Job, calibration: Any) -> Ended:
         paper_reference(job.peak_n, job.period_s), network=Network(rate_hz=job.rate_hz),
         calibration=calibration,
         gait=settings.Gait(
-            peak_n=job.peak_n, period_s=job.period_s, cycles=CYCLES, settle=0, controller=job.controller))
+            peak_n=job.peak_n, period_s=job.period_s, cycles=job.cycles, settle=0, controller=job.controller))
     result = experiment_run.run(Link(bus, bus.time_ns), tap, None, asked)
     tap.shutdown()
     bus.shutdown()
-    return Ended(job.number, result.stop_reason, worst.tolist(), False, tuple(watches[-1].shares) if watches else ())
+    return Ended(job.number, result.stop_reason, worst.tolist(), False, list(watches[-1].shares) if watches else [],
+                 result.duration_s, job.cycles * job.period_s)
 
 
 def cost() -> None:
@@ -176,33 +190,71 @@ def cost() -> None:
           f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
 
 
-def healthy(first: int, count: int, workers: int) -> int:
-    """Run the trials and print what they raised; returns how many were stopped."""
-    drawn = {job.number: job for job in jobs(first, count)}
+def healthy(count: int, workers: int, cycles: int, kept: Path | None) -> int:
+    """Run the trials that `kept` does not have yet and print what all raised; returns how many were stopped."""
+    drawn = {job.number: job for job in jobs(count, cycles)}
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
+    told = [ended for ended in (Ended(**json.loads(line)) for line in lines) if ended.number in drawn]
+    left = [job for job in drawn.values() if job.number not in {ended.number for ended in told}]
     with multiprocessing.get_context("fork").Pool(workers) as pool:
-        told = []
-        for ended in pool.imap_unordered(ran, drawn.values()):
+        for ended in pool.imap_unordered(ran, left):
             told.append(ended)
+            if kept is not None:
+                with kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(ended._asdict()) + "\n")
             if ended.reason is not None:
                 print(f"{drawn[ended.number]}: {ended.reason}", file=sys.stderr, flush=True)
             if len(told) % 10 == 0:
                 print(f"{len(told)} of {len(drawn)}, {sum(e.reason is not None for e in told)} stopped, "
                       f"{sum(e.identified for e in told)} identified", file=sys.stderr, flush=True)
+    show(told)
+    return sum(ended.reason is not None for ended in told)
+
+
+def show(told: list[Ended]) -> None:
+    """Print what healthy trials raised, how near they came, and what that bounds."""
     stopped = [ended for ended in told if ended.reason is not None]
+    whole = [ended for ended in told if ended.reason is None]
     print(f"{len(told)} healthy trials, {len(stopped)} stopped; {sum(ended.identified for ended in told)} benches were "
           "refused the packaged calibration before they moved, and identified")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
         numbers = [ended.number for ended in stopped if ended.reason == reason]
         print(f"  {often} × {reason} {numbers[:6]}")
-    ratios = np.array([ended.ratios for ended in told if ended.reason is None])
-    if len(ratios):
-        print("greatest residual by its tolerance, single cycles among them (a stop needs four in a row): " + ", ".join(
-            f"{name} {value:.2f}" for name, value in zip(NAMES, ratios.max(axis=0), strict=True)))
-    shares = np.array([ended.compared for ended in told if ended.reason is None and ended.compared])
-    if len(shares):
-        print("greatest departure of a gait cycle by its tolerance: " + ", ".join(
-            f"{name} {value:.2f}" for name, value in zip(COMPARED, shares.max(axis=0), strict=True)))
-    return len(stopped)
+    if not whole:
+        return
+    ratios = np.array([ended.ratios for ended in whole])
+    print("greatest residual by its tolerance, single cycles among them (a stop needs four in a row): " + ", ".join(
+        f"{name} {value:.2f}" for name, value in zip(NAMES, ratios.max(axis=0), strict=True)))
+    shares = np.array([ended.compared for ended in whole])
+    print("greatest departure of a gait cycle by its tolerance: " + ", ".join(
+        f"{name} {value:.2f}" for name, value in zip(COMPARED, shares.max(axis=0), strict=True)))
+    hours = sum(ended.trial_s for ended in told) / 3600.0
+    gait = sum(ended.gait_s for ended in told) / 3600.0
+    most = most_alarms(len(stopped))
+    print(f"{hours:.2f} trial hours, {gait:.2f} of them gait; by count at most one false alarm in {hours / most:.2g} "
+          f"trial hours, one in {len(told) / most:.3g} trials (95 %)")
+    share, exponent, high = tail(shares.max(axis=1))
+    print(f"by the tail of the comparisons of gait cycles: one in {1.0 / share:.3g} trials, at most one in "
+          f"{1.0 / high:.3g} (95 %; exponent {exponent:.1f})")
+
+
+def most_alarms(seen: int) -> float:
+    """Return the upper end of the one-sided 95 % interval of a Poisson mean of which `seen` were counted."""
+    from scipy.stats import chi2
+
+    return float(0.5 * chi2.ppf(0.95, 2 * (seen + 1)))
+
+
+def tail(greatest: Any) -> tuple[float, float, float]:
+    """Return the probability that a trial's greatest share passes 1, the exponent, and the probability's upper end."""
+    ordered = np.sort(greatest)[::-1]
+    count = max(2, len(ordered) // 10)
+    exponent = 1.0 / float(np.mean(np.log(ordered[:count] / ordered[count])))
+
+    def beyond(power: float) -> float:
+        return count / len(ordered) * float(ordered[count]) ** power
+
+    return beyond(exponent), exponent, beyond(exponent * (1.0 - 1.645 / math.sqrt(count)))
 
 
 def main() -> int:
@@ -210,12 +262,13 @@ def main() -> int:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--cost", action="store_true")
     asked.add_argument("--healthy", type=int, default=0)
-    asked.add_argument("--from", dest="first", type=int, default=0)
+    asked.add_argument("--cycles", type=int, default=CYCLES)
+    asked.add_argument("--kept", type=Path)
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     if given.cost or not given.healthy:
         cost()
-    return int(bool(given.healthy and healthy(given.first, given.healthy, given.jobs)))
+    return int(bool(given.healthy and healthy(given.healthy, given.jobs, given.cycles, given.kept)))
 
 
 if __name__ == "__main__":

@@ -47,8 +47,9 @@ IS_LIMITED, IS_OFF_TRACK, IS_YIELDING, IS_MOVING = 1, 2, 4, 8
 """Bits of the last integer of `counts`."""
 
 MAX_DT_S: Final = 0.01
-APART_S: Final = 0.02
-"""Time over which the way by position is compared with the way by velocity, s."""
+APART_S: Final = 0.3
+"""Time constant over which the way by position is compared with the way by velocity, s: a quarter of the fastest gait.
+Shorter: a scale error of the encoder passes unseen in slow gaits.  Longer: a velocity gain that is 1 % off trips."""
 APART_SHARE: Final = 0.1
 """Greatest difference of both ways, as a share of the EDS' following-error window: 0.5 mm of rope, 0.5 degrees of the
 knee.  A narrower window that a user writes does not change it.  Smaller: a velocity that is filtered over 1 ms trips at

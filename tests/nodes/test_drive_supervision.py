@@ -156,6 +156,19 @@ def test_a_velocity_that_contradicts_the_position_is_a_fault(share: float) -> No
     assert rig.torque == 0.0
 
 
+def test_an_encoder_whose_scale_is_off_is_a_fault_within_a_degree_of_the_leg() -> None:
+    """A swing of 60° in 1.2 s; the velocity is the rotor's, and the encoder counts 13 % too much."""
+    rig = DriveRig(KNEE).enabled()
+    rig.run(20)
+    rig.velocity_share = 1.0 / 1.13
+    for step in range(1, 1201):
+        rig.target = -50 * step
+        rig.run(1)
+    assert rig.emergencies() == [0x7305]
+    assert rig.state() is State.FAULT
+    assert 0.13 / 1.13 * abs(rig.read(0x6064)) < 1_000
+
+
 def test_the_greatest_speed_is_no_contradiction() -> None:
     rig = DriveRig(SERVO).enabled()
     for target in range(0, 100_000, 900):
