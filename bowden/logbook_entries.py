@@ -220,6 +220,7 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
 
     Only the first trial of a session that has none in the model yet is taken into it.
     """
+    from diagnosis.evidence.path_model import PATH_MODEL
     from diagnosis.evidence.reference_fit import fit_reference
 
     kept = book.reference()
@@ -240,7 +241,7 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
-        made = fit_reference(recordings)
+        made = fit_reference(PATH_MODEL, recordings)
     book.enter_reference(CONSTANTS, [*taken, number], bench_coordinates(made), encoded(made),
                          None if kept is None else kept.id)
     return None
@@ -254,7 +255,7 @@ def _recording(path: Path, entry: TrialEntry) -> Recording:
 def _recording_of(path: Path, outcome: str | None) -> Recording:
     """Read what the likelihood needs; raises `InputError` where it is not there."""
     from diagnosis.data import integrity, scales, table
-    from diagnosis.evidence.likelihood_data import Recording, lacking
+    from diagnosis.evidence.path_model import PATH_MODEL
 
     if outcome not in (None, "completed"):
         raise InputError(f"{path}: the trial is {outcome}; only completed trials are fitted.")
@@ -265,10 +266,10 @@ def _recording_of(path: Path, outcome: str | None) -> Recording:
     if refused:
         raise InputError(f"{path}: {refused[0]}")
     plain = integrity.usable(given)
-    missing = lacking(plain)
+    missing = PATH_MODEL.lacking(plain)
     if missing:
         raise InputError(f"{path}: has no column {', '.join(missing)}; record it.")
-    return Recording(plain)
+    return PATH_MODEL.record(plain)
 
 
 def _described(path: Path, figures: Mapping[str, Any] | None) -> NewTrial:
@@ -327,7 +328,7 @@ def encoded(model: ReferenceFit) -> bytes:
             arrays[f"a{len(arrays)}"] = value
             return {"array": f"a{len(arrays) - 1}"}
         if is_dataclass(value):
-            return {"fields": {f.name: plain(getattr(value, f.name)) for f in fields(value)}}
+            return {"fields": {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.name != "model"}}
         if hasattr(value, "_asdict"):
             return {"fields": {k: plain(v) for k, v in value._asdict().items()}}
         if isinstance(value, tuple | list):
@@ -345,10 +346,11 @@ def encoded(model: ReferenceFit) -> bytes:
 
 def decoded(content: bytes) -> ReferenceFit:
     """Return the reference model of `encoded`; raises `InputError` for one that another version wrote."""
+    from diagnosis.evidence.path_model import PATH_MODEL
     from diagnosis.evidence.posterior import Gaussian
     from diagnosis.evidence.reference_fit import ReferenceFit, Scaling
 
-    kinds: dict[str, Any] = {"": ReferenceFit, "bench": Gaussian, "prior": Gaussian, "scaling": Scaling}
+    kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         held = {name: arrays[name] for name in arrays.files}
 
@@ -361,7 +363,8 @@ def decoded(content: bytes) -> ReferenceFit:
             return tuple(built(v) for v in value["tuple"])
         if "mapping" in value:
             return {k: built(v) for k, v in value["mapping"].items()}
-        return kinds[name](**{k: built(v, k) for k, v in value["fields"].items()})
+        given = {k: built(v, k) for k, v in value["fields"].items()}
+        return kinds[name](**given) if name else ReferenceFit(PATH_MODEL, **given)
 
     try:
         made: ReferenceFit = built(json.loads(held["structure"].tobytes()))

@@ -1,39 +1,19 @@
-"""Constants of a bench as the forward model is fitted: unit, form, population prior and session deviation.
+"""Constants of the bench's force path as the forward model is fitted: unit, form, population prior, session deviation.
 
-One row a constant.  A constant is a function of a coordinate q that a Gaussian describes: q = 0 is the value of the
-population's middle, `bench_sd` the 1σ between benches and `session_sd` the 1σ between two sessions of one bench, both
-in units of q.  The same rows serve the reference fit, the evidence of an effect and the report.
+One row a constant.  The same rows serve the reference fit, the evidence of an effect and the report.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from physics import force_path
+from physics.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
-
-class PathConstant(NamedTuple):
-    """One constant: name, unit, population middle, form, spread between benches and between sessions, meaning.
-
-    `form`: "linear" (value = middle + q), "log" (middle·e^q), "logit" (a share), "positive" (a smooth maximum of
-    middle + q and 0, rounded over `rounding`).  `bench_sd` 0: absent in the reference condition, moved by effects only.
-    """
-
-    name: str
-    unit: str
-    middle: float
-    form: str
-    bench_sd: float
-    session_sd: float
-    meaning: str
-    rounding: float = 0.0
-    step: float = 0.0
-
-
-_C = PathConstant
+_C = ModelConstant
 TABLE: Final = (
     _C("zero", "m", 0.0, "linear", 50e-3, 2e-4, "encoder at the taut, unloaded rope; session: repeatability of homing"),
     _C("arm", "m/rad", 0.04, "linear", 4e-3, 2e-4, "(11): rope per knee angle, k2; session 0.5 %"),
@@ -90,66 +70,19 @@ TABLE: Final = (
 )
 """Every constant.  Session deviations: published tolerances of like benches, and a quarter of how far friction and
 stretch equations of other structures lie apart where the equation is a surrogate (`../shared/DIAGNOSIS.md` §5)."""
-INDEX: Final = {row.name: i for i, row in enumerate(TABLE)}
-NAMES: Final = tuple(row.name for row in TABLE)
-BENCH_SD: Final[Array] = np.array([row.bench_sd for row in TABLE])
-SESSION_SD: Final[Array] = np.array([row.session_sd for row in TABLE])
-STEP: Final[Array] = np.array([0.3 * row.session_sd if row.session_sd else row.step for row in TABLE])
-"""Finite-difference step of each coordinate: 0.3 session σ, well inside the range where the model is linear."""
-FREE: Final = tuple(i for i, row in enumerate(TABLE) if row.bench_sd)
-"""Constants that differ between benches in the reference condition."""
-PATH_ROWS: Final = np.array([INDEX[name] for name in force_path.NAMES])
-LARGEST: Final = 4.0
-"""Largest departure of a logarithmic coordinate: beyond, the force balance is badly conditioned."""
-
-
-def values(q: Array) -> Array:
-    """Return the constants, SI, of coordinates `q`, both of shape (len(TABLE), …)."""
-    out = np.empty_like(q, dtype=np.float64)
-    for i, row in enumerate(TABLE):
-        at = row.middle + q[i]
-        if row.form == "log":
-            out[i] = row.middle * np.exp(np.clip(q[i], -LARGEST, LARGEST))
-        elif row.form == "logit":
-            out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-np.clip(q[i], -2.0, 2.0)))
-        elif row.form == "positive":
-            out[i] = 0.5 * (at + np.sqrt(at**2 + row.rounding**2))
-        else:
-            low, high = BOUNDS.get(row.name, (-np.inf, np.inf))
-            out[i] = np.clip(at, low, high)
-    return out
-
-
-def coordinates_of(constants: Array) -> Array:
-    """Return the coordinates of constants inside their bounds, the inverse of `values`, shape (len(TABLE),)."""
-    out = np.empty_like(constants)
-    for i, row in enumerate(TABLE):
-        v = constants[i]
-        if row.form == "log":
-            out[i] = np.log(v / row.middle)
-        elif row.form == "logit":
-            out[i] = np.log(v / (1.0 - v)) - np.log(row.middle / (1.0 - row.middle))
-        elif row.form == "positive":
-            out[i] = v - row.rounding**2 / (4.0 * v) - row.middle
-        else:
-            out[i] = v - row.middle
-    return out
-
-
-def coordinate(name: str, value: float) -> float:
-    """Return the coordinate of one constant's value."""
-    constants = values(np.zeros(len(TABLE)))
-    constants[INDEX[name]] = value
-    return float(coordinates_of(constants)[INDEX[name]])
-
-
-def named(q: Array) -> dict[str, float]:
-    """Return the constants of one vector of coordinates by name."""
-    return dict(zip(NAMES, values(q).tolist(), strict=True))
-
-
 BOUNDS: Final = {
     "curve2": (-0.12, 6.0), "curve3": (0.0, 5.0), "load": (-0.9, 0.9), "bend": (-1.5, 2.0), "wrap": (-1.5, 1.95),
     "drift": (-0.95, 3.0), "drag": (-20.0, 200.0), "demand_gain": (0.3, 3.0), "start_gain": (0.3, 3.0),
     "end_gain": (0.3, 3.0), "start_lag": (-0.05, 0.1), "end_lag": (-0.05, 0.1), "drive_asymmetry": (-2.0, 2.0)}
 """Bounds that keep the force balance solvable: rising force over stretch, positive friction."""
+CONSTANTS: Final = ConstantTable(TABLE, BOUNDS)
+INDEX: Final = CONSTANTS.index
+NAMES: Final = CONSTANTS.names
+BENCH_SD: Final[Array] = CONSTANTS.bench_sd
+SESSION_SD: Final[Array] = CONSTANTS.session_sd
+FREE: Final = CONSTANTS.free
+"""Constants that differ between benches in the reference condition."""
+PATH_ROWS: Final = np.array([INDEX[name] for name in force_path.NAMES])
+values = CONSTANTS.values
+coordinates_of = CONSTANTS.coordinates_of
+named = CONSTANTS.named

@@ -7,7 +7,8 @@ Equations, with y the measured outputs of a trial, m its measured motion, q the 
     ln B(effect) = ln p(y | effect) − ln p(y | reference condition)      Laplace approximation at the modes
 
 An effect adds prior variance along directions of q (`physics.effects.hypotheses`).  Modules, lowest first:
-`likelihood_data` (signals on one grid), `outputs` (prediction and Jacobian), `posterior` (modes and evidence),
+`likelihood_data` (signals on one grid), `forward_model` (what a model has), `outputs` and `path_model` (the bench's),
+`posterior` (modes and evidence),
 `reference_fit` (fit of the reference trials), `hypothesis_search` (hypotheses of one trial), `decision` (verdict),
 `evidence_finder` (trials in, findings out).
 """

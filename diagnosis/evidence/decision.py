@@ -14,7 +14,6 @@ import numpy as np
 
 from diagnosis.evidence.hypothesis_search import Searched, search_pairs
 from diagnosis.evidence.posterior import PosteriorMode
-from physics.effects.hypotheses import HYPOTHESES
 
 NAMED_NATS: Final = 12.0
 """Log Bayes factor from which an effect is named: 3 % of the development family's reference trials exceed it.
@@ -61,6 +60,7 @@ def decide(found: Searched) -> Decision:
         misfit = misfits(found, found.null)
         return Decision("unexplained" if lacks(misfit) else "none", (), (), None, gains, misfit)
     best = named[0]
+    part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
     second = next(iter(further), None)
@@ -70,11 +70,11 @@ def decide(found: Searched) -> Decision:
         chosen, at = (best, second), found.pair[(best, second)]
     misfit = misfits(found, at)
     if lacks(misfit):
-        return Decision("unexplained", (), (), HYPOTHESES[best].part, gains, misfit)
+        return Decision("unexplained", (), (), part, gains, misfit)
     among = _set(gains, chosen)
     if len(chosen) == 2:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
-    return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, HYPOTHESES[best].part, gains,
+    return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
                     misfit)
 
 

@@ -11,17 +11,18 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
 from diagnosis.evidence.decision import NAMED_NATS, Decision
+from diagnosis.evidence.forward_model import ForwardModel
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, hypotheses, search
-from diagnosis.evidence.likelihood_data import SIGNALS, Recording, lacking
+from diagnosis.evidence.likelihood_data import Recording
+from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.evidence.posterior import PosteriorMode, named_change, projected
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.findings import Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import FRICTION, HYPOTHESES, Variant
+from physics.effects.hypotheses import FRICTION, Variant
 from physics.laws import Array
-from physics.path_constants import FREE, INDEX, TABLE, named, values
 
 SURROGATE: Final = 0.1
 """1σ of a parameter by the difference between the bench's friction and stretch equations and the model's, of its
@@ -35,11 +36,13 @@ FARTHEST: Final = 6.0
 class EvidenceFinder:
     """Diagnoses trials of one bench by evidence: the reference trials are fitted once for each set of outputs."""
 
-    def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None) -> None:
+    def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None,
+                 model: ForwardModel = PATH_MODEL) -> None:
         """`reference`: at least one trial of the bench in the reference condition; raises `InputError`.
 
         `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
         """
+        self.model = model
         if not reference:
             raise InputError("the evidence core needs reference trials of this bench; name at least one with "
                              "--healthy, or say --core relations.")
@@ -50,11 +53,11 @@ class EvidenceFinder:
     def lacking(self, trials: Sequence[Table]) -> str:
         """Return why the force path of these trials cannot be simulated, as a sentence; "" where it can."""
         for given in [*trials, *self._tables]:
-            missing = lacking(given)
+            missing = self.model.lacking(given)
             if missing:
                 return (f"{given.source}: has no column {', '.join(missing)}; the evidence core simulates the force "
                         "path from rope and knee motion. Record it, or say --core relations.")
-        outputs = _outputs(trials)
+        outputs = self._outputs(trials)
         for given in self._tables:
             missing = [n for n in outputs if n not in given]
             if missing:
@@ -64,9 +67,10 @@ class EvidenceFinder:
 
     def unlike(self, trials: Sequence[Table]) -> str:
         """Return why the reference trials are of no rig of this kind, as a sentence; "" where the model fits them."""
-        fit = self._reference(_outputs(trials))
-        left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index("tension_start_n")])))
-        spread = float(np.std(Recording(self._tables[0]).start_n))
+        fit = self._reference(self._outputs(trials))
+        name = self.model.judged[0]
+        left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index(name)])))
+        spread = float(np.std(self.model.record(self._tables[0]).measured(name)))
         if left <= UNLIKE * spread:
             return ""
         return (f"{self._tables[0].source}: the model of the force path misses START by {left:.3g} N of {spread:.3g} N "
@@ -83,13 +87,13 @@ class EvidenceFinder:
         refused = self.lacking([*trials, *holdout])
         if refused:
             raise InputError(refused)
-        outputs = _outputs([*trials, *holdout])
+        outputs = self._outputs([*trials, *holdout])
         reference = self._reference(outputs)
-        read = [Recording(_only(t, outputs)) for t in trials]
+        read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
         found = search(observed, reference.prior, reference.starts())
         decided = decision.decide(found)
-        bench = named(_bench(reference))
+        bench = self.model.constants.named(_bench(reference))
         said = list(warnings)
         beyond = _beyond(found, decided, bench)
         if beyond:
@@ -105,11 +109,11 @@ class EvidenceFinder:
         if decided.chosen and before**2 - after**2 < reference.rmse_n**2:
             said.append("The gain on held-out cycles is below what reference trials miss of each other: the name rests "
                         "on the likelihood.")
-        said += _untold(outputs)
+        said += self._untold(outputs)
         at = _mode_of(found, decided)
         kept = None
         if holdout:
-            unseen = reference.observe(*(Recording(_only(t, outputs)) for t in holdout))
+            unseen = reference.observe(*(self._read(t, outputs) for t in holdout))
             left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
             kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
         error = {"reference": reference.rmse_n, "before": before, "after": after}
@@ -118,10 +122,10 @@ class EvidenceFinder:
         experiment = (CATALOGUE[decided.chosen[0]].experiment
                       if decided.chosen and decided.verdict == "ambiguous" else None)
         return Findings(
-            decided.verdict, [_cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
+            decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
             experiment, figures.figures(reference, kept), said, _limits(found, bench), reference="healthy",
             simulation={"before_rms_n": before, "after_rms_n": after, "signals": [
-                n for n in reversed(SIGNALS) if n in outputs and n.startswith("tension")],
+                n for n in self.model.judged if n in outputs],
                 "on": "cycles that no fit has seen"},
             part=decided.part, evidence=evidence, traces=figures.traces(trials),
             held_traces=kept.traces(holdout) if kept is not None else {})
@@ -129,27 +133,44 @@ class EvidenceFinder:
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
         if outputs not in self._fits:
-            self._fits[outputs] = fit_reference([Recording(_only(t, outputs)) for t in self._tables], self._session_sd)
+            self._fits[outputs] = fit_reference(self.model, [self._read(t, outputs) for t in self._tables],
+                                                self._session_sd)
         return self._fits[outputs]
 
+    def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
+        """Return the outputs that all the trials have."""
+        return tuple(n for n in self.model.signals if all(n in t for t in trials))
 
-def _outputs(trials: Sequence[Table]) -> tuple[str, ...]:
-    """Return the outputs that all the trials have."""
-    return tuple(n for n in SIGNALS if all(n in t for t in trials))
+    def _read(self, given: Table, outputs: Sequence[str]) -> Recording:
+        """Return a trial with no other outputs than `outputs`."""
+        kept = {n: v for n, v in given.columns.items() if n not in self.model.signals or n in outputs}
+        made: Recording = self.model.record(replace(given, columns=kept))
+        return made
 
+    def _untold(self, outputs: Sequence[str]) -> list[str]:
+        """Return, as sentences, what further columns would tell of the force path."""
+        effects = self.model.hypotheses
+        friction = [name for name, h in effects.items() if h.part == FRICTION]
+        return [f"With {column} recorded these could be told, or better: "
+                + ", ".join([name for name, h in effects.items() if column in h.needs]
+                            + (friction if column == "tension_end_n" else [])) + "."
+                for column in self.model.signals if column not in outputs]
 
-def _untold(outputs: Sequence[str]) -> list[str]:
-    """Return, as sentences, what further columns would tell of the force path."""
-    friction = [name for name, h in HYPOTHESES.items() if h.part == FRICTION]
-    return [f"With {column} recorded these could be told, or better: "
-            + ", ".join([name for name, h in HYPOTHESES.items() if column in h.needs]
-                        + (friction if column == "tension_end_n" else [])) + "."
-            for column in SIGNALS if column not in outputs]
-
-
-def _only(given: Table, outputs: Sequence[str]) -> Table:
-    """Return a trial without the output columns that are not among `outputs`."""
-    return replace(given, columns={n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs})
+    def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]
+               ) -> dict[str, Any]:
+        """Return an effect as the published dictionary: its parameters with 95 % intervals, and its gain."""
+        told, before = {}, {}
+        for parameter, read in self.model.hypotheses[name].reads.items():
+            value = read(at.table.named(at.q), bench)
+            was = read(bench, bench)
+            half = 1.96 * float(np.hypot(_sd(at, lambda v, read=read: read(v, bench)), SURROGATE * abs(value - was)))
+            low, high, unit = self.model.limits(name, parameter)
+            told[parameter] = {"value": min(max(value, low), high), "low": min(max(value - half, low), high),
+                               "high": max(min(value + half, high), low), "unit": unit}
+            before[parameter] = was
+        gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
+        return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
+                "gain_percent": max(gain, 0.0)}
 
 
 def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
@@ -162,14 +183,15 @@ def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
 
 def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> str:
     """Return, as a sentence, which chosen effect explains the trial only beyond what it can be; "" where none does."""
-    constants = named(_mode_of(found, decided).q)
+    model = found.observed.model
+    constants = model.constants.named(_mode_of(found, decided).q)
     for name in decided.chosen:
-        parameter, read = next(iter(HYPOTHESES[name].reads.items()))
-        bounds = next(p for p in CATALOGUE[name].parameters if p.name == parameter)
+        parameter, read = next(iter(model.hypotheses[name].reads.items()))
+        low, high, unit = model.limits(name, parameter)
         value = read(constants, bench)
-        if not bounds.low <= value <= bounds.high:
-            return (f"{name} would explain the trial with {parameter} = {value:.3g} {bounds.unit}".rstrip()
-                    + f", which is outside {bounds.low:g} … {bounds.high:g}: it is not named.")
+        if not low <= value <= high:
+            return (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
+                    + f", which is outside {low:g} … {high:g}: it is not named.")
     return ""
 
 
@@ -187,7 +209,8 @@ def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, table
 def _bench(reference: ReferenceFit) -> Array:
     """Return the coordinates of the bench: the posterior mean of the reference fit."""
     q = reference.origin.copy()
-    q[list(FREE)] += reference.bench.mean[:len(FREE)]
+    free = list(reference.model.constants.free)
+    q[free] += reference.bench.mean[:len(free)]
     return np.asarray(q)
 
 
@@ -197,8 +220,9 @@ def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[st
     ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; None where more than `FARTHEST` σ are needed.
     """
     told: dict[str, Mapping[str, Any]] = {}
-    for name, variants in hypotheses(found.observed.outputs, bench).items():
-        parameter, read = next(iter(HYPOTHESES[name].reads.items()))
+    model, table = found.observed.model, found.null.table
+    for name, variants in hypotheses(found.observed, bench).items():
+        parameter, read = next(iter(model.hypotheses[name].reads.items()))
         sizes = []
         for variant in variants:
             g = float(projected(found.null, found.observed, variant)[1][0, 0])
@@ -206,40 +230,22 @@ def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[st
             if size <= FARTHEST:
                 q = found.null.q.copy()
                 for constant, share in variant.directions[0].along.items():
-                    q[INDEX[constant]] += size * variant.directions[0].sd * share
-                sizes.append(abs(read(named(q), bench) - read(named(found.null.q), bench)))
-        unit = next(p.unit for p in CATALOGUE[name].parameters if p.name == parameter)
-        told[name] = {"parameter": parameter, "value": min(sizes) if sizes else None, "unit": unit}
+                    q[table.index[constant]] += size * variant.directions[0].sd * share
+                sizes.append(abs(read(table.named(q), bench) - read(table.named(found.null.q), bench)))
+        told[name] = {"parameter": parameter, "value": min(sizes) if sizes else None,
+                      "unit": model.limits(name, parameter)[2]}
     return told
-
-
-def _cause(name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]) -> dict[str, Any]:
-    """Return an effect as the published dictionary: its parameters with 95 % intervals, and its gain."""
-    effect = CATALOGUE[name]
-    bounds = {p.name: p for p in effect.parameters}
-    told, before = {}, {}
-    for parameter, read in HYPOTHESES[name].reads.items():
-        value = read(named(at.q), bench)
-        was = read(bench, bench)
-        half = 1.96 * float(np.hypot(_sd(at, lambda v, read=read: read(v, bench)), SURROGATE * abs(value - was)))
-        p = bounds[parameter]
-        told[parameter] = {"value": min(max(value, p.low), p.high), "low": min(max(value - half, p.low), p.high),
-                           "high": max(min(value + half, p.high), p.low), "unit": p.unit}
-        before[parameter] = was
-    gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
-    return {"effect": name, "site": effect.site, "parameters": told, "was": before,
-            "gain_percent": max(gain, 0.0)}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:
     """Return 1σ of a function of the constants at a mode, by its gradient."""
     gradient = np.zeros(at.x.size)
-    base = read(named(at.q))
+    base = read(at.table.named(at.q))
     for k, i in enumerate(at.active):
         q = at.q.copy()
-        step = 1e-3 * (TABLE[i].session_sd or TABLE[i].step)
+        step = 1e-3 * (at.table.rows[i].session_sd or at.table.rows[i].step)
         q[i] += step
-        gradient[k] = (read(named(q)) - base) / step
+        gradient[k] = (read(at.table.named(q)) - base) / step
     return at.sd(gradient)
 
 
@@ -249,10 +255,10 @@ def _shifts(at: PosteriorMode, reference: ReferenceFit, found: Searched) -> dict
     `sessions`: the change over its 1σ between sessions, uncertainty of the bench included; None of what is new.
     """
     change = named_change(at, found.prior)
-    bench, trial = values(_bench(reference)), values(at.q)
+    bench, trial = at.table.values(_bench(reference)), at.table.values(at.q)
     shifts: dict[str, dict[str, Any]] = {}
     for i in at.active:
-        row = TABLE[i]
+        row = at.table.rows[i]
         half = 1.96 * _sd(at, lambda v, name=row.name: v[name])
         shifts[row.name] = {"from": float(bench[i]), "to": float(trial[i]), "low": float(trial[i]) - half,
                             "high": float(trial[i]) + half, "unit": row.unit,

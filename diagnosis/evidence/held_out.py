@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from diagnosis.data.compared_signals import Compared
 from diagnosis.data.table import Table
 from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode
-from diagnosis.evidence.reference_fit import ReferenceFit, signal_errors
+from diagnosis.evidence.reference_fit import ReferenceFit
 from diagnosis.judgement.verdict import Figures
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -28,7 +28,6 @@ BLOCK_S: Final = 2.0
 """Length of a block where a trial has no cycle numbers, s: about one gait cycle."""
 DRAWS: Final = 400
 """Draws of whole cycles for the interval of a gain."""
-TENSIONS: Final = ("tension_start_n", "tension_end_n")
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
 
 
@@ -42,9 +41,10 @@ class HeldOut:
     blocks: Sequence[NDArray[np.intp]]
 
     def rms_n(self, which: str) -> float:
-        """Return the RMS error of START and END, N; `which`: before or after."""
+        """Return the RMS error of the model's judged outputs; `which`: before or after."""
+        model = self.observed.model
         parts = [errors[name] for trial, rest in self.observed.each(getattr(self, which))
-                 for errors in (signal_errors(trial, rest),) for name in TENSIONS if name in errors]
+                 for errors in (model.errors(trial, rest),) for name in model.judged if name in errors]
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
     def figures(self, reference: ReferenceFit, held: HeldOut | None = None) -> dict[str, Figures]:
@@ -58,8 +58,8 @@ class HeldOut:
         low, high = np.percentile(gains, [2.5, 97.5])
         first, last = self._rms(name, "before"), self._rms(name, "after")
         seen = [None, None] if held is None else [held._rms(name, which) for which in ("before", "after")]
-        return Figures("N", True, floor, first, last, seen[0], seen[1], 100.0 * (1.0 - last / first), float(low),
-                       float(high))
+        return Figures(self.observed.model.signals[name], True, floor, first, last, seen[0], seen[1],
+                       100.0 * (1.0 - last / first), float(low), float(high))
 
     def _rms(self, name: str, which: str) -> float:
         squares, counts = self._squares(name, which).sum(axis=0)
@@ -69,7 +69,7 @@ class HeldOut:
         """Return the sum of squares and the number of data of each cycle, shape (cycles, 2)."""
         rows = []
         for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
-            squares = signal_errors(trial, rest)[name] ** 2
+            squares = self.observed.model.errors(trial, rest)[name] ** 2
             rows += [(float(squares[block == n].sum()), float((block == n).sum())) for n in np.unique(block)]
         return np.array(rows)
 
@@ -78,11 +78,12 @@ class HeldOut:
         made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
         sides = zip(self.observed.each(self.before), self.observed.each(self.after), tables, self.blocks, strict=True)
         for (trial, before), (_, after), table, block in sides:
-            first, last = signal_errors(trial, before), signal_errors(trial, after)
+            errors = self.observed.model.errors
+            first, last = errors(trial, before), errors(trial, after)
             along = _along(trial, table)
             for name in made:
-                made[name].append(Compared(name, "N", trial.binned(trial.measured(name)), first[name], last[name],
-                                           block, along))
+                made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
+                                           first[name], last[name], block, along))
         return made
 
 
@@ -95,8 +96,7 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
     half = np.concatenate([np.tile(b % FOLDS, len(observed.outputs)) for b in blocks])
     left = before.copy()
     for fold in range(FOLDS):
-        seen = Observed(observed.trials, observed.features, np.where(half == fold, 1e-9, observed.weight),
-                        observed.tau, observed.cost)
+        seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
         at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
         left = np.where(half == fold, rest(observed, at), left)
     return HeldOut(observed, before, left, blocks)
@@ -128,7 +128,7 @@ def _nearest(trial: Recording, table: Table, name: str) -> Array:
 
 
 def _along(trial: Recording, table: Table) -> Mapping[str, Array]:
-    own = {"rope_m_s": trial.rope_m_s, "servo_position_m": trial.rope_m, "knee_angle_rad": trial.knee_rad}
+    own = trial.along
     told = {"time_s": trial.binned(trial.time_s) + table["time_s"][0]}
     for name in ALONG:
         if name in own:

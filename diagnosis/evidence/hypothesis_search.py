@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
-from physics.effects.hypotheses import HYPOTHESES, Variant
+from physics.effects.hypotheses import Variant
 from physics.laws import Array
-from physics.path_constants import named
 
 FOREMOST: Final = 7
 """Effects fitted after each screen.  On the development family the truth is among the first five in 97 %."""
@@ -49,9 +48,10 @@ class Searched:
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def hypotheses(outputs: tuple[str, ...], constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
+def hypotheses(observed: Observed, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
     """Return the variants of each effect that moves one of the outputs."""
-    return {name: h.variants(constants) for name, h in HYPOTHESES.items() if set(h.needs) <= set(outputs)}
+    return {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
+            if set(h.needs) <= set(observed.outputs)}
 
 
 def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) -> Searched:
@@ -61,7 +61,7 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
     """
     found = Searched(observed, prior, max((mode(observed, prior, start=at) for at in (None, *starts)),
                                           key=lambda m: m.log_evidence))
-    offered = hypotheses(observed.outputs, named(prior.origin))
+    offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     for _ in range(RESTARTS):
         _screen(found, offered)
         if not found.single or not _restarted(found):
@@ -72,7 +72,7 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
 
 def search_pairs(found: Searched, best: str) -> None:
     """Fit a second effect beside `best`: the foremost of a linear screen at its mode."""
-    offered = hypotheses(found.observed.outputs, named(found.prior.origin))
+    offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
     at, first = found.single[best], found.variants[best]
     rated = []
     for name, variants in offered.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -36,52 +37,39 @@ def lacking(table: Table) -> list[str]:
 
 
 class Recording:
-    """Signals of one trial: `rope_m`, `knee_rad` and the outputs, shape (samples,), every `GRID_S`.
+    """Signals of one trial, low-passed alike on one time grid, and its data: outputs averaged over bins.
 
-    `outputs`: names of the signals that form the data, in the order of `data`: END less the measured ratio times START,
-    START, servo force.  `data`: their bins, one after the other; `noise_n`: sensor noise of a bin of each, 1σ.
+    `outputs`: names of the signals that form the data, in the order of `data`: their bins, one after the other;
+    `noise_n`: sensor noise of a bin of each, 1σ.  `along`: signals on the grid that errors are shown over.
     """
 
-    def __init__(self, table: Table) -> None:
+    data: Array
+    along: Mapping[str, Array]
+
+    def __init__(self, table: Table, outputs: Sequence[str], grid_s: float = GRID_S, lowpass_hz: float = LOWPASS_HZ,
+                 skip_s: float = START_S) -> None:
         time = table["time_s"]
-        rate = 1.0 / float(np.median(np.diff(time)))
-        grid = np.arange(time[0], time[-1], GRID_S)
-        grid = grid[:grid.size // BIN * BIN]
-        sos = _lowpass(rate)
-
-        def sampled(name: str) -> Array:
-            return np.asarray(np.interp(grid, time, sosfiltfilt(sos, table[name])))
-
+        self.grid_s, self.lowpass_hz = grid_s, lowpass_hz
+        self.rate = 1.0 / float(np.median(np.diff(time)))
+        grid = np.arange(time[0], time[-1], grid_s)
+        self._table, self._grid = table, grid[:grid.size // BIN * BIN]
+        self._sos = _lowpass(self.rate, lowpass_hz)
         self.source = table.source
-        self.time_s: Array = grid - grid[0]
+        self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
-        self.rope_m, self.knee_rad = sampled("servo_position_m"), sampled("knee_angle_rad")
-        self.rope_m_s = np.gradient(self.rope_m, GRID_S)
-        self.rope_m_s2 = np.gradient(self.rope_m_s, GRID_S)
-        self.knee_rad_s2 = np.gradient(np.gradient(self.knee_rad, GRID_S), GRID_S)
-        self.outputs = tuple(name for name in SIGNALS if name in table)
-        self._signals = {name: sampled(name) for name in self.outputs}
-        self.start_n = self._signals["tension_start_n"]
-        self.skip = round(START_S / GRID_S / BIN)
-        self.ratio = self._ratio()
-        self.noise_n = {name: _noise(table[name], rate) for name in self.outputs}
-        if "tension_end_n" in self.noise_n:  # the datum is END less the ratio times START
-            self.noise_n["tension_end_n"] = float(np.hypot(
-                self.noise_n["tension_end_n"], np.sqrt(np.mean(self.ratio**2)) * self.noise_n["tension_start_n"]))
-        slow = sosfiltfilt(butter(2, 15.0, fs=1.0 / GRID_S, output="sos"), self.rope_m_s2)
-        self.unresolved_m_s2 = self.rope_m_s2 - slow
-        self.data: Array = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
+        self.skip = round(skip_s / grid_s / BIN)
+        self.outputs = tuple(outputs)
+        self._signals = {name: self.sampled(name) for name in self.outputs}
+        self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
+
+    def sampled(self, name: str) -> Array:
+        """Return a column on the grid, low-passed without phase."""
+        return np.asarray(np.interp(self._grid, self._table["time_s"], sosfiltfilt(self._sos, self._table[name])))
 
     @property
     def bins(self) -> int:
         """Number of data of one output."""
         return self.time_s.size // BIN - self.skip
-
-    def weighed(self, signals: dict[str, Array], name: str) -> Array:
-        """Return the output `name` of measured or predicted `signals`: END less the measured ratio times START."""
-        if name != "tension_end_n":
-            return signals[name]
-        return np.asarray(signals[name] - self.ratio * signals["tension_start_n"])
 
     def binned(self, values: Array) -> Array:
         """Return means over bins without the start, shape (…, bins), of `values` of shape (…, samples)."""
@@ -93,8 +81,37 @@ class Recording:
         return np.asarray(values[output * self.bins:(output + 1) * self.bins])
 
     def measured(self, name: str) -> Array:
-        """Return a measured signal on the grid."""
+        """Return a measured output on the grid."""
         return self._signals[name]
+
+
+class PathRecording(Recording):
+    """A trial of the bench: `rope_m`, `knee_rad` and their derivatives, shape (samples,).
+
+    Its outputs are END less the measured ratio times START, START, servo force.
+    """
+
+    def __init__(self, table: Table) -> None:
+        super().__init__(table, [name for name in SIGNALS if name in table])
+        self.rope_m, self.knee_rad = self.sampled("servo_position_m"), self.sampled("knee_angle_rad")
+        self.rope_m_s = np.gradient(self.rope_m, GRID_S)
+        self.rope_m_s2 = np.gradient(self.rope_m_s, GRID_S)
+        self.knee_rad_s2 = np.gradient(np.gradient(self.knee_rad, GRID_S), GRID_S)
+        self.start_n = self.measured("tension_start_n")
+        self.ratio = self._ratio()
+        if "tension_end_n" in self.noise_n:  # the datum is END less the ratio times START
+            self.noise_n["tension_end_n"] = float(np.hypot(
+                self.noise_n["tension_end_n"], np.sqrt(np.mean(self.ratio**2)) * self.noise_n["tension_start_n"]))
+        slow = sosfiltfilt(butter(2, 15.0, fs=1.0 / GRID_S, output="sos"), self.rope_m_s2)
+        self.unresolved_m_s2 = self.rope_m_s2 - slow
+        self.along = {"rope_m_s": self.rope_m_s, "servo_position_m": self.rope_m, "knee_angle_rad": self.knee_rad}
+        self.data = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
+
+    def weighed(self, signals: dict[str, Array], name: str) -> Array:
+        """Return the output `name` of measured or predicted `signals`: END less the measured ratio times START."""
+        if name != "tension_end_n":
+            return signals[name]
+        return np.asarray(signals[name] - self.ratio * signals["tension_start_n"])
 
     def _ratio(self) -> Array:
         if "tension_end_n" not in self._signals:
@@ -104,19 +121,19 @@ class Recording:
         return np.asarray(np.clip(np.where(start > TAUT_N, end / np.maximum(start, TAUT_N), 0.8), 0.3, 1.3))
 
 
-def _noise(values: Array, rate: float) -> float:
-    """Return 1σ of a bin's sensor noise, N, from third differences: smooth signals have none."""
+def _noise(values: Array, of: Recording) -> float:
+    """Return 1σ of a bin's sensor noise from third differences: smooth signals have none."""
     sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
-    return float(max(sample * np.sqrt(_passed(rate)), COARSEST_N))
+    return float(max(sample * np.sqrt(_passed(of)), COARSEST_N))
 
 
-def _passed(rate: float) -> float:
-    """Return the share of white noise's variance, sampled at `rate`, Hz, that low-pass and bin leave."""
-    frequency = np.linspace(0.0, 0.5 * rate, 2001)[1:]
-    _, low = sosfreqz(_lowpass(rate), worN=frequency, fs=rate)
-    mean = np.sin(np.pi * BIN * GRID_S * frequency) / (BIN * np.sin(np.pi * GRID_S * frequency))
+def _passed(of: Recording) -> float:
+    """Return the share of white noise's variance that low-pass and bin leave."""
+    frequency = np.linspace(0.0, 0.5 * of.rate, 2001)[1:]
+    _, low = sosfreqz(_lowpass(of.rate, of.lowpass_hz), worN=frequency, fs=of.rate)
+    mean = np.sin(np.pi * BIN * of.grid_s * frequency) / (BIN * np.sin(np.pi * of.grid_s * frequency))
     return float(np.mean(np.abs(low) ** 4 * mean**2))
 
 
-def _lowpass(rate: float) -> Array:
-    return np.asarray(butter(2, min(LOWPASS_HZ, 0.45 * rate), fs=rate, output="sos"))
+def _lowpass(rate: float, cutoff_hz: float) -> Array:
+    return np.asarray(butter(2, min(cutoff_hz, 0.45 * rate), fs=rate, output="sos"))

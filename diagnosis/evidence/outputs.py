@@ -1,8 +1,7 @@
-"""Prediction of a trial's outputs by the forward model, for a batch of coordinate vectors, and its Jacobian."""
+"""Prediction of a bench trial's outputs by the force path's simulation, for a batch of coordinate vectors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,11 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from diagnosis.evidence.likelihood_data import GRID_S, Recording
+from diagnosis.evidence.likelihood_data import GRID_S, PathRecording
 from physics import force_path
 from physics.force_path import PathResponse
 from physics.laws import Array
-from physics.path_constants import INDEX, PATH_ROWS, STEP, values
+from physics.path_constants import INDEX, PATH_ROWS, values
 
 GRAVITY: Final = 9.81
 SMALL_S: Final = 4e-3
@@ -29,7 +28,7 @@ class Prediction(NamedTuple):
     row: NDArray[np.intp]
 
 
-def predict(q: Array, trial: Recording) -> Prediction:
+def predict(q: Array, trial: PathRecording) -> Prediction:
     """Predict the data of a trial for each column of coordinates `q`, shape (constants, sets)."""
     given = values(q)
     distinct, row = np.unique(given[PATH_ROWS].T, axis=0, return_inverse=True)
@@ -54,21 +53,7 @@ def predict(q: Array, trial: Recording) -> Prediction:
     return Prediction(data, path, row)
 
 
-def predicted(q: Array, trial: Recording) -> Array:
-    """Return the predicted data of one coordinate vector."""
-    return np.asarray(predict(q[:, None], trial).data[0])
-
-
-def jacobian(q: Array, trial: Recording, free: Sequence[int]) -> tuple[Array, Array]:
-    """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free)."""
-    sets = np.repeat(q[:, None], len(free) + 1, axis=1)
-    step = STEP[list(free)]
-    sets[list(free), np.arange(1, len(free) + 1)] += step
-    data = predict(sets, trial).data
-    return data[0], np.ascontiguousarray(((data[1:] - data[0]) / step[:, None]).T)
-
-
-def _drive(given: Array, trial: Recording) -> Array:
+def _drive(given: Array, trial: PathRecording) -> Array:
     """Return the servo's force: measured START tension at the drum, friction, inertia (relation `drive_force`)."""
     def column(name: str) -> Array:
         return np.asarray(given[INDEX[name]][:, None])

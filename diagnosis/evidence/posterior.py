@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
+from diagnosis.evidence.forward_model import ForwardModel, jacobian, predicted
 from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.outputs import jacobian, predicted
+from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
-from physics.path_constants import FREE, INDEX, STEP, TABLE, coordinate
 
 HUBER: Final = 5.0
 """Residual, σ, from which the loss grows linearly: 16 ms bins in which a loose rope snaps taut."""
@@ -39,6 +39,7 @@ class Observed:
     trial at its mode, per datum.
     """
 
+    model: ForwardModel
     trials: tuple[Recording, ...]
     features: Array
     weight: Array
@@ -57,11 +58,11 @@ class Observed:
 
     def predicted(self, q: Array) -> Array:
         """Return the predicted data of one coordinate vector."""
-        return np.concatenate([predicted(q, trial) for trial in self.trials])
+        return np.concatenate([predicted(self.model, q, trial) for trial in self.trials])
 
     def jacobian(self, q: Array, free: Sequence[int]) -> tuple[Array, Array]:
         """Return the predicted data at `q` and their derivatives by the coordinates `free`, shape (data, free)."""
-        data, slopes = zip(*(jacobian(q, trial, free) for trial in self.trials), strict=True)
+        data, slopes = zip(*(jacobian(self.model, q, trial, free) for trial in self.trials), strict=True)
         return np.concatenate(data), np.concatenate(slopes)
 
     def each(self, values: Array) -> Iterator[tuple[Recording, Array]]:
@@ -78,7 +79,7 @@ class Observed:
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Prior of a trial's constants and discrepancy about the bench constants `origin` (all of `TABLE`).
+    """Prior of a trial's constants and discrepancy about the bench constants `origin` (all of the table).
 
     `mean`, `covariance`: of the free constants' departure from the origin, then of the feature weights.
     """
@@ -92,10 +93,11 @@ class Gaussian:
 class PosteriorMode:
     """A mode: departures `x` of the constants `active` and of the feature weights, the coordinates `q` there.
 
-    `log_evidence` in nats; `factor` the Cholesky factor L of the prior; `inner` of I + LᵀHᵀWHL; `design` H;
-    `weight` W; `residual` y − f − Φc; `prior_mean` μ.
+    `table`: rows that `active` numbers.  `log_evidence` in nats; `factor` the Cholesky factor L of the prior; `inner`
+    of I + LᵀHᵀWHL; `design` H; `weight` W; `residual` y − f − Φc; `prior_mean` μ.
     """
 
+    table: ConstantTable
     q: Array
     x: Array
     active: tuple[int, ...]
@@ -118,31 +120,31 @@ class PosteriorMode:
         return float(np.sqrt(along @ cho_solve(self.inner, along)))
 
 
-def extra_constants(variant: Variant | Sequence[Variant]) -> list[int]:
+def extra_constants(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:
     """Return the constants that variants free and that a bench in the reference condition does not have."""
-    several = [variant] if isinstance(variant, Variant) else variant
-    return sorted({INDEX[n] for v in several for d in v.directions for n in d.along} - set(FREE))
+    return sorted({table.index[n] for v in variants for d in v.directions for n in d.along} - set(table.free))
 
 
-def widened(prior: Gaussian, variants: Sequence[Variant]) -> tuple[Array, Array, Array, list[int]]:
+def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
+            ) -> tuple[Array, Array, Array, list[int]]:
     """Return origin, mean, covariance and active constants of a prior that hypotheses widen."""
-    extra = extra_constants(variants)
-    active = [*FREE, *extra]
+    extra = extra_constants(table, variants)
+    active = [*table.free, *extra]
     place = {i: k for k, i in enumerate(active)}
-    size = len(active) + prior.mean.size - len(FREE)
-    kept = [*range(len(FREE)), *range(len(active), size)]
+    size = len(active) + prior.mean.size - len(table.free)
+    kept = [*range(len(table.free)), *range(len(active), size)]
     covariance, mean = np.zeros((size, size)), np.zeros(size)
     covariance[np.ix_(kept, kept)], mean[kept] = prior.covariance, prior.mean
     for i in extra:
-        covariance[place[i], place[i]] = (1e-6 * STEP[i]) ** 2
+        covariance[place[i], place[i]] = (1e-6 * table.step[i]) ** 2
     origin = prior.origin.copy()
     for variant in variants:
         for name, value in variant.at.items():
-            origin[INDEX[name]] = coordinate(name, value)
+            origin[table.index[name]] = table.coordinate(name, value)
         for direction in variant.directions:
             along = np.zeros(size)
             for name, share in direction.along.items():
-                along[place[INDEX[name]]] = share
+                along[place[table.index[name]]] = share
             covariance += direction.sd**2 * np.outer(along, along)
     return origin, mean, covariance, active
 
@@ -165,7 +167,8 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
 
     Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
     """
-    origin, mean, covariance, active = widened(prior, variants)
+    table = observed.model.constants
+    origin, mean, covariance, active = widened(table, prior, variants)
     factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
     measured, features, weight = observed.data, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
@@ -210,7 +213,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
     residual = measured - observed.predicted(at(x)) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
-    return PosteriorMode(at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
+    return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
 
 
 def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[float, Array]:
@@ -230,12 +233,13 @@ def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tupl
     E: the effect's slopes times their σ, e: the error of the null, C: covariance of the data under the null.
     """
     names = sorted({n for d in variant.directions for n in d.along})
-    q = null.q.copy()
+    q, table = null.q.copy(), null.table
     for name, value in variant.at.items():
-        q[INDEX[name]] = coordinate(name, value)
-    if "creep_time" in names:
-        q[INDEX["creep"]] += 1.5e-5
-    _, slopes = observed.jacobian(q, [INDEX[n] for n in names])
+        q[table.index[name]] = table.coordinate(name, value)
+    for name, (amount, size) in observed.model.amounts.items():
+        if name in names:
+            q[table.index[amount]] += size
+    _, slopes = observed.jacobian(q, [table.index[n] for n in names])
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
     inward = null.design @ null.factor
@@ -256,18 +260,20 @@ def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = No
     Constants that `base` does not have start at 0; sizes are in σ of the effect, bounded by 2.5.
     """
     variants = [*kept, variant] if variant is not None else list(kept)
-    active = [*FREE, *extra_constants(variants)]
+    table = base.table
+    active = [*table.free, *extra_constants(table, variants)]
     old = {i: base.x[k] for k, i in enumerate(base.active)}
     x = np.array([old.get(i, 0.0) for i in active])
     if variant is not None and sizes is not None:
         for direction, size in zip(variant.directions, sizes, strict=True):
             for name, share in direction.along.items():
-                x[active.index(INDEX[name])] += float(np.clip(size, -2.5, 2.5)) * direction.sd * share
+                x[active.index(table.index[name])] += float(np.clip(size, -2.5, 2.5)) * direction.sd * share
     return np.concatenate([x, base.x[base.constants:]])
 
 
 def named_change(mode_of: PosteriorMode, prior: Gaussian) -> dict[str, tuple[float, float]]:
     """Return, by constant, its departure in q from the prior's mean and that departure over the prior's 1σ."""
-    sd = np.sqrt(np.diag(prior.covariance)[:len(FREE)])
-    return {TABLE[i].name: (float(mode_of.x[k] - prior.mean[k]), float((mode_of.x[k] - prior.mean[k]) / sd[k]))
-            for k, i in enumerate(FREE)}
+    free = mode_of.table.free
+    sd = np.sqrt(np.diag(prior.covariance)[:len(free)])
+    return {mode_of.table.names[i]: (float(mode_of.x[k] - prior.mean[k]),
+                                     float((mode_of.x[k] - prior.mean[k]) / sd[k])) for k, i in enumerate(free)}

@@ -9,30 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import lfilter
 
-from diagnosis.evidence.likelihood_data import GRID_S, Recording
-from diagnosis.evidence.outputs import jacobian, predict, predicted
+from diagnosis.evidence.forward_model import ForwardModel, jacobian, predicted
+from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.posterior import CLOSE, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
 from physics.laws import Array
-from physics.path_constants import BENCH_SD, FREE, INDEX, SESSION_SD, TABLE, named
 
 FEATURES: Final = 60
 """Random Fourier features of each output: with 120 the held-out likelihood of reference trials is the same."""
 SESSION_SHARE: Final = 0.35
 """1σ of the discrepancy's change between sessions, of the discrepancy."""
-LEAST_N: Final = {"tension_end_n": 0.04, "tension_start_n": 0.04, "servo_force_n": 0.1}
-"""Least 1σ of the model error of a bin, N: below what any structure of the development family reaches."""
 IN_SAMPLE: Final = 2.0
 """Factor of the residual variance of a single reference trial, which no other one predicts."""
 HELD_OUT: Final = 1.3
 """The same where other trials predict it: cavity residuals are partly fitted."""
-UNRESOLVED: Final = 0.5
-"""Share of the inertia force beyond 15 Hz that counts as noise of the servo force: sampled at 200 Hz it is aliased."""
 MOST_TAU: Final = 12.0
 """Largest inflation of the noise by autocorrelation."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
@@ -40,20 +35,14 @@ STAGES: Final = 3
 """Estimates of noise and discrepancy, each after a descent to the joint mode."""
 ROUNDS: Final = 8
 """Steps of a descent."""
-SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
-               "friction": np.array([-0.6, 0.0, 0.6])}
-"""What is simulated before the first fit: departures of the rope's zero from the regression's, m, and as logarithms
-stiffness and friction over the population's middle."""
-STARTS: Final = 4
-"""Best points of the scan, each of another stiffness or friction, at which the first fit starts."""
-COARSE_N: Final = 2.0
-FINE_N: Final = 0.4
-"""Noise, N, of the two stages of the first fit: coarse first, so that no start ends in a local minimum."""
-STATES: Final = 9
-_RANDOM: Final = np.random.default_rng(7)
-_WAVES: Final = {name: (_RANDOM.normal(size=(FEATURES, STATES)) / 2.0, _RANDOM.uniform(0.0, 2.0 * np.pi, FEATURES))
-                 for name in ("tension_end_n", "tension_start_n", "servo_force_n")}
-"""Frequencies and phases of the features, drawn once from a fixed seed: length scale 2 in standardised states."""
+
+
+@cache
+def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array]]:
+    """Return frequencies and phases of the features by output, from a fixed seed: length 2 in standardised states."""
+    random = np.random.default_rng(7)
+    return {name: (random.normal(size=(FEATURES, states)) / 2.0, random.uniform(0.0, 2.0 * np.pi, FEATURES))
+            for name in signals}
 
 
 class Scaling(NamedTuple):
@@ -74,6 +63,7 @@ class ReferenceFit:
     the models of the other reference trials miss on one (of a single one: on itself).
     """
 
+    model: ForwardModel
     outputs: tuple[str, ...]
     origin: Array
     bench: Gaussian
@@ -95,84 +85,50 @@ class ReferenceFit:
 
     @property
     def rmse_n(self) -> float:
-        """RMS of START and END, N, that a reference trial's model misses on another."""
-        told = [e**2 for name, e in self.scatter_n.items() if name.startswith("tension")]
+        """RMS of the model's judged outputs that a reference trial's model misses on another."""
+        told = [e**2 for name, e in self.scatter_n.items() if name in self.model.judged]
         return float(np.sqrt(np.mean(told)))
 
     def starts(self) -> list[Array]:
         """Return where a fit of a further trial starts besides the prior's mean: the reference trials' modes."""
-        return [np.concatenate([(q - self.origin)[list(FREE)], c]) for q, c in self.identified]
+        return [np.concatenate([(q - self.origin)[list(self.model.constants.free)], c]) for q, c in self.identified]
 
     def observe(self, *trials: Recording) -> Observed:
         """Return trials of one session as data of this bench."""
-        states = [simulated_states(self.origin, trial) for trial in trials]
-        return Observed(trials, np.concatenate([features(s, self.scaling, self.outputs) for s in states]),
+        states = [self.model.simulated_states(self.origin, trial) for trial in trials]
+        made = [features(self.model, s, self.scaling, self.outputs) for s in states]
+        return Observed(self.model, trials, np.concatenate(made),
                         np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
                         self.tau, self.cost)
 
     def _variance(self, trial: Recording, states: Array) -> Array:
-        quarter = np.searchsorted(self.quarters, states[LOAD])
+        quarter = np.searchsorted(self.quarters, states[self.model.load_state])
         parts = []
         for k, name in enumerate(self.outputs):
             variance = self.model_error[k][quarter] + trial.noise_n[name] ** 2
-            if name == "servo_force_n":
-                inertia = named(self.origin)["drive_inertia"]
-                variance = variance + trial.binned((UNRESOLVED * inertia * trial.unresolved_m_s2) ** 2)
-            parts.append(variance * self.tau[k])
+            parts.append((variance + self.model.aliased(self.origin, trial, name)) * self.tau[k])
         return np.concatenate(parts)
 
 
-LOAD: Final = 4
-"""Row of the logarithm of START tension among the states."""
-
-
-def scanned(middle: Array, trial: Recording) -> list[Array]:
-    """Return the `STARTS` coordinates about `middle` that miss the trial's data least, simulated in one batch.
-
-    The fit does not find a zero of the rope at which the model is slack where the rope is taut: nothing moves there.
-    """
-    zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
-    q = np.repeat(middle[:, None], zero.size, axis=1)
-    q[INDEX["zero"]] += zero
-    q[INDEX["stiffness"]] = stiffness
-    q[INDEX["cable"]] = q[INDEX["fabric"]] = friction
-    misses = np.abs(predict(q, trial).data - trial.data).mean(axis=1)
-    chosen: dict[tuple[float, float], int] = {}
-    for k in np.argsort(misses):
-        chosen.setdefault((stiffness[k], friction[k]), int(k))
-    return [q[:, k] for k in list(chosen.values())[:STARTS]]
-
-
-def simulated_states(q: Array, trial: Recording) -> Array:
-    """Return the states that the discrepancy depends on, shape (STATES, bins), simulated at coordinates `q`."""
-    path = predict(q[:, None], trial).path
-    start = path.start[0]
-    remembered = lfilter([GRID_S / 0.5], [1.0, GRID_S / 0.5 - 1.0], start)
-    rate = np.gradient(start, GRID_S)
-    return trial.binned(np.stack([
-        trial.knee_rad / 0.4, np.gradient(trial.knee_rad, GRID_S) / 2.0, path.cable_slip[0], path.fabric_slip[0],
-        np.log(start + 3.0), np.arcsinh(rate / 50.0), remembered / 15.0, np.arcsinh(trial.rope_m_s / 0.02),
-        np.log(path.middle[0] + 3.0)]))
-
-
-def features(states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
+def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequence[str]) -> Array:
     """Return the features of the discrepancy, block-diagonal by output, shape (data, features)."""
     even = (states - scaling.mean[:, None]) / scaling.sd[:, None]
     bins = states.shape[1]
     out = np.zeros((bins * len(outputs), FEATURES * len(outputs)))
     for k, name in enumerate(outputs):
-        waves, phases = _WAVES[name]
-        out[k * bins:(k + 1) * bins, k * FEATURES:(k + 1) * FEATURES] = np.cos(even.T @ waves.T + phases) * np.sqrt(
+        lengths, phases = waves(tuple(model.signals), model.states)[name]
+        out[k * bins:(k + 1) * bins, k * FEATURES:(k + 1) * FEATURES] = np.cos(even.T @ lengths.T + phases) * np.sqrt(
             2.0 / FEATURES)
     return out
 
 
-def fit_reference(trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None) -> ReferenceFit:
+def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None
+                  ) -> ReferenceFit:
     """Fit the reference trials of one bench, which all have the same outputs.
 
     `session_sd`: 1σ between sessions by constant, in coordinates, as a logbook measured it (None: the published one).
     """
-    return _Fit(trials, session_sd).run()
+    return _Fit(model, trials, session_sd).run()
 
 
 class _Linear(NamedTuple):
@@ -192,15 +148,19 @@ class _Fit:
     bench: Array
     at: list[Array]
 
-    def __init__(self, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None) -> None:
+    def __init__(self, model: ForwardModel, trials: Sequence[Recording],
+                 session_sd: Mapping[str, float] | None = None) -> None:
+        self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
         self.trials = trials
-        self.session_sd = SESSION_SD.copy()
+        self.session_sd = self.constants.session_sd.copy()
         for name, sd in (session_sd or {}).items():
-            self.session_sd[INDEX[name]] = sd
+            self.session_sd[self.constants.index[name]] = sd
+        self.bench_sd: Array = self.constants.bench_sd[self.free]
         self.outputs = trials[0].outputs
-        self.origin = _origin(trials[0])
-        self.amplitude = np.full(len(self.outputs), 0.2)
-        self.model_error = np.full((len(self.outputs), 4), FINE_N**2)
+        self.origin = model.origin(trials[0])
+        fine = np.array([model.first_noise[1][name] for name in self.outputs])
+        self.amplitude = 0.5 * fine
+        self.model_error = np.repeat(fine[:, None] ** 2, 4, axis=1)
         self.tau = np.ones(len(self.outputs))
         self.quarters = np.zeros(3)
         self.scatter_n: dict[str, float] = {}
@@ -209,7 +169,7 @@ class _Fit:
 
     def run(self) -> ReferenceFit:
         """Fit the first trial from several starts, then all jointly; noise and discrepancy in turns with the mode."""
-        best = min((self._first(at) for at in scanned(self.origin, self.trials[0])), key=lambda m: m.cost)
+        best = min((self._first(at) for at in self.model.scanned(self.origin, self.trials[0])), key=lambda m: m.cost)
         self._recentre(best.q)
         for stage in range(STAGES):
             if stage == 1:
@@ -221,9 +181,9 @@ class _Fit:
         bench = self._posterior(range(len(self.trials)))
         # features are simulated at the bench's own constants; their change is far below their length scale
         prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
-        return ReferenceFit(self.outputs, self.origin, bench, prior, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.scatter_n, self._mean_cost(),
-                         tuple(self.identified))
+        return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.amplitude,
+                            self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n,
+                            self._mean_cost(), tuple(self.identified))
 
     def _mean_cost(self) -> float:
         """Return the cost per datum of the reference trials at their modes."""
@@ -233,7 +193,7 @@ class _Fit:
     def _constants(self, x: Array) -> Array:
         """Return the coordinates of all constants at a departure from the origin."""
         q = self.origin.copy()
-        q[list(FREE)] += x[:len(FREE)]
+        q[self.free] += x[:len(self.free)]
         return np.asarray(q)
 
     def _descend(self) -> None:
@@ -243,7 +203,7 @@ class _Fit:
             self.linear = [self._linearised(k) for k in range(len(self.trials))]
             bench = self._posterior(range(len(self.trials))).mean
             at = [self._trial_given(k, bench) for k in range(len(self.trials))]
-            longest = max(float(np.abs((there - here)[:len(FREE)] / BENCH_SD[list(FREE)]).max())
+            longest = max(float(np.abs((there - here)[:len(self.free)] / self.bench_sd).max())
                           for here, there in zip([self.bench, *self.at], [bench, *at], strict=True))
             share = min(1.0, LONGEST / longest)
             while share > 0.01:
@@ -261,13 +221,18 @@ class _Fit:
 
     def _cost(self, bench: Array, at: Sequence[Array]) -> float:
         """Return the joint cost of bench and trials: misfit, session deviations, prior of the bench."""
-        centre = -self.origin[list(FREE)] / BENCH_SD[list(FREE)]
-        for name in ORIGINAL:
-            centre[FREE.index(INDEX[name])] = 0.0
+        centre = self._middle()
         own = bench / np.sqrt(self._bench_variance())
-        own[:len(FREE)] -= centre
+        own[:len(self.free)] -= centre
         total = float(own @ own)
         return total + sum(self._trial_cost(k, bench, x) for k, x in enumerate(at))
+
+    def _middle(self) -> Array:
+        """Return the population's middle as departures from the origin, in population σ."""
+        centre: Array = -self.origin[self.free] / self.bench_sd
+        for name in self.model.regressed:
+            centre[self.free.index(self.constants.index[name])] = 0.0
+        return centre
 
     def _trial_cost(self, k: int, bench: Array, x: Array) -> float:
         """Return the cost of one trial: misfit and session deviation."""
@@ -276,16 +241,17 @@ class _Fit:
 
     def _residual(self, k: int, x: Array) -> Array:
         trial = self.trials[k]
-        return np.asarray(trial.data - predicted(self._constants(x), trial) - self.features[k] @ x[len(FREE):])
+        told = predicted(self.model, self._constants(x), trial) + self.features[k] @ x[len(self.free):]
+        return np.asarray(trial.data - told)
 
     def _weight(self, k: int) -> Array:
         return 1.0 / self._reference()._variance(self.trials[k], self.states[k])
 
     def _linearised(self, k: int) -> _Linear:
         x = self.at[k]
-        data, slopes = jacobian(self._constants(x), self.trials[k], FREE)
+        data, slopes = jacobian(self.model, self._constants(x), self.trials[k], self.free)
         design = np.concatenate([slopes, self.features[k]], axis=1)
-        residual = self.trials[k].data - data - self.features[k] @ x[len(FREE):]
+        residual = self.trials[k].data - data - self.features[k] @ x[len(self.free):]
         return _Linear(design, residual + design @ x, bounded(residual, self._weight(k)))
 
     def _trial_given(self, k: int, bench: Array) -> Array:
@@ -300,22 +266,22 @@ class _Fit:
         """Fit the first trial alone from coordinates `at`, without a discrepancy."""
         trial = self.trials[0]
         none = np.zeros((trial.data.size, 0))
-        wide = Gaussian(self.origin, np.zeros(len(FREE)), np.diag(self._bench_variance()[:len(FREE)]))
-        start = (at - self.origin)[list(FREE)]
-        rough, fine = (Observed((trial,), none, np.full(trial.data.size, noise_n**-2), self.tau, 1.0)
-                       for noise_n in (COARSE_N, FINE_N))
+        wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
+        start = (at - self.origin)[self.free]
+        weights = [np.repeat([noise[n] ** -2 for n in self.outputs], trial.bins) for noise in self.model.first_noise]
+        rough, fine = (Observed(self.model, (trial,), none, weight, self.tau, 1.0) for weight in weights)
         return mode(fine, wide, start=mode(rough, wide, start=start, rounds=10).x, rounds=10)
 
     def _recentre(self, q: Array) -> None:
         """Take `q` as origin, at which the states of the discrepancy are simulated."""
-        self.states = [simulated_states(q, trial) for trial in self.trials]
+        self.states = [self.model.simulated_states(q, trial) for trial in self.trials]
         every = np.concatenate(self.states, axis=1)
         self.scaling = Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6)
-        self.features = [features(s, self.scaling, self.outputs) for s in self.states]
-        self.quarters = np.quantile(every[LOAD], QUARTERS)
+        self.features = [features(self.model, s, self.scaling, self.outputs) for s in self.states]
+        self.quarters = np.quantile(every[self.model.load_state], QUARTERS)
         self.origin = q
-        self._set_amplitude([trial.data - predicted(q, trial) for trial in self.trials[:1]], self.trials[:1])
-        self.bench = np.zeros(len(FREE) + FEATURES * len(self.outputs))
+        self._set_amplitude([self.trials[0].data - predicted(self.model, q, self.trials[0])], self.trials[:1])
+        self.bench = np.zeros(len(self.free) + FEATURES * len(self.outputs))
         self.at = [self.bench for _ in self.trials]
 
     def _set_amplitude(self, rest: Sequence[Array], trials: Sequence[Recording]) -> None:
@@ -324,10 +290,10 @@ class _Fit:
             for k in range(len(self.outputs))])
 
     def _bench_variance(self) -> Array:
-        return np.concatenate([BENCH_SD[list(FREE)] ** 2, np.repeat(self.amplitude**2, FEATURES)])
+        return np.concatenate([self.bench_sd ** 2, np.repeat(self.amplitude**2, FEATURES)])
 
     def _session(self) -> Array:
-        return np.concatenate([self.session_sd[list(FREE)] ** 2,
+        return np.concatenate([self.session_sd[self.free] ** 2,
                                SESSION_SHARE**2 * np.repeat(self.amplitude**2, FEATURES)])
 
     def _posterior(self, which: Sequence[int]) -> Gaussian:
@@ -339,9 +305,7 @@ class _Fit:
         deviation = np.sqrt(self._session()) / scale
         size = scale.size
         information, pull = np.eye(size), np.zeros(size)
-        pull[:len(FREE)] = -self.origin[list(FREE)] / BENCH_SD[list(FREE)]
-        for name in ORIGINAL:
-            pull[FREE.index(INDEX[name])] = 0.0
+        pull[:len(self.free)] = self._middle()
         for k in which:
             linear = self.linear[k]
             root = np.sqrt(linear.weight)
@@ -358,8 +322,8 @@ class _Fit:
 
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
-        return ReferenceFit(self.outputs, self.origin, empty, empty, self.scaling, self.amplitude, self.model_error,
-                         self.tau, self.quarters, len(self.trials), self.scatter_n, 1.0)
+        return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.amplitude,
+                            self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n, 1.0)
 
     def _noise(self) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
@@ -368,7 +332,7 @@ class _Fit:
         tau = np.zeros(len(self.outputs))
         rests = [self._residual(k, x) for k, x in enumerate(self.at)]
         for residual, trial, states in zip(rests, self.trials, self.states, strict=True):
-            quarter = np.searchsorted(self.quarters, states[LOAD])
+            quarter = np.searchsorted(self.quarters, states[self.model.load_state])
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)
                 tau[k] += autocorrelation(rest) / len(rests)
@@ -376,21 +340,21 @@ class _Fit:
                 for j in range(4):
                     squares[k, j] += float(squared[quarter == j].sum())
                     counts[k, j] += int((quarter == j).sum())
-        least = np.array([[LEAST_N[name] ** 2] for name in self.outputs])
+        least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
-        self.identified = [(self._constants(x), x[len(FREE):]) for x in self.at]
+        self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
 
     def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
         rest = []
         for linear in self.linear:
-            part = linear.design[:, :len(FREE)]
+            part = linear.design[:, :len(self.free)]
             root = np.sqrt(linear.weight)
-            scale = BENCH_SD[list(FREE)]
+            scale = self.bench_sd
             design = part * scale * root[:, None]
-            at = np.linalg.solve(np.eye(len(FREE)) + design.T @ design, design.T @ (linear.error * root))
+            at = np.linalg.solve(np.eye(len(self.free)) + design.T @ design, design.T @ (linear.error * root))
             rest.append(linear.error - part @ (scale * at))
         self._set_amplitude(rest, self.trials)
 
@@ -399,38 +363,11 @@ class _Fit:
         squares: dict[str, list[float]] = {name: [] for name in self.outputs}
         for j, trial in enumerate(self.trials):
             models = [at for k, at in enumerate(self.identified) if k != j] or self.identified
-            rest = np.mean([trial.data - predicted(q, trial) - self.features[j] @ c for q, c in models], axis=0)
-            for name, error in signal_errors(trial, np.asarray(rest)).items():
+            rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
+                            for q, c in models], axis=0)
+            for name, error in self.model.errors(trial, np.asarray(rest)).items():
                 squares[name].append(float(np.mean(error**2)))
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
-
-
-ORIGINAL: Final = ("zero", "arm", "stiffness")
-"""Constants whose population middle is taken from the first reference trial itself: any value is as likely."""
-
-
-def _origin(trial: Recording) -> Array:
-    """Return coordinates to start from: zero, lever arm and stiffness by regression of rope on knee and load."""
-    q = np.zeros(len(TABLE))
-    taut = trial.start_n > 4.0
-    load = trial.start_n[taut]
-    on = trial.knee_rad[taut] + 0.5
-    design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
-    if load.size < 50:
-        return q
-    zero, arm, _, linear, curved = np.linalg.lstsq(design, trial.rope_m[taut], rcond=None)[0]
-    stretch = max(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0), 2e-3)
-    q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
-    q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * stretch))
-    return q
-
-
-def signal_errors(trial: Recording, residual: Array) -> dict[str, Array]:
-    """Return by output the errors of the signals, N, that a residual of the data means."""
-    errors = {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
-    if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
-        errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
-    return errors
 
 
 def autocorrelation(rest: Array) -> float:

@@ -1,0 +1,123 @@
+"""The bench's force path as a forward model: START, END and servo force from measured rope and knee motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from scipy.signal import lfilter
+
+from diagnosis.data.table import Table
+from diagnosis.evidence import likelihood_data, outputs
+from diagnosis.evidence.likelihood_data import GRID_S, SIGNALS, PathRecording
+from physics.constant_table import ConstantTable
+from physics.effects.catalogue import CATALOGUE
+from physics.effects.hypotheses import HYPOTHESES, Hypothesis
+from physics.laws import Array
+from physics.path_constants import CONSTANTS, INDEX, named
+
+UNRESOLVED: Final = 0.5
+"""Share of the inertia force beyond 15 Hz that counts as noise of the servo force: sampled at 200 Hz it is aliased."""
+SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
+               "friction": np.array([-0.6, 0.0, 0.6])}
+"""What is simulated before the first fit: departures of the rope's zero from the regression's, m, and as logarithms
+stiffness and friction over the population's middle."""
+STARTS: Final = 4
+"""Best points of the scan, each of another stiffness or friction, at which the first fit starts."""
+COARSE_N: Final = 2.0
+FINE_N: Final = 0.4
+"""Noise, N, of the two stages of the first fit: coarse first, so that no start ends in a local minimum."""
+
+
+class PathModel:
+    """The forward model of the bench; its data are those of `PathRecording`."""
+
+    constants: ConstantTable = CONSTANTS
+    hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
+    signals: Mapping[str, str] = dict.fromkeys(SIGNALS, "N")
+    judged = ("tension_start_n", "tension_end_n")
+    least: Mapping[str, float] = {"tension_end_n": 0.04, "tension_start_n": 0.04, "servo_force_n": 0.1}
+    """Least 1σ of the model error of a bin, N: below what any structure of the development family reaches."""
+    first_noise = (dict.fromkeys(SIGNALS, COARSE_N), dict.fromkeys(SIGNALS, FINE_N))
+    regressed = ("zero", "arm", "stiffness")
+    states = 9
+    load_state = 4
+    """Row of the logarithm of START tension among the states."""
+    amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
+
+    def lacking(self, table: Table) -> list[str]:
+        """Return the needed columns that a trial does not have."""
+        return likelihood_data.lacking(table)
+
+    def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
+        """Return the bounds and the unit of an effect's parameter, which the catalogue states."""
+        told = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
+        return told.low, told.high, told.unit
+
+    def record(self, table: Table) -> PathRecording:
+        """Return a trial of the bench on the likelihood's grid."""
+        return PathRecording(table)
+
+    def predict(self, q: Array, trial: PathRecording) -> Array:
+        """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
+        return outputs.predict(q, trial).data
+
+    def simulated_states(self, q: Array, trial: PathRecording) -> Array:
+        """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
+        path = outputs.predict(q[:, None], trial).path
+        start = path.start[0]
+        remembered = lfilter([GRID_S / 0.5], [1.0, GRID_S / 0.5 - 1.0], start)
+        rate = np.gradient(start, GRID_S)
+        return trial.binned(np.stack([
+            trial.knee_rad / 0.4, np.gradient(trial.knee_rad, GRID_S) / 2.0, path.cable_slip[0], path.fabric_slip[0],
+            np.log(start + 3.0), np.arcsinh(rate / 50.0), remembered / 15.0, np.arcsinh(trial.rope_m_s / 0.02),
+            np.log(path.middle[0] + 3.0)]))
+
+    def origin(self, trial: PathRecording) -> Array:
+        """Return coordinates to start from: zero, lever arm and stiffness by regression of rope on knee and load."""
+        q = np.zeros(len(CONSTANTS))
+        taut = trial.start_n > 4.0
+        load = trial.start_n[taut]
+        on = trial.knee_rad[taut] + 0.5
+        design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
+        if load.size < 50:
+            return q
+        zero, arm, _, linear, curved = np.linalg.lstsq(design, trial.rope_m[taut], rcond=None)[0]
+        stretch = max(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0), 2e-3)
+        q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
+        q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * stretch))
+        return q
+
+    def scanned(self, middle: Array, trial: PathRecording) -> list[Array]:
+        """Return the `STARTS` coordinates about `middle` that miss the trial's data least, simulated in one batch.
+
+        The fit does not find a zero of the rope at which the model is slack where the rope is taut: there nothing
+        moves.
+        """
+        zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
+        q = np.repeat(middle[:, None], zero.size, axis=1)
+        q[INDEX["zero"]] += zero
+        q[INDEX["stiffness"]] = stiffness
+        q[INDEX["cable"]] = q[INDEX["fabric"]] = friction
+        misses = np.abs(self.predict(q, trial) - trial.data).mean(axis=1)
+        chosen: dict[tuple[float, float], int] = {}
+        for k in np.argsort(misses):
+            chosen.setdefault((stiffness[k], friction[k]), int(k))
+        return [q[:, k] for k in list(chosen.values())[:STARTS]]
+
+    def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:
+        """Return the variance of the servo force that motion sampled too slowly leaves, N²."""
+        if name != "servo_force_n":
+            return 0.0
+        return trial.binned((UNRESOLVED * named(q)["drive_inertia"] * trial.unresolved_m_s2) ** 2)
+
+    def errors(self, trial: PathRecording, residual: Array) -> dict[str, Array]:
+        """Return by output the errors of the signals, N, that a residual of the data means."""
+        errors = {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
+        if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
+            errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
+        return errors
+
+
+PATH_MODEL: Final = PathModel()

@@ -1,0 +1,97 @@
+"""Table of the constants of a forward model: coordinates in which each is Gaussian, its priors, and its value in SI.
+
+A constant is a function of a coordinate q that a Gaussian describes: q = 0 is the value of the population's middle,
+`bench_sd` the 1σ between benches and `session_sd` the 1σ between two sessions of one bench, both in units of q.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from physics.laws import Array
+
+LARGEST: Final = 4.0
+"""Largest departure of a logarithmic coordinate: beyond, a force balance is badly conditioned."""
+
+
+class ModelConstant(NamedTuple):
+    """One constant: name, unit, population middle, form, spread between benches and between sessions, meaning.
+
+    `form`: "linear" (value = middle + q), "log" (middle·e^q), "logit" (a share), "positive" (a smooth maximum of
+    middle + q and 0, rounded over `rounding`).  `bench_sd` 0: absent in the reference condition, moved by effects only.
+    """
+
+    name: str
+    unit: str
+    middle: float
+    form: str
+    bench_sd: float
+    session_sd: float
+    meaning: str
+    rounding: float = 0.0
+    step: float = 0.0
+
+
+class ConstantTable:
+    """Rows of constants with what follows from them; `bounds`: of the values of linear constants, by name.
+
+    `free`: rows of the constants that differ between benches in the reference condition.  `step`: finite-difference
+    step of each coordinate, 0.3 session σ, well inside the range where a model is linear.
+    """
+
+    def __init__(self, rows: Sequence[ModelConstant], bounds: Mapping[str, tuple[float, float]] | None = None) -> None:
+        self.rows = tuple(rows)
+        self.bounds = dict(bounds or {})
+        self.names = tuple(row.name for row in rows)
+        self.index = {name: i for i, name in enumerate(self.names)}
+        self.bench_sd: Array = np.array([row.bench_sd for row in rows])
+        self.session_sd: Array = np.array([row.session_sd for row in rows])
+        self.step: Array = np.array([0.3 * row.session_sd if row.session_sd else row.step for row in rows])
+        self.free = tuple(i for i, row in enumerate(rows) if row.bench_sd)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def values(self, q: Array) -> Array:
+        """Return the constants, SI, of coordinates `q`, both of shape (rows, …)."""
+        out = np.empty_like(q, dtype=np.float64)
+        for i, row in enumerate(self.rows):
+            at = row.middle + q[i]
+            if row.form == "log":
+                out[i] = row.middle * np.exp(np.clip(q[i], -LARGEST, LARGEST))
+            elif row.form == "logit":
+                out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-np.clip(q[i], -2.0, 2.0)))
+            elif row.form == "positive":
+                out[i] = 0.5 * (at + np.sqrt(at**2 + row.rounding**2))
+            else:
+                low, high = self.bounds.get(row.name, (-np.inf, np.inf))
+                out[i] = np.clip(at, low, high)
+        return out
+
+    def coordinates_of(self, constants: Array) -> Array:
+        """Return the coordinates of constants inside their bounds, the inverse of `values`, shape (rows,)."""
+        out = np.empty_like(constants)
+        for i, row in enumerate(self.rows):
+            v = constants[i]
+            if row.form == "log":
+                out[i] = np.log(v / row.middle)
+            elif row.form == "logit":
+                out[i] = np.log(v / (1.0 - v)) - np.log(row.middle / (1.0 - row.middle))
+            elif row.form == "positive":
+                out[i] = v - row.rounding**2 / (4.0 * v) - row.middle
+            else:
+                out[i] = v - row.middle
+        return out
+
+    def coordinate(self, name: str, value: float) -> float:
+        """Return the coordinate of one constant's value."""
+        constants = self.values(np.zeros(len(self)))
+        constants[self.index[name]] = value
+        return float(self.coordinates_of(constants)[self.index[name]])
+
+    def named(self, q: Array) -> dict[str, float]:
+        """Return the constants of one vector of coordinates by name."""
+        return dict(zip(self.names, self.values(q).tolist(), strict=True))
