@@ -22,7 +22,7 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from benchmarks import marked
-from bowden import provenance
+from bowden.trials import provenance
 from diagnosis.data import table
 from diagnosis.finder import Finder
 from tests.hidden import cases

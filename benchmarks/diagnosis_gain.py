@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from benchmarks import marked
-from bowden import provenance
 from bowden.cli.app import run
+from bowden.trials import provenance
 
 SERIAL, PERIOD_S = 3, 1.3
 EFFECTS = {

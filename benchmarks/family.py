@@ -75,7 +75,7 @@ def _at_40(bench: Any) -> float:
 
 def bench_row(kind: str, serial: int, day: int, **more: Any) -> dict[str, Any]:
     """Return a sweep's row for a bench: the own plant by its serial, the family's by the plant's name."""
-    from bowden import configuration
+    from bowden.bench import configuration
     from bowden.sweep import rows
     from bowden.sweep.rows import IDENTIFIED
 
@@ -100,8 +100,8 @@ def structure(kind: str, serial: int) -> str:
 
 def measure(kind: str, serial: int) -> dict[str, Any]:
     """Identify a bench on day 0, walk on it on day 1: everything the tables need, or `failed` with the reason."""
-    from bowden import session
     from bowden.sweep import row_trial
+    from bowden.trials import session
 
     sys.path.insert(0, str(ROOT))
     session.compile_laws(simulated=True)

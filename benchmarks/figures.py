@@ -17,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import redrawn
-from bowden import buses, configuration, identification, loops_picture, session
+from bowden.bench import buses, configuration
+from bowden.models import identification
+from bowden.pages import loops_picture
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
 from bowden.sweep.sweep_table import SweepTable
+from bowden.trials import session
 from master.identification import identify
 from physics.calibration import write
 from trial import read

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 
 from benchmarks import impedance_loop as loop
 from benchmarks.results_page import markdown
-from bowden import configuration, session
+from bowden.bench import configuration
 from bowden.sweep import row_trial
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep.rows import Value, table
+from bowden.trials import session
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.packaged import PaperController
 from master.control.paper import PaperState

@@ -16,11 +16,12 @@ from benchmarks import impedance_loop as loop
 from benchmarks import impedance_rendered as rendered
 from benchmarks import printed
 from benchmarks.results_page import markdown, number
-from bowden import configuration, session
+from bowden.bench import configuration
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.rows import Row, Value
 from bowden.sweep.sweep_table import SweepTable
+from bowden.trials import session
 from physics import laws
 
 ROOT = Path(__file__).resolve().parent.parent

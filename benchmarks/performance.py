@@ -45,7 +45,7 @@ def start() -> Iterator[Row]:
     yield ("`bowden --help`, s of CPU", f"{np.median(own):.2f}", "a bare Typer program of two commands",
            f"{np.median(peer):.2f}", f"{middle:.2f} ({low:.2f} … {high:.2f})")
     with tempfile.TemporaryDirectory() as folder:
-        code = "from bowden.session import compile_laws; compile_laws(simulated=True)"
+        code = "from bowden.trials.session import compile_laws; compile_laws(simulated=True)"
         first, later = (_used([sys.executable, "-c", code], NUMBA_CACHE_DIR=folder) for _ in range(2))
     yield ("laws compiled on a new machine, s of CPU", f"{first:.1f}", "loaded from the cache", f"{later:.1f}", "–")
 

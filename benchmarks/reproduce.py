@@ -20,12 +20,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import results_page
-from bowden import configuration, provenance, session
+from bowden.bench import configuration
 from bowden.cli import terminal
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run as sweep_run
 from bowden.sweep.rows import IDENTIFIED, Row, Value
 from bowden.sweep.sweep_table import SweepTable
+from bowden.trials import provenance, session
 from master.control.controller import CONTROLLERS
 from virtual_bus.build import GROUPS
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from bowden.reports import PAPER_RMSE_PERCENT
+from bowden.pages.reports import PAPER_RMSE_PERCENT
 from physics import laws
 from physics.converter import SensorParameters
 from physics.drive_loops import SERVO_GAINS

@@ -93,7 +93,8 @@ def family(place: int, day: int | None = None) -> dict[str, Any]:
 
 def identified(job: Job) -> Any:
     """Identify the job's bench on its day 0 and return the calibration."""
-    from bowden import buses, identification
+    from bowden.bench import buses
+    from bowden.models import identification
     from eds.bench_network import Network
     from master import settings
 

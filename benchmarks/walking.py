@@ -19,13 +19,14 @@ import numpy as np
 from benchmarks import family
 from benchmarks.figures import OUT, ROOT, SERIAL, identified
 from benchmarks.results_page import TRUE, markdown, number
-from bowden import configuration, session
-from bowden.figures import true_end
+from bowden.bench import configuration
+from bowden.pages.figures import true_end
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
 from bowden.sweep.sweep_table import SweepTable
+from bowden.trials import session
 from physics.reference import close_cycle
 from trial import read
 from trial.curves import Curve, read_curve

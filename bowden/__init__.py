@@ -21,36 +21,36 @@ from bowden import own_packages
 
 if TYPE_CHECKING:
     from bowden import replay, sweep, testing
-    from bowden.any_node import Node
-    from bowden.buses import BusSettings, bus, simulated
-    from bowden.diagnosing import Diagnosis, DiagnosisResult
-    from bowden.examination import doctor
-    from bowden.experiment import Experiment, Verified, run, verify
-    from bowden.identification import StoppedError, fit, identify
+    from bowden.bench.any_node import Node
+    from bowden.bench.buses import BusSettings, bus, simulated
+    from bowden.bench.examination import doctor
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
-    from bowden.planning import WalkPlan, plan
+    from bowden.models.diagnosing import Diagnosis, DiagnosisResult
+    from bowden.models.identification import StoppedError, fit, identify
+    from bowden.models.simulating import Simulation, simulate
     from bowden.progress import Progress
-    from bowden.recorded_trial import Trial, compare, export
-    from bowden.recorded_trial import read_trial as read
-    from bowden.recording import record
-    from bowden.simulating import Simulation, simulate
+    from bowden.trials.experiment import Experiment, Verified, run, verify
+    from bowden.trials.planning import WalkPlan, plan
+    from bowden.trials.recorded_trial import Trial, compare, export
+    from bowden.trials.recorded_trial import read_trial as read
+    from bowden.trials.recording import record
     from parameters import InputError
 
 _HOMES = {
-    "BenchModel": "bowden.model_files", "BusSettings": "bowden.buses", "Diagnosis": "bowden.diagnosing",
-    "DiagnosisResult": "bowden.diagnosing", "Experiment": "bowden.experiment", "InputError": "parameters",
-    "Node": "bowden.any_node", "Progress": "bowden.progress",
-    "Simulation": "bowden.simulating", "StoppedError": "bowden.identification",
-    "Trial": "bowden.recorded_trial", "Verified": "bowden.experiment", "WalkPlan": "bowden.planning",
-    "bus": "bowden.buses", "compare": "bowden.recorded_trial", "doctor": "bowden.examination",
-    "export": "bowden.recorded_trial", "fit": "bowden.identification",
-    "identify": "bowden.identification", "nominal": "bowden.model_files", "plan": "bowden.planning",
-    "read": "bowden.recorded_trial:read_trial",
-    "read_model": "bowden.model_files:read", "record": "bowden.recording", "replay": "bowden.replay",
-    "run": "bowden.experiment", "simulate": "bowden.simulating", "simulated": "bowden.buses", "sweep": "bowden.sweep",
-    "testing": "bowden.testing", "verify": "bowden.experiment", "write_model": "bowden.model_files:write",
+    "BenchModel": "bowden.model_files", "BusSettings": "bowden.bench.buses", "Diagnosis": "bowden.models.diagnosing",
+    "DiagnosisResult": "bowden.models.diagnosing", "Experiment": "bowden.trials.experiment", "InputError": "parameters",
+    "Node": "bowden.bench.any_node", "Progress": "bowden.progress", "Simulation": "bowden.models.simulating",
+    "StoppedError": "bowden.models.identification", "Trial": "bowden.trials.recorded_trial",
+    "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
+    "compare": "bowden.trials.recorded_trial", "doctor": "bowden.bench.examination",
+    "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
+    "identify": "bowden.models.identification", "nominal": "bowden.model_files", "plan": "bowden.trials.planning",
+    "read": "bowden.trials.recorded_trial:read_trial", "read_model": "bowden.model_files:read",
+    "record": "bowden.trials.recording", "replay": "bowden.replay", "run": "bowden.trials.experiment",
+    "simulate": "bowden.models.simulating", "simulated": "bowden.bench.buses", "sweep": "bowden.sweep",
+    "testing": "bowden.testing", "verify": "bowden.trials.experiment", "write_model": "bowden.model_files:write",
 }
 """Each public name and the module that it is imported from when it is first used."""
 

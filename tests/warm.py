@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 GUEST_CACHE = ROOT / "build" / "guest-numba"
 FOR_GUESTS = {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(GUEST_CACHE),
               "PYTHONDONTWRITEBYTECODE": ""}
-_COMPILE_LAWS = "from bowden.session import compile_laws; compile_laws(simulated=True)"
+_COMPILE_LAWS = "from bowden.trials.session import compile_laws; compile_laws(simulated=True)"
 _RUN_A_TRIAL = """
 import can, tempfile
 from bowden.cli.app import run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import warnings
@@ -23,6 +24,21 @@ app = CommandGroup(
     no_args_is_help=False,
     rich_markup_mode=None,
 )
+
+
+MODULES = (
+    "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
+    "bench.doctor", "bench.node", "bench.monitor", "models.diagnose", "models.fit", "models.simulate", "models.verify",
+    "trials.report", "bench.live", "trials.convert", "trials.recordings", "bench.record", "bench.setup",
+    "models.logbook",
+)
+"""Modules of the commands, in the order of `bowden --help`; importing one registers its commands on `app`."""
+
+
+def load() -> None:
+    """Register every command; cheap, since commands import their rooms when they run."""
+    for name in MODULES:
+        importlib.import_module(f"bowden.cli.{name}")
 
 
 def _version(asked: bool) -> None:
@@ -52,9 +68,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; messages are one sentence on stderr, never a box or a traceback."""
-    from bowden.cli import commands, ending
+    from bowden.cli import ending
 
-    commands.load()
+    load()
     ending.quiet_libraries()
     warnings.showwarning = _remark
     with ending.as_ctrl_c() as ended:

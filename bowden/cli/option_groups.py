@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 from bowden.cli import options
 
 if TYPE_CHECKING:
-    from bowden.buses import BusSettings
+    from bowden.bench.buses import BusSettings
 
 
 class WalkOptions(NamedTuple):
@@ -30,7 +30,7 @@ class WalkOptions(NamedTuple):
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """The configuration's `section`, overridden; `controller` where the command line names none."""
-        from bowden.configuration import override
+        from bowden.bench.configuration import override
 
         return override(section, {
             "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
@@ -59,7 +59,7 @@ class Bus(NamedTuple):
 
     def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
         """The checked sections of the configuration in `config`, the network overridden by what was given."""
-        from bowden import configuration
+        from bowden.bench import configuration
 
         sections = configuration.read(config)
         sections["network"] = configuration.override(
@@ -75,8 +75,8 @@ class Bus(NamedTuple):
         A channel or an option without an interface means a real bus that would not be opened: it is refused, but
         where a command is `always_simulated`.
         """
-        from bowden.buses import BENCH, VIRTUAL, bus
-        from bowden.buses import simulated as virtual
+        from bowden.bench.buses import BENCH, VIRTUAL, bus
+        from bowden.bench.buses import simulated as virtual
         from parameters import InputError
 
         options = dict(_option(text) for text in self.option or ())

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bowden.load_prediction import frame_bits
+from bowden.pages.load_prediction import frame_bits
 from eds.bench_network import NAMES
 from trial.convert.frames import rows_of
 from trial.decode import events as events_of

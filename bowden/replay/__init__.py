@@ -15,10 +15,10 @@ from bowden.progress import SILENT, Progress
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from bowden.buses import BusSettings
-    from bowden.recorded_trial import Trial
+    from bowden.bench.buses import BusSettings
     from bowden.replay.onto_controller import ControllerComparison
     from bowden.replay.plant_residuals import Residuals
+    from bowden.trials.recorded_trial import Trial
     from trial.read import Trial as Recorded
 
 __all__ = ["onto"]
@@ -34,8 +34,9 @@ def onto(
     simulated bench, `bus` (None: the one of serial number 1).  `allow`: a controller outside of this package that the
     trial names and that may be imported.  Raises `InputError`; replay onto a real bus is `bowden replay`.
     """
-    from bowden import buses, recorded
-    from bowden.recorded_trial import Trial
+    from bowden.bench import buses
+    from bowden.trials import recorded
+    from bowden.trials.recorded_trial import Trial
 
     if target not in ("controller", "plant"):
         raise InputError(f"onto {target!r}: expected 'controller' or 'plant'; say bowden replay for a real bus.")

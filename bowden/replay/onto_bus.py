@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from bowden.buses import BusSettings, opened_one
+from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
 from eds.frame import Frame
 from parameters import InputError

@@ -9,10 +9,10 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from bowden.buses import BusSettings, opened_one
+from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
-from bowden.recorded import experiment, script, sections
 from bowden.replay.onto_plant import lengths_ns
+from bowden.trials.recorded import experiment, script, sections
 from parameters import InputError
 
 if TYPE_CHECKING:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bowden import output_files, provenance, session
-from bowden.buses import BusSettings, opened_one, simulating
+from bowden import output_files
+from bowden.bench.buses import BusSettings, opened_one, simulating
 from bowden.progress import SILENT, Progress
-from bowden.recorded import sections
+from bowden.trials import provenance, session
+from bowden.trials.recorded import sections
 
 if TYPE_CHECKING:
     from bowden.replay.plant_residuals import Residuals

@@ -26,9 +26,10 @@ def over(
     bench is identified on its day 0 first.  `workers`: processes (None: one a processor).  Trials run in processes of
     their own: a script calls it under `if __name__ == "__main__":`.  Raises `InputError`.
     """
-    from bowden import configuration, session
+    from bowden.bench import configuration
     from bowden.sweep import rows, run
     from bowden.sweep.sweep_table import SweepTable
+    from bowden.trials import session
 
     axes = [rows.axis(f"{name}={','.join(str(value) for value in values)}") for name, values in grid.items()]
     fixed = {"files.calibration": rows.IDENTIFIED} if identify else {}

@@ -40,7 +40,7 @@ def crew(scheduler: str | None, workers: int | None, tls: Path | None = None) ->
 
 def perform(trial: Path, given: Given) -> dict[str, Any]:
     """Return one trial's diagnosis as `bowden diagnose --json` gives it."""
-    from bowden.diagnosing import on_its_footing
+    from bowden.models.diagnosing import on_its_footing
     from diagnosis.findings import Findings
 
     began = time.perf_counter()

@@ -15,9 +15,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bowden import buses, identification, provenance, session
+from bowden.bench import buses
+from bowden.models import identification
 from bowden.sweep.departure import motion
 from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
+from bowden.trials import provenance, session
 from parameters import InputError
 
 FIGURES = (

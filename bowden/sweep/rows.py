@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bowden import configuration, session
+from bowden.bench import configuration
 from bowden.sweep.departure import Departure
+from bowden.trials import session
 from eds import bus_load, declaration
 from eds.bench_network import Network, wire
 from master.control import controller

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bowden import configuration
+from bowden.bench import configuration
 from bowden.sweep import rows
 from eds.bench_network import KNEE, WireLayout, wire
 from eds.declaration import text_of

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator
 import pytest
 import typer.main
 
-from bowden.cli import commands
-from bowden.cli.app import app
+from bowden.cli.app import app, load
 
 
 def names(group: object = None, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Yield every command as its words."""
     if group is None:
-        commands.load()
+        load()
         group = typer.main.get_command(app)
     for name, command in getattr(group, "commands", {}).items():
         if getattr(command, "commands", None):

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from bowden import configuration
+from bowden.bench import configuration
 from trial import read
 
 TOLD = {"specimen": 'left leg, "tall"', "rope": "Dyneema 1 mm\\batch 7, 3. Tag", "operator": "Åsa", "notes": "",

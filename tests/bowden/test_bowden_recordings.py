@@ -13,7 +13,7 @@ import pytest
 from mcap.writer import Writer
 
 import trial
-from bowden.recording import BusRecording
+from bowden.trials.recording import BusRecording
 from eds.bench_network import Network, wire
 from parameters import InputError
 from trial.mcap_file import cdr

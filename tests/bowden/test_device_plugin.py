@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import bowden as api
-from bowden import configuration
+from bowden.bench import configuration
 from eds.declaration import text_of
 from trial.read import open as opened
 

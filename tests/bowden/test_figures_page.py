@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import redrawn
-from bowden import loops_picture
+from bowden.pages import loops_picture
 from master.identification.calibration_fit import Segment
 from physics import laws
 

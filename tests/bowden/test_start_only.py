@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import bowden as api
-from bowden import configuration
-from bowden.recorded import sections
+from bowden.bench import configuration
+from bowden.trials.recorded import sections
 from eds.declaration import packaged, text_of
 from trial.read import open as opened
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from bowden import configuration
+from bowden.bench import configuration
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep.departure import Departure, motion
 from bowden.sweep.row_trial import bench_of, digest

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from bowden import configuration
-from bowden.cli import sweep as sweep_command
+from bowden.bench import configuration
+from bowden.cli.trials import sweep as sweep_command
 from bowden.sweep import rows as sweep_rows
 from bowden.sweep import run
 from bowden.sweep.row_trial import FIGURES

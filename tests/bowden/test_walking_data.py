@@ -13,7 +13,7 @@ import pytest
 
 import trial as trials
 from benchmarks.walking import PERIOD_S, STRIDES, described
-from bowden.figures import true_end
+from bowden.pages.figures import true_end
 from parameters import InputError
 from physics.reference import Reference, paper_force, recorded_angle
 from trial.curves import AXES, read_curve

@@ -220,7 +220,7 @@ def _import(name: str, data: bytes) -> None:
 
 @functools.cache
 def _tables() -> list[tuple[bytes, Callable[[Path], Any]]]:
-    from bowden import configuration
+    from bowden.bench import configuration
     from physics import calibration
     from virtual_bus import faults, plant_model
 

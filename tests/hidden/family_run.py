@@ -18,8 +18,8 @@ import sys
 from pathlib import Path
 
 from benchmarks import marked
-from bowden import provenance
 from bowden.sweep import run as sweep
+from bowden.trials import provenance
 from tests.hidden import family_bars, run
 from tests.hidden.family import Answer, answer, from_json
 from tests.hidden.family_jobs import KINDS, SERIALS, digest, jobs

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import marked
-from bowden import provenance
 from bowden.cli import terminal
 from bowden.sweep import run
+from bowden.trials import provenance
 from tests.hidden import cases, floors, page
 from tests.hidden.answers import answer, from_json
 from tests.hidden.cases import Job

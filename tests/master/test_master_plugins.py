@@ -167,8 +167,8 @@ def test_a_name_that_is_nobodys_is_refused(name: str, says: str) -> None:
 
 
 def test_a_replay_onto_a_controller_of_others_compares_its_own_columns() -> None:
-    from bowden.recorded import experiment
     from bowden.replay import onto_controller
+    from bowden.trials.recorded import experiment
 
     trial = run(Counting)
     chosen = experiment(trial.recorded, allowed=trial.recorded.metadata["controller"])

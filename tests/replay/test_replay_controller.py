@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bowden.recorded import experiment
 from bowden.replay.onto_controller import OUTPUTS, replay, walked
+from bowden.trials.recorded import experiment
 from master.control.controller import CONTROLLERS
 from master.settings import Impedance
 from parameters import InputError

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bowden.recorded import experiment
 from bowden.replay.onto_controller import OUTPUTS, step_again, walked
+from bowden.trials.recorded import experiment
 from master.control.controller import CONTROLLERS
 from trial import read
 

@@ -1,0 +1,83 @@
+"""Any CANopen node as a Python object: `with bowden.Node(5, eds="vendor.eds", bus=…) as node`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from eds.dictionary import PACKAGED, Dictionary, packaged, read
+from master.network.link import Link, LinkError
+from master.network.sdo import SdoError
+from master.node_access import node_scan
+from master.node_access import remote_node as access
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
+
+BITRATE = 1_000_000
+
+
+@contextmanager
+def linked(bus: BusSettings, bitrate: int = BITRATE) -> Iterator[Link]:
+    """Open a bus and a link on it that sends no heartbeat; raises `InputError` where bus or node fails."""
+    from bowden.bench import buses
+
+    with buses.opened_one(bus, bitrate) as opened:
+        try:
+            yield Link(opened, buses.clock_of(opened), heartbeat_ms=None)
+        except SdoError as error:
+            raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
+        except LinkError as error:
+            raise InputError(f"bus: {error}; see bowden doctor.") from None
+
+
+def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | None:
+    """Return the node's dictionary: a file given, the fitting one of a folder, else a packaged one that fits.
+
+    Raises `InputError` where a folder has none that fits the node's identity.
+    """
+    if eds is not None and not eds.is_dir():
+        return read(eds, node_id)
+    try:
+        identity = access.NodeAccess(link, node_id).identity()
+    except SdoError as error:
+        raise InputError(f"{error}; check node id, bit rate, supply and cable (bowden node scan).") from None
+    files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
+    found = node_scan.fitting(identity, files, node_id)
+    if found is None and eds is not None:
+        raise InputError(f"{eds}: no EDS in it fits node {node_id} (vendor 0x{identity.get('vendor', 0):08X}, product "
+                         f"0x{identity.get('product', 0):08X}); add the device's file or name it.")
+    return found
+
+
+class Node(access.NodeAccess):
+    """Any CANopen node, as a context manager that opens its bus.
+
+    `eds` is a file or a folder of them; `bus` comes from `bowden.bus()` and is the simulated bench without one. Raises
+    `InputError` for bad input and for a bus that fails; methods raise `master.network.sdo.SdoError` for a refusal.
+    """
+
+    def __init__(self, node_id: int, *, bus: BusSettings | None = None, eds: str | Path | None = None,
+                 bitrate: int = BITRATE) -> None:
+        from bowden.bench import buses
+
+        self._opened = ExitStack()
+        link = self._opened.enter_context(linked(bus or buses.simulated(), bitrate))
+        try:
+            super().__init__(link, node_id, dictionary_of(link, node_id, None if eds is None else Path(eds)))
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._opened.close()
+
+    def __enter__(self) -> Node:
+        return self
+
+    def __exit__(self, *_exc: object) -> None:
+        self.close()

@@ -1,0 +1,88 @@
+"""`bowden bench`: the four simulated nodes and the plant, in wall time, on any python-can bus."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+
+Interface = Annotated[str, typer.Option(
+    metavar="NAME", help="python-can interface, such as socketcan, udp_multicast or virtual.")]
+Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
+
+
+Faults = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Faults of nodes: [[fault]] tables with kind, node, start_s, stop_s.")]
+
+
+@app.command()
+@grouped
+def bench(
+    interface: Interface,
+    channel: options.Channel = None,
+    rate: options.Rate = None,
+    config: options.Config = None,
+    *,
+    simulated: SimulatedOptions,
+    bitrate: options.Bitrate = None,
+    option: options.Extra = None,
+    faults: Faults = None,
+    seconds: Seconds = None,
+    json: options.Json = False,
+) -> int:
+    """Serve the simulated bench on a bus.
+
+    The four nodes and the plant run in wall time until Ctrl-C; several masters may listen.
+
+    Example: bowden bench --interface udp_multicast --channel 239.74.163.2 --for 5
+    """
+    import can
+
+    from bowden.bench import buses, configuration
+    from bowden.cli import ending
+    from bowden.trials import session
+    from master.network.host_computer import prepared
+    from virtual_bus.bus import BowdenBus
+    from virtual_bus.serve import servable, serve
+
+    chosen = Bus(interface, channel, bitrate, option).chosen()
+    arguments = Bus().chosen(simulated).arguments
+    injected = () if faults is None else servable(faults)
+    network = configuration.read(config)["network"]
+    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
+    ended = False
+
+    def end(number: int, frame: object) -> None:
+        nonlocal ended
+        ended = True  # SIGTERM and SIGHUP come here, too: they act as Ctrl-C
+
+    with buses.opened_one(chosen, bitrate or network.bitrate) as real:
+        made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
+                "rate_hz": rate or network.rate_hz}
+        made.pop("interface")
+        made["faults"] = injected
+        hidden = BowdenBus(**made)
+        before = signal.signal(signal.SIGINT, end)
+        terminal.remark(f"the bench is on {interface} {channel or ''}; Ctrl-C ends it.")
+        deadline = None if seconds is None else time.monotonic() + seconds
+        try:
+            with prepared():
+                served = serve(real, hidden.bench, time.monotonic_ns,
+                               lambda: ended or (deadline is not None and time.monotonic() >= deadline),
+                               echoes=interface == "udp_multicast")
+        except can.CanOperationError as error:
+            terminal.remark(f"{interface} is gone ({error}); the bench ends.")
+            return 1
+        finally:
+            signal.signal(signal.SIGINT, before)
+            hidden.shutdown()
+    result = {"received": served.received, "sent": served.sent, "lost": served.lost, "behind_ns": served.behind_ns}
+    terminal.emit(result) if json else print(", ".join(f"{name} {value}" for name, value in result.items()))
+    return ending.CTRL_C if ended else 0

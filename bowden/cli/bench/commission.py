@@ -1,0 +1,180 @@
+"""`bowden home`, `tare`, `jog`, `release`, `acknowledge`: a bench before and between trials."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from master.motion.commission import Procedure
+
+Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start or end.", show_default=False)]
+Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee.", show_default=False)]
+By = Annotated[float, typer.Option(metavar="X", help="mm of rope (pulling > 0) or degrees of knee (flexion < 0).")]
+Speed = Annotated[float | None, typer.Option(metavar="V", help="mm/s or degrees/s at most (default 10).")]
+SPEED = 10.0
+REMEDY = "free the emergency stop (STO) first, then say this again"
+
+
+@app.command()
+@grouped
+def home(
+    calibration: options.Calibration = None,
+    rate: options.Rate = None,
+    homing_n: options.HomingForce = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Find the encoder zero at the preload.
+
+    The rope is left slack.
+
+    Example: bowden home --interface socketcan --channel can0
+    """
+    from bowden.bench import configuration
+    from master.motion import commission
+    from physics.calibration import nominal, read
+
+    bench = _Bench(reached, rate, config)
+    measured = nominal() if calibration is None else read(calibration)
+    homing = configuration.homing(bench.sections["homing"], homing_n)
+    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json)
+
+
+@app.command()
+@grouped
+def tare(
+    sensor: Sensor,
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Zero a tension sensor.
+
+    The rope must be slack, and no drive is enabled.
+
+    Example: bowden tare start --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    procedure = commission.tare(sensor)
+    return _Bench(reached, rate, config).perform(f"tare {sensor}", procedure, json=json)
+
+
+@app.command()
+@grouped
+def jog(
+    axis: Axis,
+    by: By,
+    speed: Speed = None,
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Move one axis slowly, alone; the other drive stays off.
+
+    Example: bowden jog servo --by -2 --speed 5 --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    unit = math.radians(1.0) if axis == "knee" else 1e-3
+    bench = _Bench(reached, rate, config)
+    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, bench.sections["limits"])
+    return bench.perform(f"jog {axis}", procedure, json=json)
+
+
+@app.command()
+@grouped
+def release(
+    rate: options.Rate = None,
+    *,
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Take the tension off.
+
+    The servo alone pays the rope out until START is slack.
+
+    Example: bowden release --interface socketcan --channel can0
+    """
+    from master.motion import commission
+
+    bench = _Bench(reached, rate, config)
+    return bench.perform("release", commission.release(bench.sections["homing"], bench.sections["limits"]), json=json)
+
+
+class _Bench:
+    """The bench that the options name: its bus and its configuration."""
+
+    def __init__(self, reached: Bus, rate: int | None, config: Path | None) -> None:
+        self.sections = reached.sections(config, rate)
+        self.chosen = reached.chosen()
+
+    def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
+        """Run one procedure and say what it found."""
+        from bowden.trials import commissioning
+
+        with terminal.waiting(what, shown=not json):
+            outcome, found = commissioning.perform(self.chosen, self.sections, procedure)
+        result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
+                  "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
+        if json:
+            terminal.emit(result)
+        else:
+            if found:
+                terminal.table(what, ("figure", "value"), [
+                    (name, terminal.number(value, 4)) for name, value in found.items()])
+            print(f"{what}, {self.chosen.told}: {result['outcome']}"
+                  + (f": {outcome.reason}" if outcome.reason else "."))
+        from bowden.cli import ending
+
+        return ending.status_of(str(result["outcome"]), outcome.reason)
+
+
+@app.command()
+@grouped
+def acknowledge(
+    reached: Bus,
+    config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Release drives after an emergency stop.
+
+    A drive that had its emergency stop (STO) stays off until an operator says so; nothing is enabled by it.
+
+    Example: bowden acknowledge --interface socketcan --channel can0
+    """
+    from bowden.bench import buses
+    from eds.bench_network import wire
+    from master.cycle.acknowledge import acknowledge as release
+    from master.network.bringup import BringUpError
+    from master.network.link import Link, LinkError
+    from parameters import InputError
+
+    network = reached.sections(config)["network"]
+    with buses.opened_one(reached.chosen(), network.bitrate) as opened:
+        try:
+            found = release(Link(opened, buses.clock_of(opened), heartbeat_ms=None), wire(network))
+        except (BringUpError, LinkError) as error:
+            raise InputError(str(error)) from None
+    active = [one for one in found if one.became == "still active"]
+    if json:
+        terminal.emit({one.drive: one.became for one in found})
+    else:
+        for one in found:
+            print(f"{one.drive}: {one.became}" + (f"; {REMEDY}." if one in active else "."))
+    return 1 if active else 0

@@ -1,0 +1,197 @@
+"""`bowden monitor`: the frames of a bus or of a recorded file in words."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from eds.dictionary import Dictionary
+
+KINDS: Final = ("nmt", "sync", "time", "emcy", "pdo", "sdo", "heartbeat", "lss", "other")
+Source = Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Trial or log: .mcap, .log, .asc, .blf.",
+                                               show_default=False)]
+
+
+@app.command()
+@grouped
+def monitor(
+    reached: Bus,
+    source: Source = None,
+    eds: Annotated[list[str] | None, typer.Option("--eds", metavar="ID=FILE",
+                                                  help="EDS or DCF of a node; default: the bench's.")] = None,
+    only: Annotated[str | None, typer.Option("--only", metavar="KINDS", help=", ".join(KINDS) + ".")] = None,
+    nodes: Annotated[str | None, typer.Option("--node", metavar="IDS", help="Only these node ids.")] = None,
+    seconds: Annotated[float | None, typer.Option(
+        "--for", metavar="S", min=0.0, help="Time to listen (default: until Ctrl-C; simulated: 1 s).")] = None,
+    table: Annotated[bool, typer.Option("--table", help="Only the table of rates and load, at the end.")] = False,
+    dbc: Annotated[Path | None, typer.Option("--dbc", metavar="FILE", help="Write the PDOs' layout as DBC.")] = None,
+    mf4: Annotated[Path | None, typer.Option("--mf4", metavar="FILE", help="Write the PDOs' values as MF4.")] = None,
+    config: options.Config = None,
+    overwrite: options.Overwrite = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+) -> int:
+    """Show each frame of a bus or of a file in words.
+
+    PDO values have names and units, SDO transfers are put together, abort and EMCY codes are in words.
+
+    Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
+    """
+    from bowden import output_files
+    from eds.bench_network import wire
+    from eds.bus_load import frame_bits
+    from master.node_access.frame_words import FrameReader, FrameWords, of_wire
+    from master.node_access.signal_files import SignalRecording, write_dbc
+
+    network = reached.sections(config)["network"]
+    kinds, wanted = _kinds(only), _nodes(nodes)
+    reader = FrameReader(_dictionaries(eds)) if eds else of_wire(wire(network))
+    output_files.refuse([dbc, mf4], overwrite=overwrite, inputs=[source])
+    output_files.refuse_ending(dbc, ".dbc", what="a layout of PDOs")
+    output_files.refuse_ending(mf4, ".mf4", what="a recording of values")
+    if dbc is not None:
+        terminal.remark(f"{dbc}: {write_dbc(reader, dbc, overwrite=overwrite)} PDOs.")
+    recording = SignalRecording(reader)
+    counts: Counter[int] = Counter()
+    names: dict[int, str] = {}
+    bits, first_ns, last_ns, lost = 0, None, 0, 0
+    for can_id, data, time_ns, special, dropped in _frames(source, reached, network.bitrate, seconds):
+        lost = dropped
+        if special == "lost":
+            continue
+        words = FrameWords("other", 0, special) if special else reader.read(can_id, data)
+        first_ns, last_ns = time_ns if first_ns is None else first_ns, time_ns
+        counts[can_id] += 1
+        if mf4 is not None and not special:
+            recording.take(time_ns, can_id, data)
+        names.setdefault(can_id, words.text.partition(":")[0] if words.kind == "pdo" else words.kind)
+        bits += frame_bits(len(data))
+        if table or words.kind not in kinds or (wanted and words.node_id not in wanted):
+            continue
+        if json:
+            print(json_text.dumps({"time_ns": time_ns, "can_id": can_id, "data": data.hex(), **words._asdict()},
+                                  ensure_ascii=False))
+        else:
+            node = f"{words.node_id:3}" if words.node_id else "   "
+            print(f"{(time_ns - first_ns) / 1e9:12.6f}  {can_id:03X}  {node}  {words.text}")
+    span_s = max((last_ns - (first_ns or 0)) / 1e9, 1e-9)
+    if table:
+        _show_table(counts, names, span_s, 100.0 * bits / span_s / network.bitrate, lost, json=json)
+    if mf4 is not None:
+        terminal.remark(f"{mf4}: values of {recording.write(mf4, overwrite=overwrite)} PDOs.")
+    if lost:
+        terminal.remark(f"{lost} frames were lost, because they came faster than they were read.")
+    return 0
+
+
+def _frames(source: Path | None, reached: Bus, bitrate: int,
+            seconds: float | None) -> Iterator[tuple[int, bytes, int, str, int]]:
+    """Yield identifier, data, time (ns), words for a frame that is no plain data frame, and frames lost so far."""
+    from bowden.bench import buses
+    from master.network.link import FAILURES, stamp_ns
+    from parameters import InputError
+
+    if source is not None:
+        for message in _recorded(source):
+            yield message.arbitration_id, bytes(message.data or b""), stamp_ns(message), _special(message), 0
+        return
+    chosen = reached.chosen()
+    if seconds is None and chosen.simulated:
+        seconds = 1.0
+    with buses.opened_one(chosen, bitrate) as bus:
+        clock = buses.clock_of(bus)
+        end_ns = None if seconds is None else clock() + round(seconds * 1e9)
+        while end_ns is None or clock() < end_ns:
+            try:
+                message = bus.recv(1.0 if end_ns is None else max(0.0, (end_ns - clock()) / 1e9))
+            except FAILURES as error:
+                raise InputError(f"bus: {error}; see bowden doctor.") from None
+            if message is not None:
+                yield (message.arbitration_id, bytes(message.data), stamp_ns(message), _special(message),
+                       getattr(bus, "lost", 0))
+        yield 0, b"", 0, "lost", getattr(bus, "lost", 0)
+
+
+def _recorded(source: Path) -> Iterator[Any]:
+    import can
+
+    from parameters import InputError
+
+    if not source.is_file():
+        raise InputError(f"{source}: no such file; give a trial (.mcap) or a CAN log (.log, .asc, .blf).")
+    try:
+        with closing(_reader(source)) as reader:
+            yield from reader
+    except InputError:
+        raise
+    except (can.CanError, OSError, ValueError, EOFError, KeyError, IndexError) as error:
+        raise InputError(f"{source}: cannot be read as a CAN log ({error}); give .mcap, .log, .asc or .blf.") from None
+
+
+def _reader(source: Path) -> Any:
+    import can
+
+    reader: Any = can.LogReader(source)
+    reader.close = reader.stop
+    return reader
+
+
+def _special(message: Any) -> str:
+    if message.is_error_frame:
+        return "error frame"
+    if message.is_remote_frame:
+        return f"remote request of {message.dlc} bytes"
+    return f"extended identifier: {bytes(message.data).hex(' ')}" if message.is_extended_id else ""
+
+
+def _dictionaries(given: list[str]) -> dict[int, Dictionary]:
+    from eds.dictionary import read
+    from parameters import InputError
+
+    found = {}
+    for text in given:
+        node, equals, path = text.partition("=")
+        if not equals or not node.isdecimal() or not 1 <= int(node) <= 127:
+            raise InputError(f"--eds {text}: expected ID=FILE; write for instance 5=vendor.eds.")
+        found[int(node)] = read(path, int(node))
+    return found
+
+
+def _kinds(only: str | None) -> frozenset[str]:
+    from parameters import InputError
+
+    asked = frozenset(KINDS if only is None else only.split(","))
+    if unknown := sorted(asked - set(KINDS)):
+        raise InputError(f"--only {unknown[0]}: is no kind of frame; give some of {','.join(KINDS)}.")
+    return asked
+
+
+def _nodes(nodes: str | None) -> frozenset[int]:
+    from parameters import InputError
+
+    try:
+        return frozenset(int(one) for one in nodes.split(",")) if nodes else frozenset()
+    except ValueError:
+        raise InputError(f"--node {nodes}: expected node ids; write for instance 1,5.") from None
+
+
+def _show_table(counts: Counter[int], names: dict[int, str], span_s: float, load: float, lost: int, *,
+                json: bool) -> None:
+    if json:
+        terminal.emit({"load_percent": load, "seconds": span_s, "lost": lost, "identifiers": [
+            {"can_id": can_id, "name": names[can_id], "frames": count, "per_second": count / span_s}
+            for can_id, count in sorted(counts.items())]})
+        return
+    for can_id, count in sorted(counts.items()):
+        print(f"{can_id:03X}  {names[can_id]:10}  {count:8} frames  {count / span_s:10.1f} /s")
+    print(f"{sum(counts.values())} frames in {span_s:.3f} s, {load:.1f} % of the bus at most.")

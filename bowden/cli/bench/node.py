@@ -1,0 +1,543 @@
+"""`bowden node`: any CANopen node by its id: objects, PDOs, errors, NMT, and its parameters as DCF."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import CommandGroup
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from eds.dictionary import Dictionary
+    from master.network.dcf import DescribedNode, ParameterDifference
+    from master.network.link import Link
+    from master.node_access.pdo_settings import PdoState
+    from master.node_access.remote_node import NodeAccess
+
+Act = Callable[["Link", "DescribedNode", "Dictionary"], "list[ParameterDifference]"]
+node = CommandGroup(help="Any CANopen node by its id: objects, PDOs, errors, NMT, parameters as DCF.",
+                    rich_markup_mode=None)
+app.add_typer(node, name="node")
+
+Name = Annotated[str, typer.Argument(metavar="NODE", help="Node id 1 … 127, or servo, knee, start, end.",
+                                     show_default=False)]
+File = Annotated[Path, typer.Argument(metavar="FILE", help="DCF of the node.", show_default=False)]
+ObjectOf = Annotated[str, typer.Argument(metavar="OBJECT", help="6041, 1018:01, or a name of the EDS.",
+                                         show_default=False)]
+Eds = Annotated[Path | None, typer.Option("--eds", metavar="FILE", help="EDS or DCF, or a folder of them.")]
+Force = Annotated[bool, typer.Option("--force", help="Even while another master is on the bus.")]
+Block = Annotated[bool, typer.Option("--block", help="By SDO block transfer.")]
+Type = Annotated[str | None, typer.Option("--type", metavar="TYPE", help="u8 … u64, i8 … i64, f32, f64, str, hex.")]
+
+
+@node.command()
+@grouped
+def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: options.Json = False) -> int:
+    """Find the nodes of a bus: heartbeats, identities, and names of EDS files that fit.
+
+    Example: bowden node scan
+    """
+    from bowden.bench.any_node import linked
+    from eds.dictionary import PACKAGED, packaged
+    from master.node_access import node_scan as scanning
+
+    files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
+    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+        found = scanning.scan(link, files)
+    if json:
+        terminal.emit({"nodes": [{"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
+                                  "eds": None if one.dictionary is None else one.dictionary.path} for one in found]})
+    else:
+        for one in found:
+            identity = "no SDO answer" if one.identity is None else " ".join(
+                f"{name} 0x{value:08X}" for name, value in one.identity.items())
+            print(f"{one.node_id:3}  {one.state or 'no heartbeat':16}  {identity}  {one.name}".rstrip())
+        print(f"{len(found)} nodes.")
+    return 0 if found else 1
+
+
+@node.command()
+@grouped
+def info(name: Name, reached: Bus, eds: Eds = None, config: options.Config = None, json: options.Json = False) -> int:
+    """Show a node's identity, versions, NMT state and drive state.
+
+    Example: bowden node info 1
+    """
+    with _node(name, reached, config, eds) as one:
+        told = one.info()
+    if json:
+        terminal.emit({"node": one.node_id, **told})
+    else:
+        for key, value in told.items():
+            shown = f"0x{value:08X}" if key in ("device_type", "vendor", "product", "revision", "serial") else value
+            print(f"{key.replace('_', ' '):13} {_listed(shown)}")
+    return 0
+
+
+@node.command()
+@grouped
+def read(
+    name: Name, place: ObjectOf, reached: Bus, eds: Eds = None, type: Type = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File for the bytes.")] = None,
+    overwrite: options.Overwrite = False, block: Block = False, config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Read one object, typed by the EDS or by --type.
+
+    Example: bowden node read 1 1018:01
+    """
+    from bowden import output_files
+    from master.node_access import object_text
+
+    if output is not None:
+        output_files.refuse([output], overwrite=overwrite)
+    with _node(name, reached, config, eds) as one:
+        at = one.find(place)
+        kind = one.kind(at, type)
+        data = one.read_bytes(at, block=block)
+        scaled = one.units.get(at)
+    value = object_text.value_of(kind, data)
+    if output is not None:
+        output.write_bytes(data)
+    if json:
+        terminal.emit({"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
+                       "type": None if kind is None else kind.name, "value": object_text.plain(value),
+                       "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
+                       "unit": scaled[1] if scaled else None, "bytes": len(data)})
+    else:
+        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled)
+        print(" ".join(filter(None, (object_text.shown_key(at), one.name(at)))) + f" = {shown}")
+    return 0
+
+
+@node.command()
+@grouped
+def write(
+    name: Name, place: ObjectOf, reached: Bus,
+    value: Annotated[str | None, typer.Argument(metavar="VALUE", help="Decimal, 0x…, text or hex bytes.")] = None,
+    given: Annotated[Path | None, typer.Option("--input", metavar="FILE", help="File with the bytes.")] = None,
+    eds: Eds = None, type: Type = None, block: Block = False, force: Force = False, config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Write one object, typed by the EDS or by --type, and read it back.
+
+    Example: bowden node write 1 1017 500
+    """
+    from bowden.cli.command import NothingGivenError
+    from master.network.sdo import SdoError
+    from master.node_access import object_text
+    from parameters import InputError
+
+    if (value is None) == (given is None):
+        raise NothingGivenError("NODE OBJECT VALUE", "write: give either VALUE or --input FILE.")
+    try:
+        content = None if given is None else given.read_bytes()
+    except OSError as error:
+        raise InputError(f"{given}: cannot be read ({error.strerror}); give a readable file.") from None
+    with _node(name, reached, config, eds, force=force, acts=True) as one:
+        at = one.find(place)
+        data = one.encoded(at, value or "", type) if content is None else content
+        one.write_bytes(at, data, block=block)
+        kind = one.kind(at, type)
+        try:
+            now = object_text.value_of(kind, one.read_bytes(at, block=block))
+        except SdoError:
+            now = None
+        scaled = one.units.get(at)
+    if json:
+        terminal.emit({"node": one.node_id, "object": object_text.shown_key(at), "name": one.name(at),
+                       "written": len(data), "value": object_text.plain(now)})
+    else:
+        print(" ".join(filter(None, (object_text.shown_key(at), one.name(at))))
+              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled)}"))
+    return 0
+
+
+@node.command()
+@grouped
+def objects(
+    name: Name, reached: Bus, eds: Eds = None,
+    changed: Annotated[bool, typer.Option("--changed", help="Only values that are not the EDS's default.")] = False,
+    config: options.Config = None, json: options.Json = False,
+) -> int:
+    """List a node's objects with their live values; * marks one that is not the EDS's default.
+
+    Example: bowden node objects 3 --changed
+    """
+    from master.node_access import object_text
+
+    with _node(name, reached, config, eds) as one:
+        found = [each for each in one.objects() if each.changed or not changed]
+        units = one.units
+    if json:
+        terminal.emit({"node": one.node_id, "objects": [
+            {"object": object_text.shown_key(each.entry.key), "name": one.name(each.entry.key),
+             "access": each.entry.access, "type": each.entry.data_type.name, "value": object_text.plain(each.value),
+             "default": object_text.plain(each.entry.default), "changed": each.changed,
+             "refused": each.refusal or None} for each in found]})
+        return 0
+    for each in found:
+        entry = each.entry
+        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key))
+        print(f"{'*' if each.changed else ' '} {object_text.shown_key(entry.key)} {entry.access:3} "
+              f"{one.name(entry.key)} = {shown}")
+    print(f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default.")
+    return 0
+
+
+@node.command()
+@grouped
+def pdo(
+    name: Name, reached: Bus, eds: Eds = None,
+    mapped: Annotated[list[str] | None, typer.Option("--map", metavar="PDO=OBJECTS",
+                                                     help="Map objects: tpdo1=6041,6064.")] = None,
+    given: Annotated[list[str] | None, typer.Option(
+        "--set", metavar="PDO.KEY=N",
+        help="cob_id, type, inhibit (100 µs) or event_timer (ms): tpdo1.type=1.")] = None,
+    force: Force = False, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Show a node's PDOs with names and values, or change them in the order of CiA 301.
+
+    Example: bowden node pdo 2 --map tpdo1=6041,6064 --set tpdo1.type=1
+    """
+    from master.node_access import object_text, pdo_settings
+
+    settings = _settings(given or [])
+    with _node(name, reached, config, eds, force=force, acts=bool(mapped or given)) as one:
+        maps = _mapped(mapped or [], one)
+        for index in dict.fromkeys((*maps, *settings)):
+            pdo_settings.configure(one.link, one.node_id, index, maps.get(index), settings.get(index))
+        states = one.pdos()
+        values = {at: _read_or_none(one, at) for state in states for at in (word >> 8 for word in state.mapping)}
+        units = one.units
+    if json:
+        terminal.emit({"node": one.node_id, "pdos": [
+            {"pdo": state.name, "valid": state.valid, **state.parameters, "mapping": [
+                {"object": object_text.shown_key(word >> 8), "name": one.name(word >> 8), "bits": word & 0xFF,
+                 "value": object_text.plain(values[word >> 8])} for word in state.mapping]} for state in states]})
+        return 0
+    for state in states:
+        print(_pdo_line(state))
+        for word in state.mapping:
+            at = word >> 8
+            shown = object_text.shown(values[at], one.kind(at), units.get(at))
+            print(f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = {shown}")
+    print(f"{len(states)} PDOs, {sum(state.valid for state in states)} in use.")
+    return 0
+
+
+def _pdo_line(state: PdoState) -> str:
+    from eds.cia301 import COB_ID_INVALID
+
+    cob_id = state.parameters["cob_id"] or 0
+    kind = state.parameters["type"]
+    words = "" if kind is None else f", type {kind} ({_transmission(kind)})"
+    if state.parameters["inhibit"]:
+        words += f", inhibit {state.parameters['inhibit'] / 10:g} ms"
+    if state.parameters["event_timer"]:
+        words += f", event timer {state.parameters['event_timer']} ms"
+    return f"{state.name}  {cob_id & 0x7FF:03X}h {'off' if cob_id & COB_ID_INVALID else 'on'}{words}"
+
+
+def _transmission(kind: int) -> str:
+    if kind == 0:
+        return "at SYNC after a change"
+    if kind <= 240:
+        return "every SYNC" if kind == 1 else f"every {kind} SYNCs"
+    return "event-driven" if kind >= 254 else "on remote request"
+
+
+def _read_or_none(one: NodeAccess, at: int) -> Any:
+    from master.network.sdo import SdoError
+    from master.node_access import object_text
+
+    try:
+        return object_text.value_of(one.kind(at), one.read_bytes(at))
+    except SdoError:
+        return None
+
+
+def _mapped(given: list[str], one: NodeAccess) -> dict[int, list[int]]:
+    from master.node_access import pdo_settings
+    from parameters import InputError
+
+    found = {}
+    for text in given:
+        pdo_name, equals, listed = text.partition("=")
+        if not equals:
+            raise InputError(f"--map {text}: expected PDO=OBJECTS; write for instance tpdo1=6041,6064.")
+        found[pdo_settings.index_of(pdo_name)] = pdo_settings.words(listed, one.dictionary)
+    return found
+
+
+def _settings(given: list[str]) -> dict[int, dict[str, int]]:
+    from master.node_access import pdo_settings
+    from parameters import InputError
+
+    found: dict[int, dict[str, int]] = {}
+    for text in given:
+        place, _, value = text.partition("=")
+        pdo_name, _, key = place.partition(".")
+        try:
+            number = int(value, 0)
+            fits = 0 <= number < 1 << 8 * pdo_settings.PARAMETERS[key][1]
+        except (ValueError, KeyError):
+            fits = False
+        if not fits:
+            raise InputError(f"--set {text}: expected PDO.KEY=NUMBER with one of {', '.join(pdo_settings.PARAMETERS)} "
+                             "and a number that fits it; write for instance tpdo1.type=1.")
+        found.setdefault(pdo_settings.index_of(pdo_name), {})[key] = number
+    return found
+
+
+@node.command()
+@grouped
+def errors(
+    name: Name, reached: Bus, eds: Eds = None,
+    clear: Annotated[bool, typer.Option("--clear", help="Clear the history 0x1003.")] = False,
+    force: Force = False, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Show a node's error register and error history in words; exit status 1 where an error is present.
+
+    Example: bowden node errors 1 || true
+    """
+    with _node(name, reached, config, eds, force=force, acts=clear) as one:
+        if clear:
+            one.clear_errors()
+        bits, history = one.errors()
+    if json:
+        terminal.emit({"node": one.node_id, "register": bits, "history": [
+            {"code": f"{each.code:04X}", "text": each.text, "manufacturer": each.more} for each in history]})
+    else:
+        print(f"1001 error register: {', '.join(bits) or 'no error'}")
+        for each in history:
+            print(f"{each.code:04X} {each.text}" + (f" (manufacturer's word {each.more:04X})" if each.more else ""))
+        print(f"{len(history)} errors in the history.")
+    return 1 if bits else 0
+
+
+@node.command()
+@grouped
+def nmt(
+    name: Annotated[str, typer.Argument(metavar="NODE", help="Node id, name, or all.", show_default=False)],
+    command: Annotated[str, typer.Argument(metavar="COMMAND", help="start, stop, preop, reset or reset-comm.",
+                                           show_default=False)],
+    reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Command the NMT state of a node or of all nodes.
+
+    Example: bowden node nmt 3 start
+    """
+    from bowden.bench.any_node import linked
+    from master.node_access import remote_node as access
+
+    if command not in access.COMMANDS:
+        from parameters import InputError
+
+        raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
+    node_id = 0 if name == "all" else _node_id(name, reached, config)
+    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+        _refuse_other_master(link, force)
+        state = access.nmt(link, node_id, command)
+    if json:
+        terminal.emit({"node": name, "command": command, "state": state})
+    else:
+        print(f"{name}: {command} sent" + ("." if not node_id else f"; {state}." if state else "; no heartbeat came."))
+    return 0
+
+
+@node.command()
+@grouped
+def emcy(
+    code: Annotated[str, typer.Argument(metavar="CODE", help="Error code, hexadecimal.", show_default=False)],
+    eds: Eds = None,
+    profile: Annotated[int | None, typer.Option(metavar="NUMBER", help="402 or 404: profile of the device.")] = None,
+    json: options.Json = False,
+) -> int:
+    """Show an EMCY error code in words: the EDS's own, CiA 301, 402 and 404.
+
+    Example: bowden node emcy 8611 --profile 402
+    """
+    from eds.dictionary import read as read_eds
+    from eds.emcy_codes import emcy_text
+    from parameters import InputError
+
+    try:
+        number = int(code.removesuffix("h"), 16)
+    except ValueError:
+        number = -1
+    if not 0 <= number <= 0xFFFF:
+        raise InputError(f"emcy {code}: is no error code; give four hexadecimal digits such as 8611.")
+    text = emcy_text(number, profile, {} if eds is None else read_eds(eds).emergencies)
+    if json:
+        terminal.emit({"code": f"{number:04X}", "text": text})
+    else:
+        print(f"{number:04X} {text}")
+    return 0
+
+
+@node.command()
+@grouped
+def backup(
+    name: Name,
+    output: options.Output,
+    reached: Bus,
+    eds: Eds = None,
+    config: options.Config = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Read a node's parameters and write them as DCF.
+
+    Example: bowden node backup servo -o servo.dcf
+    """
+    from bowden import output_files
+    from master.network import dcf
+    from parameters.files import write_whole
+
+    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse_ending(output, ".dcf", what="a node's parameters")
+    with _described(name, reached, config, eds) as (link, entry):
+        dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
+        unread: list[str] = []
+        values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
+    write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
+    if json:
+        terminal.emit({"node": name, "file": str(output), "parameters": len(values), "unread": unread})
+    else:
+        print(f"{output}: {len(values)} parameters of {name}; {len(unread)} could not be read.")
+        for one in unread:
+            print(f"  not read: {one}")
+    return 1 if unread else 0
+
+
+@node.command()
+@grouped
+def compare(name: Name, file: File, reached: Bus, config: options.Config = None, json: options.Json = False) -> int:
+    """List the parameters of a node that differ from a DCF; exit status 1 where any does.
+
+    Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
+    """
+    from master.network import dcf
+
+    found = _against_a_dcf(name, file, reached, config, dcf.compare)
+    _tell(name, file, found, "differ", json=json)
+    return 1 if found else 0
+
+
+@node.command()
+@grouped
+def restore(
+    name: Name, file: File, reached: Bus, force: Force = False, config: options.Config = None,
+    json: options.Json = False,
+) -> int:
+    """Write what differs from a DCF into the node and store it there.
+
+    Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
+    """
+    from master.network import dcf
+
+    found = _against_a_dcf(name, file, reached, config, dcf.restore, force=force, acts=True)
+    _tell(name, file, found, "restored", json=json)
+    return 0
+
+
+def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act: Act,
+                   **guarded: bool) -> list[ParameterDifference]:
+    """Return what `act` finds between a node and a DCF of it."""
+    from eds.dictionary import read as read_dcf
+    from master.network import dcf
+
+    node_id = _node_id(name, reached, config)
+    given = read_dcf(file, node_id)
+    with _described(name, reached, config, file, **guarded) as (link, entry):
+        dcf.refuse_other(link, entry, given, str(file))
+        return act(link, entry, given)
+
+
+@contextmanager
+def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
+               **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
+    """Give a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
+    from eds.bench_network import wire
+    from eds.cia301 import NmtCommand
+    from master.network.dcf import NamedNode
+    from parameters import InputError
+
+    known = {entry.name: entry for entry in wire(reached.sections(config)["network"]).nodes.values()}
+    if eds is None and name in known:
+        eds = Path(known[name].dictionary.path)
+    with _node(name, reached, config, eds, **guarded) as one:
+        if one.dictionary is None:
+            raise InputError(f"node {one.node_id}: no EDS fits it; give --eds FILE or a folder of them.")
+        if name in known:
+            one.link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, one.node_id)
+        yield one.link, NamedNode(one.node_id, name if name in known else f"node {one.node_id}", one.dictionary)
+
+
+@contextmanager
+def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, force: bool = False,
+          acts: bool = False) -> Iterator[NodeAccess]:
+    """Give a node on its bus; `acts`: refuse while another master is there, unless `force`."""
+    from bowden.bench.any_node import dictionary_of, linked
+    from master.node_access.remote_node import NodeAccess
+
+    node_id = _node_id(name, reached, config)
+    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+        if acts:
+            _refuse_other_master(link, force)
+        link.sdo_read(node_id, 0x1000)
+        yield NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
+
+
+def _refuse_other_master(link: Link, force: bool) -> None:
+    from master.node_access.remote_node import other_master
+    from parameters import InputError
+
+    if not force and (seen := other_master(link)):
+        raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
+
+
+def _node_id(name: str, reached: Bus, config: Path | None) -> int:
+    from eds.bench_network import wire
+    from parameters import InputError
+
+    if name.isdecimal() and 1 <= int(name) <= 127:
+        return int(name)
+    known = {entry.name: node_id for node_id, entry in wire(reached.sections(config)["network"]).nodes.items()}
+    if name not in known:
+        raise InputError(f"{name!r} is no node; expected an id from 1 to 127, or one of {', '.join(known)}.")
+    return known[name]
+
+
+def _bitrate(reached: Bus, config: Path | None) -> int:
+    return int(reached.sections(config)["network"].bitrate)
+
+
+def _listed(value: object) -> str:
+    if value is None:
+        return "–"
+    return (", ".join(map(str, value)) or "none") if isinstance(value, list) else str(value)
+
+
+def _tell(name: str, file: Path, found: list[ParameterDifference], what: str, *, json: bool) -> None:
+    if json:
+        terminal.emit({"node": name, "file": str(file), what: [
+            {"index": f"{d.object:04X}:{d.subindex:02X}", "name": d.name, "in_file": _plain(d.in_file),
+             "on_node": _plain(d.on_node)} for d in found]})
+    else:
+        for d in found:
+            print(f"{d.object:04X}:{d.subindex:02X} {d.name}: {d.in_file!r} in the file, {d.on_node!r} on the node")
+        print(f"{len(found)} parameters {what}.")
+
+
+def _plain(value: object) -> object:
+    return value.decode("latin-1") if isinstance(value, bytes) else value

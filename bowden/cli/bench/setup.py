@@ -1,0 +1,121 @@
+"""`bowden init` and `bowden check`: a configuration to begin with, and what is wrong before anything runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import CommandGroup
+
+check = CommandGroup(help="Find faults before anything runs.", rich_markup_mode=None)
+app.add_typer(check, name="check")
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE…", help="EDS or DCF files.", show_default=False)]
+ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="bench.toml.", show_default=False)]
+
+
+@app.command()
+def init(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")] = Path("bench.toml"),
+    shape: Annotated[str, typer.Option(
+        metavar="NAME", help="Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive.",
+    )] = "bench",
+    overwrite: options.Overwrite = False,
+) -> int:
+    """Write a commented bench.toml.
+
+    With every default, unit, range and source.  On a terminal it asks for specimen, rope, operator and notes, which
+    every trial with that file then carries, and for the logbook that trials are entered in.
+
+    Example: bowden init -o bench.toml
+    """
+    from bowden import output_files
+    from bowden.bench import configuration
+    from parameters.files import write_whole
+
+    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse_ending(output, ".toml", what="a configuration")
+    configuration.as_template(shape=shape)
+    told = _asked(configuration.declaration("record")) if sys.stdin.isatty() else {}
+    text = configuration.as_template(told, shape)
+    write_whole(output, text, overwrite=True)
+    print(f"Configuration: {output}")
+    return 0
+
+
+def _asked(record: type[Any]) -> dict[str, str]:
+    """What the operator says of each field; Enter leaves it empty."""
+    from parameters import declarations
+
+    return {name: typer.prompt(f"{name} ({told.text})", default="", show_default=False).strip()
+            for name, _, told in declarations(record)}
+
+
+@check.command("config")
+def check_config(file: ConfigFile, json: options.Json = False) -> int:
+    """Check a bench.toml and whether its network can keep its deadlines.
+
+    Example: bowden init -o bench.toml && bowden check config bench.toml
+    """
+    from bowden.bench import configuration
+    from eds.bench_network import lacks, wire
+    from eds.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
+
+    sections = configuration.read(file, any_shape=True)
+    network, limits = sections["network"], sections["limits"]
+    missing = lacks(network)
+    if missing:
+        terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
+        return 1
+    above = limits.above_packaged()
+    built = wire(network)
+    found = refuse(built)
+    fits = rate_that_fits(built)
+    if json:
+        terminal.emit({
+            "limits_above_packaged": above, "limits_raised": limits.raised,
+            "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
+            "inputs_ns": found.inputs_ns,
+            "deadline_ns": found.deadline_ns, "streams": [
+                {"name": stream.name, "cob_id": stream.can_id, "bits": stream.bits(), "period_ns": stream.period_ns,
+                 "response_ns": response} for stream, response in found.responses]})
+    else:
+        for text in above:
+            print(f"{file}: {text}: above what is packaged; " + (
+                f"reason: {limits.raised}." if limits.raised else "commands ask for --raise-limits REASON."))
+        terminal.table(
+            f"{file}: load {found.load_percent:.2f} % (goal {LOAD_GOAL_PERCENT:g} %), last input at "
+            f"{found.inputs_ns / 1e3:.0f} µs, due at {found.deadline_ns / 1e3:.0f} µs",
+            ("stream", "COB-ID", "bits", "period (µs)", "worst response (µs)"), [
+                (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
+                 terminal.number(None if response is None else response / 1e3, 0))
+                for stream, response in found.responses])
+        if fits != network.rate_hz:
+            print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
+                f"{fits} Hz would fit." if fits else "no rate would fit."))
+    return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not above) else 1
+
+
+@check.command("eds")
+def check_eds(files: Files, json: options.Json = False) -> int:
+    """List what is wrong with EDS or DCF files, with the place and the remedy.
+
+    Example: bowden check eds my_drive.eds
+    """
+    from dataclasses import asdict
+
+    from eds.check import findings
+
+    found = [finding for file in files for finding in findings(file)]
+    if json:
+        terminal.emit({"files": [str(file) for file in files], "findings": [asdict(finding) for finding in found]})
+    else:
+        for finding in found:
+            print(finding)
+        print(f"{len(found)} findings in {len(files)} file{'s' if len(files) > 1 else ''}.")
+    return 1 if found else 0

@@ -1,0 +1,333 @@
+"""`bowden diagnose`: what the simulation gets wrong about measured trials, and what an experiment would show."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
+from parameters import InputError
+from parameters.files import write_whole
+
+if TYPE_CHECKING:
+    from diagnosis.findings import Findings
+    from diagnosis.judgement.plan import Plan
+
+Trials = Annotated[list[Path] | None, typer.Argument(
+    metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
+Healthy = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Nothing is wrong in it; repeatable.")]
+Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
+Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
+Extended = Annotated[Path | None, typer.Option(
+    "-o", "--output", metavar="FILE", help="extended.toml: what was found, for --plant-model and --controller-model.")]
+Report = Annotated[Path | None, typer.Option(metavar="FILE", help="One HTML page that needs no network.")]
+Figures = Annotated[Path | None, typer.Option(
+    metavar="DIR", help="Pictures (PNG) and tables (CSV) of what was found, into this folder.")]
+Tracked = Annotated[tuple[Path, Path] | None, typer.Option(
+    metavar="BEFORE AFTER", help="With --report: the two trials of bowden verify, shown in it.")]
+Each = Annotated[bool, typer.Option("--each", help="Every TRIAL for itself, several at a time.")]
+Workers = Annotated[int | None, typer.Option(
+    metavar="COUNT", min=1, help="With --each: processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(
+    metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
+Tls = Annotated[Path | None, typer.Option(
+    "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem.")]
+Core = Annotated[str, typer.Option(
+    metavar="NAME", help="relations: any columns; evidence: forward simulation and Bayes factors, needs --healthy.")]
+Planned = Annotated[str | None, typer.Option(
+    "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
+    "bowden trial --experiment, would show.")]
+Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
+
+READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
+"""Shares of a diagnosis that are done when its steps begin."""
+ENTERED = ("verdict", "causes", "class", "experiment")
+"""Keys of a diagnosis that its logbook keeps."""
+WIDTH = 80
+"""Columns of a terminal that every line but a table's fits in."""
+
+
+@app.command()
+def diagnose(
+    trials: Trials = None,
+    calibration: options.Calibration = None,
+    healthy: Healthy = None,
+    holdout: Holdout = None,
+    lowpass: Lowpass = None,
+    output: Extended = None,
+    report: Report = None,
+    figures: Figures = None,
+    tracked: Tracked = None,
+    each: Each = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    tls: Tls = None,
+    core: Core = "relations",
+    logbook: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Logbook of the bench: enters the verdict; with --core evidence also in place of "
+        "--healthy.")] = None,
+    plan: Planned = None,
+    peak: options.Peak = None,
+    period: options.Period = None,
+    cycles: options.Cycles = None,
+    noise: Noise = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Say what the simulation gets wrong, and why.
+
+    From measured trials: the cause by name, with intervals, on data that no fit has seen.
+
+    Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
+    """
+    from bowden import output_files
+
+    asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
+    given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
+             "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers,
+             "--scheduler": scheduler, "--scheduler-tls": tls}
+    if plan is not None:
+        _leave_out(given, given, "--plan is before any trial")
+        return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
+    chosen = _trials(trials, asked, given)
+    if each:
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, core, (scheduler, workers, tls), json)
+    output_files.refuse([output, report], overwrite=overwrite, inputs=[
+        *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    output_files.refuse_ending(output, ".toml", what="what was found")
+    if figures is not None:
+        from diagnosis.report import figure_export
+
+        figure_export.refuse(figures, overwrite=overwrite)
+    deviations: dict[str, float] | None = None
+    if logbook is not None:
+        healthy, deviations = _of_logbook(logbook, healthy, chosen, core)
+    began = time.perf_counter()
+    with _steps(shown=not json) as step:
+        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
+                           figures, core, deviations, overwrite=overwrite)
+    result = found.as_json() | {"seconds": time.perf_counter() - began}
+    if logbook is not None and found.verdict != "refused":
+        from bowden.models import logbook_entries
+
+        kept: dict[str, Any] = {name: result[name] for name in ENTERED if name in result}
+        for trial in chosen:
+            logbook_entries.add_verdict(logbook, trial, kept)
+    if json:
+        terminal.emit(result)
+    else:
+        _tell(found, result)
+    return 2 if found.verdict == "refused" else 0
+
+
+def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path],
+                core: str) -> tuple[list[Path] | None, dict[str, float] | None]:
+    """Return reference trials and deviations between sessions, by the logbook where the evidence core has none."""
+    from bowden.models import logbook_entries
+    from bowden.trials import session
+
+    session.refuse_no_logbook(logbook)
+    if core == "relations":
+        return healthy, None
+    found, deviations = logbook_entries.reference_trials(logbook) if not healthy else (
+        healthy, logbook_entries.deviations(logbook))
+    same = {trial.resolve() for trial in trials}
+    return [path for path in found if path.resolve() not in same], deviations
+
+
+def _leave_out(given: dict[str, Any], names: Iterable[str], reason: str) -> None:
+    for option in names:
+        if given[option]:
+            raise InputError(f"{reason}; leave {option} out.")
+
+
+def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, Any]) -> list[Path]:
+    """Return the trials; raises `InputError` for options that do not belong beside each other."""
+    for option, value in asked.items():
+        if value is not None:
+            raise InputError(f"{option} belongs to --plan; leave it out, or name an experiment with --plan.")
+    if not trials:
+        raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
+                                "diagnose: no trial given; name at least one, or an experiment with --plan.")
+    if given["--each"]:
+        _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook"),
+                   "--each gives a verdict for every trial and writes none")
+    if given["--scheduler-tls"] and not given["--scheduler"]:
+        raise InputError("--scheduler-tls belongs to --scheduler; leave it out, or name a scheduler.")
+    for option in ("--workers", "--scheduler"):
+        if given[option] and not given["--each"]:
+            raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
+    if given["--tracked"] and not given["--report"]:
+        raise InputError("--tracked is shown in the report; name one with --report.")
+    return trials
+
+
+def _each(
+    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
+    core: str, where: tuple[str | None, int | None, Path | None], json: bool,
+) -> int:
+    """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
+    from bowden.sweep import diagnose_each
+
+    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass, core)
+    with diagnose_each.crew(*where) as crew, terminal.progress("diagnosing", shown=not json) as update:
+        told = diagnose_each.each(trials, given, crew, update)
+    terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
+    refused = sum(one["verdict"] == "refused" for one in told.values())
+    return 2 if refused == len(told) else 1 if refused else 0
+
+
+def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
+    if lowpass:
+        print(f"Every signal low-passed at {lowpass:g} Hz, without phase.")
+    for trial, one in told.items():
+        print(f"{trial}: {one['verdict']}")
+        for cause in one["causes"]:
+            _say(f"{cause['effect']}: {_parameters(cause['parameters'])}", "    ")
+        if one.get("candidates"):
+            _say("no cause named: it ran on the packaged nominal calibration; run bowden identify first", "    ")
+        if len(one["class"]) > len(one["causes"]):
+            _say(f"cannot be told apart: {', '.join(one['class'])}", "    ")
+        todo = one["warnings"][0] if one["verdict"] == "refused" else one["experiment"]
+        if todo:
+            _say(f"why not: {todo}" if one["verdict"] == "refused" else f"next: {todo}", "    ")
+
+
+@contextmanager
+def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
+    """A bar on stderr that is told what is done now and the share that is done, 0…1."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda what, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+               TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("diagnosing", total=1.0)
+        yield lambda what, share: bar.update(task, description=what, completed=share)
+
+
+def _diagnosed(
+    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
+    output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
+    figures: Path | None, core: str, deviations: dict[str, float] | None, *, overwrite: bool,
+) -> Findings:
+    """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
+    from bowden.models import diagnosing
+    from diagnosis import extension
+    from diagnosis.data import table
+    from diagnosis.finder import Finder
+
+    groups: list[list[table.Table]] = [[], [], []]
+    paths = [(group, path) for group, paths in enumerate((trials, healthy, holdout)) for path in paths]
+    for done, (group, path) in enumerate(paths):
+        step(f"reading {path.name}", READING * done / len(paths))
+        groups[group].append(table.read(path))
+    step("fitting the healthy trials" if healthy else "preparing", READING)
+    finder = Finder(calibration, lowpass, core, deviations).examine(groups[1])
+    step("fitting the effects, cycle by cycle", SEARCHING)
+    found = finder.diagnose(groups[0], groups[2])
+    found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
+    step("writing", WRITING)
+    if found.verdict == "refused":
+        return found
+    if output is not None:
+        write_whole(output, extension.text(found, groups[0]), overwrite=True)
+    if report is not None:
+        from diagnosis.report import diagnosis_page
+
+        diagnosis_page.write(found, groups[0], groups[2], report, tracked)
+    if figures is not None:
+        from diagnosis.report import figure_export
+
+        figure_export.write(found, groups[0], figures, overwrite=overwrite)
+    return found
+
+
+def _tell(found: Findings, result: dict[str, Any]) -> None:
+    from diagnosis.report.evidence_headline import told
+    from diagnosis.report.headline import headline
+
+    for sentence in told(found) if found.evidence else headline(found):
+        if sentence:
+            _say(sentence)
+    if not found.candidates:
+        print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
+    before = "the simulation as it was" if found.session is None else "constants fitted within what sessions differ by"
+    _tell_relations(result["relations"], "signal" if found.evidence else "relation", before)
+    if found.session is not None and found.session["shifts"]:
+        terminal.table("what this session's constants differ by, named or not", (
+            "constant", "healthy", "here", "95 %", "unit"), [
+            (one["parameter"], f"{one['was']:.4g}", f"{one['value']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}",
+             one["unit"])
+            for one in found.session["shifts"]])
+    for warning in found.warnings:
+        _say(f"Warning: {warning}")
+
+
+def _tell_relations(relations: dict[str, Any], word: str, before: str) -> None:
+    """Print what is left of each relation, or signal, RMS; names are never cut at 80 columns."""
+    figure = terminal.number
+    checked = {name: row for name, row in relations.items() if row["checked"]}
+    if not checked:
+        return
+    terminal.table(f"what is left of each {word} (RMS, on cycles that the fit has not seen)", (
+        word, "unit", "floor", "before", "after", "gain (%)"), [
+        (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
+         figure(row["gain_percent"], 1)) for name, row in checked.items()])
+    _say(f"floor: what a healthy bench leaves; before: {before}; after: with what was found.")
+    held = {name: row for name, row in checked.items() if row["holdout_before"] is not None}
+    if held:
+        terminal.table("on the trials held out, to which nothing was fitted", (word, "unit", "before", "after"), [
+            (name, row["unit"], figure(row["holdout_before"], 4), figure(row["holdout_after"], 4))
+            for name, row in held.items()])
+    missing = [name for name, row in relations.items() if not row["checked"]]
+    if missing:
+        _say(f"Not checked: {', '.join(missing)}.")
+
+
+def _say(sentence: str, indent: str = "") -> None:
+    """Print a sentence in lines of at most `WIDTH` columns."""
+    print(textwrap.fill(sentence, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False,
+                        break_on_hyphens=False))
+
+
+def _parameters(parameters: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value['value']:.4g} [{value['low']:.4g}, {value['high']:.4g}] {value['unit']}"
+                     for name, value in parameters.items())
+
+
+def _plan(name: str, walk: tuple[Any, ...], calibration: Path | None, healthy: list[Path], json: bool) -> int:
+    from bowden.trials import planning
+
+    with terminal.waiting(f"simulating {name}", shown=not json):
+        found = planning.plan(name, planning.WalkPlan(*walk), calibration, healthy)
+    terminal.emit({"experiment": name, **found.as_json()}) if json else _tell_plan(name, found)
+    return 0
+
+
+def _tell_plan(name: str, found: Plan) -> None:
+    terminal.table(f"the smallest departure from healthy that {name} shows", (
+        "effect", "smallest", "likely", "seen in"), [
+        (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
+         f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.relation or "–") for limit in found.limits])
+    for limit in found.limits:
+        if limit.like:
+            _say(f"{limit.effect} looks like {', '.join(limit.like)}.")
+    if found.blind:
+        _say(f"Not seen by any relation: {', '.join(found.blind)}.")
+    terminal.table("relations", ("relation", "unit", "floor", "independent samples"), [
+        (relation, found.unit(relation), f"{floor:.3g}", f"{found.samples[relation]:.0f}")
+        for relation, floor in found.floors.items()])

@@ -1,0 +1,87 @@
+"""`bowden fit`: the constants of a bench from its healthy trials."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+
+if TYPE_CHECKING:
+    from diagnosis.bench_fit import FittedBench
+
+Trials = Annotated[list[Path], typer.Argument(
+    metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
+    show_default=False)]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="model.toml to write.")]
+Start = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="One point to start from.")]
+Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
+
+
+@app.command()
+def fit(
+    trials: Trials,
+    output: Output,
+    calibration: Start = None,
+    lowpass: Lowpass = None,
+    logbook: options.Logbook = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Fit the simulation to a bench, from its healthy trials.
+
+    Any motion, own or imported: rope position, knee angle (none: locked) and START, END or both.  A rig of another
+    kind (a seal, a turning axis, a motor) has its own terms fitted.
+
+    Example: bowden fit good.mcap -o model.toml
+    """
+    from bowden import output_files
+    from bowden.trials import session
+    from diagnosis import bench_fit
+    from parameters.files import write_whole
+
+    session.refuse_no_logbook(logbook)
+    output_files.refuse([output], overwrite=overwrite, inputs=[*trials, calibration])
+    output_files.refuse_ending(output, ".toml", what="a bench model")
+    with terminal.waiting("fitting", shown=not json):
+        found = bench_fit.fit(trials, calibration, lowpass)
+    write_whole(output, found.text(), overwrite=True)
+    if logbook is not None:
+        from bowden.models import logbook_entries
+
+        logbook_entries.add_model(logbook, "fit", output)
+    result: dict[str, Any] = {"model": str(output), **found.as_json()}
+    terminal.emit(result) if json else _tell(output, found)
+    return 0
+
+
+def _tell(output: Path, found: FittedBench) -> None:
+    terminal.table("constants", ("constant", "value", "95 % interval", "unit"), [
+        (name, f"{c.value:.4g}", f"{c.low:.4g} … {c.high:.4g}", c.unit)
+        for name, c in found.constants.items() if c.determined])
+    if found.rig is not None:
+        _tell_rig(found)
+    else:
+        _tell_bench(found)
+    for warning in found.warnings:
+        print(f"Warning: {warning}")
+    print(f"Model: {output}")
+
+
+def _tell_rig(found: FittedBench) -> None:
+    print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
+    terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
+        "relation", "RMS", "of a spread of", "unit"), [
+        (name, terminal.number(row["unseen"]), terminal.number(row["spread"]), row["unit"])
+        for name, row in found.relations.items()])
+
+
+def _tell_bench(found: FittedBench) -> None:
+    print(f"Not determined by these trials: {', '.join(found.undetermined)}.")
+    terminal.table("measured less simulated, on the last part of each trial, which the fit had not seen", (
+        "signal", "RMS (N)", "peak (N)"), [
+        (name, terminal.number(row["rms_n"]), terminal.number(row["peak_n"], 1))
+        for name, row in found.figures.items()])

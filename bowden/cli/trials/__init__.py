@@ -1,0 +1,1 @@
+"""Commands that run, replay, convert, edit and report trials."""

@@ -1,0 +1,299 @@
+"""Commands between trials and the files of others: `bowden import`, `export`, `compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from trial.compare import FieldDifference, TrialComparison
+
+Source = Annotated[Path, typer.Argument(
+    metavar="FILE", show_default=False,
+    help="csv, tsv, xlsx, tdms, parquet, mat, mf4; candump log, asc, blf, trc, db; mcap.")]
+Trial = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
+A = Annotated[Path, typer.Argument(metavar="A", help="A recorded trial.", show_default=False)]
+B = Annotated[Path | None, typer.Argument(metavar="B", help="Another one.", show_default=False)]
+History = Annotated[Path | None, typer.Option(
+    "--logbook", metavar="DIR", help="In place of B: the bench's own history.")]
+Map = Annotated[Path | None, typer.Option("--map", metavar="FILE", help="map.toml: names, units, offsets of columns.")]
+Guess = Annotated[bool, typer.Option("--guess", help="Write a commented map to -o, guessed from the table, to check.")]
+Mat73 = Annotated[bool, typer.Option("--mat73", help="With .mat: MATLAB v7.3, which is HDF5, in place of v5.")]
+Controllers = Annotated[bool, typer.Option(
+    "--controllers", help="A is the table of a sweep: rank its controllers.")]
+Picture = Annotated[Path | None, typer.Option(metavar="FILE", help="With --controllers: PNG, SVG or PDF.")]
+Everything = Annotated[bool, typer.Option("--all", help="Every value and signal that differs, in tables.")]
+Page = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="Both trials in one HTML page.")]
+
+
+@app.command("import")
+def import_(
+    source: Source,
+    output: options.Output,
+    columns: Map = None,
+    guess: Guess = False,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Make a trial of a table or a CAN log.
+
+    Foreign MCAP files too; every change is counted.  How a table is written (encoding, delimiter, decimal sign, units,
+    kind of time) is detected and said.
+
+    Example: bowden import candump.log -o trial.mcap
+    """
+    from bowden import output_files
+    from parameters import InputError
+    from trial.convert.csv_table import read_map
+    from trial.convert.imports import import_file
+
+    output_files.refuse([output], overwrite=overwrite, inputs=[source, columns])
+    if guess:
+        if columns is not None:
+            raise InputError("--guess writes a map and --map reads one; leave one of them out.")
+        return _guess(source, output, overwrite=overwrite, json=json)
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    mapped = None if columns is None else read_map(columns)
+    with terminal.progress(f"importing {source}", shown=not json) as update:
+        report = import_file(source, output, mapped=mapped, overwrite=overwrite, progress=update)
+    if json:
+        terminal.emit({"trial": str(output), **report.as_json()})
+        return 0
+    if report.read_as:
+        print(f"{source}: read with {', '.join(report.read_as)}.")
+    print(f"Trial: {output}")
+    for name, count in report.counts.items():
+        if count:
+            print(f"  {name.replace('_', ' ')}: {count}")
+    for name in report.left_out:
+        print(f"  left out: {name}")
+    return 0
+
+
+def _guess(source: Path, output: Path, *, overwrite: bool, json: bool) -> int:
+    from bowden import output_files
+    from parameters.files import write_whole
+    from trial.convert import guess_map
+    from trial.convert.imports import table_of
+
+    output_files.refuse_ending(output, ".toml", what="a map")
+    sheet = table_of(source)
+    write_whole(output, guess_map.text(sheet, str(output)), overwrite=overwrite)
+    found = guess_map.guesses(sheet)
+    others = guess_map.unassigned(sheet, found)
+    if json:
+        terminal.emit({"map": str(output), "read_as": sheet.said, "signals": {
+            one.signal: {"column": one.column, "unit": one.unit, "scale": one.scale, "question": one.question}
+            for one in found}, "not_assigned": {one.column: one.why for one in others}})
+        return 0
+    if sheet.said:
+        print(f"{source}: read with {', '.join(sheet.said)}.")
+    terminal.table(f"Map: {output}; check it, it is a guess", ("signal", "column", "unit", "scale"), [
+        (one.signal, one.column, one.unit, f"{one.scale:g}") for one in found])
+    for guess in found:
+        if guess.question:
+            print(f"Check {guess.signal}: {guess.column!r} {guess.question}")
+    if others:
+        print("Not assigned:")
+        for column, why in others:
+            print(f"  {column!r}: {why}")
+        print(f"To use one of them, add to {output}: [SIGNAL], column = {others[0].column!r} and unit; signals without "
+              "a column are listed there.")
+    return 0
+
+
+@app.command()
+def export(
+    trial: Trial, output: options.Output, mat73: Mat73 = False, overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Write a trial as a table or a CAN log.
+
+    csv, csv.gz, xlsx, tdms, parquet, mf4 and mat hold its cycles; log, asc, blf and trc its frames.
+
+    Example: bowden export trial.mcap -o trial.csv
+    """
+    from bowden import output_files
+    from trial.convert.export import export as exported
+    from trial.read import open as opened
+
+    output_files.refuse([output], overwrite=overwrite, inputs=[trial])
+    with terminal.progress(f"exporting {trial}", shown=not json) as update:
+        rows = exported(opened(trial), output, mat73=mat73, overwrite=overwrite, progress=update)
+    terminal.emit({"file": str(output), "rows": rows}) if json else print(f"{output}: {rows} rows.")
+    return 0
+
+
+@app.command()
+def compare(
+    a: A, b: B = None, logbook: History = None, report: Page = None, everything: Everything = False,
+    controllers: Controllers = False, picture: Picture = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Compare two trials: their four figures, and in five lines what differs.
+
+    Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
+    the bench's constants in A against their scatter between sessions; exit status 1 if fewer than 1 in 1,000 healthy
+    sessions depart as far.
+
+    Example: bowden compare a.mcap b.mcap --report compared.html
+    """
+    from bowden import output_files
+    from parameters import InputError
+    from trial.compare import compare as compared
+    from trial.read import open as opened
+
+    if picture is not None and not controllers:
+        raise InputError("--picture shows ranked controllers; give --controllers and the table of a sweep.")
+    if controllers:
+        return _rank_controllers(a, b or logbook or report, picture, overwrite=overwrite, json=json)
+    if (b is None) == (logbook is None):
+        raise NothingGivenError("A B | A --logbook DIR", "compare: expected a second trial or --logbook; give one.")
+    if b is None:
+        return _against_history(a, logbook, report, json)
+    output_files.refuse([report], overwrite=overwrite, inputs=[a, b])
+    output_files.refuse_ending(report, ".html", ".htm", what="a page")
+    from trial.report.compare_page import judged
+
+    with terminal.waiting("comparing", shown=not json):
+        one, other = opened(a), opened(b)
+        found = compared(one, other)
+        if report is not None:
+            from trial.report import compare_page
+
+            compare_page.write(one, other, found, report, overwrite=overwrite)
+    if json:
+        terminal.emit(found.as_json())
+    else:
+        _four_figures(judged(one), judged(other))
+        _tell_everything(found) if everything else _tell(found)
+    if report is not None and not json:
+        print(f"Page: {report}")
+    return 0 if found.same else 1
+
+
+def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, overwrite: bool, json: bool) -> int:
+    """Print the controllers of a sweep, the best first; 1 where trials of one did not complete."""
+    from bowden import output_files
+    from bowden.sweep import controller_ranking
+    from parameters import InputError
+
+    if other is not None:
+        raise InputError(f"--controllers ranks those of one table; leave {other} out.")
+    output_files.refuse([picture], overwrite=overwrite, inputs=[table])
+    output_files.refuse_picture(picture)
+    rows = controller_ranking.read(table)
+    found = controller_ranking.ranked(rows)
+    if picture is not None:
+        controller_ranking.draw(rows, picture)
+    if json:
+        terminal.emit({"table": str(table), "controllers": [one._asdict() for one in found]})
+    else:
+        number = terminal.number
+        terminal.table("controllers, by the median of END's error over their trials", (
+            "controller", "completed", "error (%)", "least … worst", "idle (N)", "jump (N)"), [
+            (one.controller, f"{one.completed} of {one.trials}", number(one.error_percent),
+             f"{number(one.least)} … {number(one.worst)}", number(one.idle_n), number(one.jump_n)) for one in found])
+        for one in found:
+            for reason, count in one.stopped.items():
+                print(f"{one.controller}: {count} not completed: {reason}")
+        if picture is not None:
+            print(f"Picture: {picture}")
+    return 1 if any(one.completed < one.trials for one in found) else 0
+
+
+RARE = 1e-3
+"""Share of healthy sessions that depart as far as one that is told apart: one session in a thousand."""
+
+
+def _against_history(trial: Path, logbook: Path | None, report: Path | None, json: bool) -> int:
+    """Compare one trial with its bench's history; 1 where it departs from it."""
+    from bowden.models import logbook_entries
+    from parameters import InputError
+
+    assert logbook is not None
+    if report is not None:
+        raise InputError("--report shows two trials; leave it out with --logbook, or say bowden logbook report.")
+    with terminal.waiting("fitting", shown=not json):
+        found = logbook_entries.against_history(logbook, trial)
+    if json:
+        terminal.emit(found)
+    else:
+        rows = sorted(found["constants"].items(), key=lambda row: -abs(row[1]["scatters"]))
+        terminal.table(f"{trial} against {found['sessions']} sessions, farthest first", (
+            "constant", "departure", "over 1σ of sessions"), [
+            (name, f"{row['departure']:.3g}" + (" (ln)" if row["form"] == "log" else f" {row['unit']}"),
+             terminal.number(row["scatters"])) for name, row in rows[:10]])
+        print(f"Probability that a healthy session departs as far: {found['probability']:.2g}.")
+    return 1 if found["probability"] < RARE else 0
+
+
+def _four_figures(a: Mapping[str, float | None], b: Mapping[str, float | None]) -> None:
+    from trial.report.trial_page import FIGURES
+
+    rows = [(f"{text} ({unit})", terminal.number(a.get(name)), terminal.number(b.get(name)))
+            for name, unit, text in FIGURES if a.get(name) is not None or b.get(name) is not None]
+    if rows:
+        terminal.table("figures", ("figure", "A", "B"), rows)
+
+
+SHOWN = 4  # keys of a line
+
+
+def _tell(found: TrialComparison) -> None:
+    """Print what differs in at most five lines; values of attached files are counted."""
+    if found.same:
+        print("The same, in every channel.")
+    ended = {row.key: row for row in found.result}
+    told = [row for row in found.metadata if row.key not in HASHES]
+    if told:
+        print(f"Set up differently: {'; '.join(_change(row) for row in told[:SHOWN])}{_more(told)}.")
+    if "outcome" in ended and ended["outcome"].a != ended["outcome"].b:
+        print(f"Ended: {_change(ended.get('stop_reason', ended['outcome']))}.")
+    if found.attachments:
+        print("Attached files that differ: " + ", ".join(
+            f"{name} ({len(rows)} value{'' if len(rows) == 1 else 's'})" for name, rows in found.attachments.items())
+            + ".")
+    forces = [row for row in found.signals if row.name in COMPARED and row.rms > 0]
+    if forces:
+        print(f"A − B, {found.matched}: " + "; ".join(
+            f"{row.name} {row.rms:.3g} {row.unit} RMS, at most {row.largest:.3g} at {row.largest_at_s:.3g} s"
+            for row in forces) + ".")
+    if told or found.attachments or not found.same:
+        print("All of it: --all, or --report page.html.")
+
+
+COMPARED = ("tension_end_n", "tension_start_n", "servo_position_m", "knee_angle_rad")
+HASHES = ("commit", "calibration_digest", "packages", "limits_digest")
+
+
+def _change(row: FieldDifference) -> str:
+    a, b = ("–" if value is None else str(value)[:60] for value in (row.a, row.b))
+    return f"{row.key.replace('_', ' ')} {a} in A, {b} in B"
+
+
+def _more(rows: Sequence[object]) -> str:
+    return f"; and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+
+
+def _tell_everything(found: TrialComparison) -> None:
+    if found.same:
+        print("The same, in every channel.")
+    attached = [(f"{name}: {row.key}", row) for name, rows in found.attachments.items() for row in rows]
+    rows = [(row.key, row) for row in (*found.metadata, *found.result)] + attached
+    if rows:
+        terminal.table("figures and what differs", ("key", "A", "B"), [
+            (key, *("–" if value is None else str(value) for value in (row.a, row.b))) for key, row in rows])
+    if found.signals:
+        terminal.table(f"signals, A − B, matched {found.matched}", ("signal", "unit", "RMS", "mean", "largest"), [
+            (row.name, row.unit, *(f"{value:.3g}" for value in (row.rms, row.mean, row.largest)))
+            for row in found.signals])

@@ -1,0 +1,167 @@
+"""`bowden info`, `cut`, `merge`, `recover`: list, cut, join and mend recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+
+if TYPE_CHECKING:
+    from trial.convert.contents import Contents
+    from trial.edit import Edited
+
+Any_ = Annotated[Path, typer.Argument(metavar="FILE", help="A trial, CAN log, table or MCAP file.", show_default=False)]
+Recording = Annotated[Path, typer.Argument(metavar="FILE", help="MCAP.", show_default=False)]
+Several = Annotated[list[Path], typer.Argument(metavar="FILE…", help="MCAP, two or more.", show_default=False)]
+From = Annotated[float | None, typer.Option("--from", metavar="S", help="s after the first control cycle.")]
+To = Annotated[float | None, typer.Option("--to", metavar="S", help="Until before so many s.")]
+Torn = Annotated[Path, typer.Argument(metavar="FILE", help="A torn recording.", show_default=False)]
+Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to B in place of times.")]
+
+
+@app.command()
+def info(file: Any_, json: options.Json = False) -> int:
+    """Tell what is in a file of any format.
+
+    Streams with rates and gaps, columns with units and ranges, who recorded it.
+
+    Example: bowden info trial.mcap
+    """
+    from trial.convert.contents import contents
+
+    with terminal.waiting(f"reading {file}", shown=not json):
+        found = contents(file)
+    terminal.emit(found.as_json()) if json else _tell(found)
+    return 0
+
+
+def _tell(found: Contents) -> None:
+    import datetime
+
+    when = ""
+    if found.begins_ns is not None and found.begins_ns > 10**17:  # an epoch, no trial's clock
+        begins = datetime.datetime.fromtimestamp(found.begins_ns // 10**9, datetime.UTC)
+        when = f", from {begins:%Y-%m-%d %H:%M:%S} UTC"
+    lasts = "" if found.seconds is None else f", {found.seconds:.3f} s"
+    print(f"{found.path}: {found.format}{when}{lasts}")
+    for remark in found.remarks:
+        print(f"  {remark}")
+    figure = terminal.number
+    if found.streams:
+        terminal.table("streams", ("stream", "kind", "count", "rate (Hz)", "gaps", "longest gap (s)"), [
+            (one.name, one.kind, str(one.messages), figure(one.rate_hz),
+             "–" if one.gaps is None else str(one.gaps), figure(one.longest_gap_s, 4)) for one in found.streams])
+    if found.columns:
+        terminal.table("columns", ("column", "unit", "least", "greatest", "unknown"), [
+            (one.name, one.unit, *("–" if value is None else f"{value:.6g}" for value in (one.least, one.greatest)),
+             str(one.unknown)) for one in found.columns])
+    from trial.report import labels
+
+    for name, value in labels.shown(found.about).items():
+        print(f"  {name}: {value}")
+    for name, count in found.counts.items():
+        if count:
+            print(f"  {name.replace('_', ' ')}: {count}")
+    if found.attachments:
+        print("  attached: " + ", ".join(f"{name} ({size} bytes)" for name, size in found.attachments.items()))
+    rest = labels.folded(found.about)
+    if rest:
+        print(f"  not shown: {', '.join(rest)}; --json has them.")
+
+
+@app.command()
+def cut(
+    file: Recording, output: options.Output, from_: From = None, to: To = None, gait: Gait = None,
+    overwrite: options.Overwrite = False, json: options.Json = False,
+) -> int:
+    """Write a part of a recording.
+
+    By time or by gait cycles; what explains it is carried along.
+
+    Example: bowden cut trial.mcap --from 2 --to 6 -o part.mcap
+    """
+    from bowden import output_files
+    from parameters import InputError
+    from trial import edit
+
+    if from_ is None and to is None and gait is None:
+        raise InputError("cut: nothing says what to keep; give --from, --to or --gait.")
+    if gait is not None and (from_ is not None or to is not None):
+        raise InputError("cut: --gait counts gait cycles, --from and --to seconds; give one kind.")
+    output_files.refuse([output], overwrite=overwrite, inputs=[file])
+    output_files.refuse_ending(output, ".mcap", what="a recording")
+    with terminal.waiting(f"cutting {file}", shown=not json):
+        found = edit.cut(file, output, from_s=from_ or 0.0, to_s=to, gait=_span(gait), overwrite=overwrite)
+    return _said(output, found, json=json)
+
+
+def _span(gait: str | None) -> tuple[int, int] | None:
+    from parameters import InputError
+
+    if gait is None:
+        return None
+    first, _, last = gait.partition("-")
+    if not (first.isdecimal() and (last or first).isdecimal()) or int(last or first) < int(first):
+        raise InputError(f"--gait {gait}: expected a gait cycle or two, such as 3 or 2-5.")
+    return int(first), int(last or first)
+
+
+@app.command()
+def merge(
+    files: Several, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
+) -> int:
+    """Write several recordings as one, by time.
+
+    Parts of one recording, or recordings of different topics.
+
+    Example: bowden cut trial.mcap --to 2 -o a.mcap && bowden cut trial.mcap --from 2 -o b.mcap &&
+    bowden merge a.mcap b.mcap -o whole.mcap
+    """
+    from bowden import output_files
+    from trial import edit
+
+    output_files.refuse([output], overwrite=overwrite, inputs=files)
+    output_files.refuse_ending(output, ".mcap", what="a recording")
+    with terminal.waiting("merging", shown=not json):
+        found = edit.merge(files, output, overwrite=overwrite)
+    return _said(output, found, json=json)
+
+
+def _said(output: Path, found: Edited, *, json: bool) -> int:
+    if json:
+        terminal.emit({"file": str(output), "messages": found.messages, "seconds": found.seconds})
+    else:
+        told = ", ".join(f"{count} of {topic}" for topic, count in found.messages.items())
+        print(f"{output}: {found.seconds:.3f} s; {told}.")
+    return 0
+
+
+@app.command()
+def recover(
+    torn: Torn, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
+) -> int:
+    """Make a torn recording whole.
+
+    Every message that survived is written, indexed again.
+
+    Example: bowden recover torn.mcap -o whole.mcap
+    """
+    from dataclasses import asdict
+
+    from bowden import output_files
+    from trial.recover import recover as recovered
+
+    output_files.refuse_ending(output, ".mcap", what="a recording")
+
+    with terminal.progress(f"recovering {torn}", shown=not json) as update:
+        found = recovered(torn, output, overwrite=overwrite, progress=update)
+    if json:
+        terminal.emit({"trial": str(output), **asdict(found)})
+    else:
+        print(f"{output}: {found.messages} messages from {found.chunks} chunks; {found.damaged} chunks damaged, "
+              f"{found.bytes_skipped} bytes left out.")
+    return 0

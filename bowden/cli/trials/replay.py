@@ -1,0 +1,247 @@
+"""`bowden replay`: a recorded trial once more, onto a bus, the controller or the simulated bench."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
+    from bowden.replay.onto_bus import Played, Playing
+    from trial.read import Trial
+
+LOST = ("frames were not taken: nodes on the bus send the same COB-IDs, or nobody is on it; "
+        "--direction tx leaves out what the recorded nodes sent.")
+HELP = "Enter sends the next frame, a number seeks to that second, play plays the rest, pause ends it there."
+ONTO = ("bus", "controller", "plant")
+SIMULATED = frozenset({"serial", "day", "seed", "plant", "plant_model", "channel", "option"})
+FRAMES = frozenset({"speed", "loop", "from", "to", "step", "node", "cob_id", "direction", "map"})
+BUS = frozenset({"interface", "channel", "bitrate", "option"})
+TAKES = {
+    "controller": frozenset({"allow_controller"}), "plant": SIMULATED | {"output", "overwrite"},
+    "bus": FRAMES | BUS | SIMULATED,
+    "bus --nodes-only": BUS,
+}
+"""Options by what a trial is replayed onto; the others are refused."""
+Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
+Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
+Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
+Loop = Annotated[int, typer.Option("--loop", metavar="N", help="bus: play it exactly so often.")]
+From = Annotated[float, typer.Option("--from", metavar="S", help="bus: begin there; nodes and PDOs are brought there.")]
+To = Annotated[float | None, typer.Option("--to", metavar="S", help="bus: end there.")]
+Step = Annotated[bool, typer.Option("--step", help="bus: one frame for each line of standard input.")]
+Node = Annotated[list[int] | None, typer.Option(
+    metavar="NODE", help="bus: frames of this node only, 0 for NMT and SYNC; repeatable.")]
+CobId = Annotated[list[str] | None, typer.Option(
+    metavar="ID", help="bus: frames with this COB-ID only, such as 0x181; repeatable.")]
+Direction = Annotated[str | None, typer.Option(
+    metavar="WAY", help="bus: rx (what the recorder heard) or tx (what it sent).")]
+Map = Annotated[list[str] | None, typer.Option("--map", metavar="N=CHANNEL", help="bus: recorded channel → channel.")]
+NodesOnly = Annotated[bool, typer.Option("--nodes-only", help="bus: the nodes' frames, answering a live master.")]
+Allowed = Annotated[str | None, typer.Option(
+    "--allow-controller", metavar="MODULE:CLASS", help="controller: import this class, which the trial names.")]
+Residuals = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="plant: residuals, MCAP.")]
+
+
+@app.command()
+@grouped
+def replay(
+    context: typer.Context,
+    trial: Recorded,
+    onto: Onto,
+    speed: Speed = 1.0,
+    loop: Loop = 1,
+    from_: From = 0.0,
+    to: To = None,
+    step: Step = False,
+    node: Node = None,
+    cob_id: CobId = None,
+    direction: Direction = None,
+    map_: Map = None,
+    nodes_only: NodesOnly = False,
+    allow_controller: Allowed = None,
+    *,
+    reached: Bus,
+    simulated: SimulatedOptions,
+    output: Residuals = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Replay a recorded trial.
+
+    Its frames onto a bus, its inputs onto the controller, or its commands onto the simulated plant.
+
+    Example: bowden replay trial.mcap --onto controller
+    """
+    from bowden import output_files
+    from bowden.bench import buses
+    from bowden.replay import onto_bus, refuse_imported
+    from bowden.replay.schedule import Selection
+    from bowden.trials import recorded
+    from trial.read import open as opened
+
+    if onto not in ONTO:
+        raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
+    _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
+    output_files.refuse_ending(output, ".mcap", what="residuals")
+    given = opened(trial)
+    refuse_imported(given, onto)
+    if onto == "controller":
+        return _controller(given, allow_controller, json=json)
+    chosen = reached.chosen(simulated, always_simulated=onto == "plant")
+    if onto == "plant":
+        return _plant(given, chosen, output, overwrite=overwrite, json=json)
+    network = recorded.sections(given)["network"]
+    if nodes_only:
+        return _nodes(given, chosen, reached.bitrate or network.bitrate, json=json)
+    channels = onto_bus.channel_map(map_)
+    selection = Selection(
+        frozenset(node or ()), frozenset(map(_cob_id, cob_id or ())), direction, frozenset(channels), from_, to)
+    with onto_bus.opened(
+            given, selection, buses.rated(chosen, reached.bitrate or network.bitrate, network), channels,
+            speed=speed, loops=loop) as playing:
+        if step:
+            _step(playing, shown=not json)
+        else:
+            with terminal.progress("replay", shown=not json) as update:
+                playing.run(update)
+        return _played(given, playing.played(), json=json)
+
+
+def _controller(recorded: Trial, allowed: str | None, *, json: bool) -> int:
+    from bowden.replay import onto_controller
+    from bowden.trials.recorded import experiment
+
+    chosen = experiment(recorded, allowed=allowed)
+    with terminal.progress("controller", shown=not json) as update:
+        found = onto_controller.replay(recorded, chosen, update)
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "controller", **found.as_json()})
+        return 0 if found.same else 1
+    print(f"Controller {found.controller}: {found.rows} steps and {found.frames} frames of targets compared.")
+    if recorded.recovered is not None:
+        whole = onto_controller.whole_rows(recorded)
+        print(f"Recovered from a torn recording: {whole} control cycles survived whole, up to "
+              f"{float(recorded.columns['time_s'][whole - 1]):.3f} s; the comparison ends there.")
+    first = found.first
+    return _judged("The same, bit for bit.", None if first is None else (
+        f"row {first.row}, {first.time_s:.3f} s, gait cycle {first.cycle:g} at {first.gait_percent:.2f} %: "
+        f"{first.signal} was {first.recorded!r}, now {first.replayed!r}."), ("signal", "rows"), found.differing)
+
+
+def _judged(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> int:
+    """Say that all was the `same`, or the `first` difference and how many there are of each; returns the status."""
+    if first is None:
+        print(same)
+        return 0
+    print(f"First difference: {first}")
+    terminal.table(f"{counted[1]} that differ", counted, [(name, str(count)) for name, count in differing.items()])
+    return 1
+
+
+def _plant(recorded: Trial, chosen: BusSettings, output: Path | None, *, overwrite: bool, json: bool) -> int:
+    from bowden.replay import onto_plant
+
+    found = onto_plant.replay(recorded, chosen, output, overwrite=overwrite,
+                              progress=terminal.Terminal(shown=not json))
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "plant", "serial": chosen.serial, **found.as_json()})
+        return 0 if found.same else 1
+    print(f"{len(found.time_ns)} control cycles, recorded − simulated:"
+          f" {'the same, bit for bit.' if found.same else 'they differ.'}")
+    terminal.table("residuals", ("signal", "unit", "rows", "RMS", "in the gait", "largest", "at (s)"), [
+        (name, row.unit, str(row.differing + row.one_sided), *(
+            f"{value:.3g}" for value in (row.rms, row.gait_rms, row.largest, row.largest_at_s)))
+        for name, row in found.figures.items()])
+    if output is not None:
+        print(f"Residuals: {output}")
+    return 0 if found.same else 1
+
+
+def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) -> int:
+    from bowden.replay import onto_master
+
+    found = onto_master.replay(recorded, chosen, bitrate, progress=terminal.Terminal(shown=not json))
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "bus", "nodes_only": True, **found.as_json()})
+        return 0 if found.same else 1
+    print(f"{found.frames} frames of the master compared, {found.beyond} after the recording's end; "
+          f"times differ by {found.timing_max_us:.1f} µs at most.")
+    first = found.first
+    return _judged("The same, byte for byte.", None if first is None else (
+        f"{first.cob_id:03X} number {first.number}, {first.time_s:.3f} s from the master's first frame: "
+        f"was {first.recorded}, now {first.live}."), ("COB-ID", "frames"), found.differing)
+
+
+def _step(playing: Playing, *, shown: bool) -> None:
+    """Take one line of standard input at a time."""
+    if shown:
+        terminal.remark(HELP)
+    for line in sys.stdin:
+        word = line.strip()
+        if word == "pause":
+            playing.pause()
+            break
+        if word == "play":
+            playing.run()
+        elif word:
+            playing.seek(_position(word))
+        else:
+            frame = playing.step()
+            if shown and frame is not None:
+                print(f"{playing.position_ns / 1e9:12.6f} s  {frame.can_id:03X}  {frame.data.hex(' ')}")
+        if playing.ended:
+            break
+
+
+def _position(word: str) -> int:
+    try:
+        return round(float(word) * 1e9)
+    except (ValueError, OverflowError):
+        raise InputError(f"{word!r} is no command; {HELP}") from None
+
+
+def _played(recorded: Trial, played: Played, *, json: bool) -> int:
+    """Say what was played; 1 where the bus did not take all of it."""
+    result = played.as_json()
+    if json:
+        terminal.emit({"trial": str(recorded.path), "onto": "bus", **result})
+        return 1 if played.lost else 0
+    print(f"{played.frames} frames in {played.passes} passes, {played.lost} not taken by the bus; "
+          f"{played.restored} restored what was before.")
+    if played.lost:
+        terminal.remark(LOST)
+    terminal.table("lateness", ("figure", "µs"), [
+        (name, terminal.number(result[f"lateness_{name}_us"], 1)) for name in ("median", "p99", "max")])
+    return 1 if played.lost else 0
+
+
+def _refuse_others(context: typer.Context, onto: str) -> None:
+    """Raise `InputError` for an option that was given and means nothing here."""
+    if onto not in TAKES:
+        raise InputError("--nodes-only belongs to --onto bus; leave it out.")
+    for name in context.params:
+        option = name.rstrip("_")
+        source = context.get_parameter_source(name)
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and option not in TAKES[onto] | {"trial", "onto", "nodes_only", "json"}:
+            raise InputError(f"--{option.replace('_', '-')} means nothing to --onto {onto}; leave it out.")
+
+
+def _cob_id(text: str) -> int:
+    try:
+        number = int(text, 0)
+    except ValueError:
+        number = -1
+    if not 0 <= number < 1 << 29:
+        raise InputError(f"--cob-id {text}: expected a CAN identifier; write for instance --cob-id 0x181.")
+    return number

@@ -1,0 +1,226 @@
+"""`bowden sweep`: many trials of simulated benches, one table."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+
+if TYPE_CHECKING:
+    from bowden.sweep.rows import Row
+    from bowden.sweep.run import Workers
+
+Grid = Annotated[list[str] | None, typer.Option("--grid", metavar="NAME=V,V…", help=(
+    "Values of an option of bowden trial, or of table.key of bench.toml or of the plant; 1-20 for whole numbers. "
+    "Repeatable."))]
+Draw = Annotated[list[str] | None, typer.Option("--draw", metavar="NAME=LOW:HIGH[:log]", help=(
+    "A number drawn at random. Repeatable."))]
+Draws = Annotated[int, typer.Option(metavar="COUNT", help="Random draws for each point of the grid.")]
+DrawSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the draws.")]
+Identify = Annotated[bool, typer.Option("--identify", help="Identify each bench on its day 0 first.")]
+Keep = Annotated[Path | None, typer.Option(metavar="DIR", help="Keep the recordings there (default: none is kept).")]
+Workers_ = Annotated[int | None, typer.Option(
+    "--workers", metavar="COUNT", help="Processes (default: one a processor).")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, host:port.")]
+Table = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Table, .csv or .parquet; continued.")]
+Tls = Annotated[Path | None, typer.Option(
+    "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem; without, Dask is not safe "
+    "beyond a network that is trusted.")]
+
+
+@app.command()
+def sweep(
+    output: Table,
+    grid: Grid = None,
+    draw: Draw = None,
+    draws: Draws = 1,
+    draw_seed: DrawSeed = 0,
+    identify: Identify = False,
+    calibration: options.Calibration = None,
+    knee: options.Knee = None,
+    desired: options.Desired = None,
+    config: options.Config = None,
+    keep: Keep = None,
+    workers: Workers_ = None,
+    scheduler: Scheduler = None,
+    tls: Tls = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Run trials over grids and random draws.
+
+    Of any value, into one table; a partial table is continued.
+
+    Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
+    """
+    from bowden.bench import configuration
+    from bowden.sweep import rows as sweep_rows
+    from bowden.sweep import run as sweep_run
+    from bowden.sweep.sweep_table import SweepTable as Growing
+
+    if draws < 1 or draw_seed < 0 or (workers is not None and workers < 1):
+        raise typer.BadParameter("--draws and --workers are whole numbers from 1, --draw-seed from 0")
+    if tls is not None and scheduler is None:
+        raise typer.BadParameter("--scheduler-tls belongs to --scheduler")
+    axes = [sweep_rows.axis(text) for text in grid or ()]
+    rows = sweep_rows.rows(
+        configuration.read(config), _fixed(identify, calibration, knee, desired), axes,
+        [sweep_rows.draw(text) for text in draw or ()], draws, draw_seed)
+    _keeping(keep)
+    with Growing(output, list(rows[0]), overwrite=overwrite) as table:
+        resumed = sum(table.found(row) is not None for row in rows)
+        _say_resumed(table, resumed, len(rows))
+        with _crew(scheduler, tls, workers, quiet=json, idle=resumed == len(rows)) as crew:
+            _run(rows, table, crew, sweep_run.calibrations_beside(output, overwrite), keep, quiet=json)
+        found = [table.found(row) or {} for row in rows]
+    cells = _cells(found, [name for name, _ in axes])
+    failed = sum(row["outcome"] != "completed" for row in found)
+    result = {"table": str(output), "trials": len(rows), "resumed": resumed, "not_completed": failed}
+    if json:
+        terminal.emit(result | {"figures": _summary(found), "cells": cells})
+    else:
+        _tell(found)
+        _tell_cells(cells)
+        print(f"{output}: {len(rows)} trials, {resumed} of them from before, {failed} not completed.")
+    return 1 if failed else 0
+
+
+FIGURES = {
+    "true_relative_rmse_percent": "relative RMSE, true END (%)", "relative_rmse_percent": "relative RMSE, END (%)",
+    "true_max_idle_tension_n": "largest true END at idle (N)", "true_peak_jump_n": "jump of true END at the peak (N)",
+    "missed_cycles": "missed cycles",
+}
+
+
+def _summary(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Of each figure over the trials that completed: median, least, greatest, and the number of the worst row."""
+    import math
+    import statistics
+
+    told = {}
+    for name in FIGURES:
+        values = {number: float(row[name]) for number, row in enumerate(found, start=1)
+                  if row.get("outcome") == "completed" and row.get(name) not in (None, "")}
+        values = {number: value for number, value in values.items() if math.isfinite(value)}
+        if values:
+            worst = max(values, key=lambda number: values[number])
+            told[name] = {"trials": len(values), "median": statistics.median(values.values()),
+                          "least": min(values.values()), "greatest": values[worst], "worst_row": worst}
+    return told
+
+
+def _tell(found: Sequence[Mapping[str, Any]]) -> None:
+    told = _summary(found)
+    if told:
+        terminal.table("over the trials that completed", ("figure", "median", "least", "greatest", "in row"), [
+            (FIGURES[name], *(terminal.number(one[key]) for key in ("median", "least", "greatest")),
+             str(one["worst_row"])) for name, one in told.items()])
+
+
+REPEATED = ("bench.serial", "bench.day", "bench.seed")
+"""Axes over which a cell of the grid is repeated: other benches, sessions and noise."""
+MOST_CELLS = 200
+
+
+def _cells(found: Sequence[Mapping[str, Any]], axes: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row for each cell of the grid: its values, trials, medians of the figures, and reasons of stops."""
+    import statistics
+    from collections import Counter
+
+    names = [name for name in axes if name not in REPEATED and len({str(row.get(name)) for row in found}) > 1]
+    gathered: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in found:
+        gathered.setdefault(tuple(str(row.get(name, "")) for name in names), []).append(row)
+    cells = []
+    for values, rows in gathered.items() if names else ():
+        done = [row for row in rows if row.get("outcome") == "completed"]
+        reasons = Counter(str(row.get("stop_reason") or row.get("outcome") or "not run") for row in rows
+                          if row.get("outcome") != "completed")
+        figures = {name: statistics.median(known) for name in FIGURES
+                   if (known := [float(row[name]) for row in done if row.get(name) not in (None, "")])}
+        cells.append({"cell": dict(zip(names, values, strict=True)), "trials": len(rows), "completed": len(done),
+                      "median": figures, "stopped": dict(reasons)})
+    return cells
+
+
+def _tell_cells(cells: Sequence[Mapping[str, Any]]) -> None:
+    """Print a line for each cell of the grid, and below it why its trials stopped."""
+    if len(cells) < 2:
+        return
+    told = [name for name in FIGURES if any(name in cell["median"] for cell in cells)][:3]
+    print(f"By cell of the grid, medians of: {'; '.join(FIGURES[name] for name in told)}" if told
+          else "By cell of the grid")
+    for cell in cells[:MOST_CELLS]:
+        where = ", ".join(f"{name.partition('.')[2]} = {value}" for name, value in cell["cell"].items())
+        figures = "".join(f", {terminal.number(cell['median'].get(name))}" for name in told)
+        print(f"  {where}: {cell['completed']} of {cell['trials']} completed{figures}")
+        for reason, count in cell["stopped"].items():
+            print(f"    {count} not completed: {reason}")
+    if len(cells) > MOST_CELLS:
+        print(f"  and {len(cells) - MOST_CELLS} more cells, in the table.")
+
+
+def _fixed(identify: bool, calibration: Path | None, knee: Path | None, desired: Path | None) -> dict[str, Any]:
+    from bowden.sweep.rows import IDENTIFIED
+    from parameters import InputError
+
+    if identify and calibration is not None:
+        raise InputError("--identify measures the calibration that --calibration gives; leave one of them out.")
+    given = {"files.calibration": IDENTIFIED if identify else calibration, "files.knee": knee, "files.desired": desired}
+    return {name: str(value) for name, value in given.items() if value is not None}
+
+
+def _keeping(keep: Path | None) -> None:
+    from parameters import InputError
+
+    if keep is not None and not keep.is_dir():
+        raise InputError(f"--keep {keep}: is no directory; make it first.")
+
+
+def _say_resumed(table: Any, resumed: int, total: int) -> None:
+    from bowden.trials import provenance
+
+    if resumed:
+        terminal.remark(f"{table.path}: {resumed} of {total} trials are there from before.")
+        if table.commits - {provenance.commit()}:
+            terminal.remark("some of them are by another commit; --overwrite makes them again.")
+
+
+@contextlib.contextmanager
+def _crew(
+    scheduler: str | None, tls: Path | None, workers: int | None, *, quiet: bool, idle: bool
+) -> Iterator[Workers | None]:
+    """The workers that were asked for; None where there is nothing to do."""
+    from bowden.sweep import run as sweep_run
+    from bowden.trials import session
+
+    if idle:
+        yield None
+        return
+    if scheduler is not None:
+        with sweep_run.cluster(scheduler, tls) as crew:
+            yield crew
+        return
+    session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not quiet))
+    with sweep_run.local(workers) as crew:
+        yield crew
+
+
+def _run(rows: list[Row], table: Any, crew: Workers | None, folder: Path, keep: Path | None, *, quiet: bool) -> None:
+    from bowden.sweep.run import sweep as run
+
+    if crew is None:
+        table.finish(rows)
+        return
+    with terminal.progress("sweep", shown=not quiet) as update:
+        try:
+            run(rows, table, crew, folder, keep=None if keep is None else str(keep.resolve()), update=update)
+        except KeyboardInterrupt:
+            terminal.remark(f"{table.growing}: keeps the trials that are done; the same command goes on from there.")
+            raise

@@ -1,0 +1,143 @@
+"""`bowden trial`: one experiment, on the virtual bus or on a real one, recorded in one MCAP file."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, grouped
+
+if TYPE_CHECKING:
+    from bowden.bench.buses import BusSettings
+
+Web = Annotated[str | None, typer.Option(
+    metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
+
+
+@app.command()
+@grouped
+def trial(
+    output: options.Output,
+    walk: WalkOptions,
+    knee: options.Knee = None,
+    desired: options.Desired = None,
+    calibration: options.Calibration = None,
+    controller_model: options.ControllerModel = None,
+    experiment: options.Script = None,
+    dry_run: options.DryRun = False,
+    homing_n: options.HomingForce = None,
+    *,
+    rate: options.Rate = None,
+    simulated: SimulatedOptions,
+    reached: Bus,
+    config: options.Config = None,
+    picture: options.Picture = None,
+    web: Web = None,
+    logbook: options.Logbook = None,
+    label: options.Session = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Run one experiment and record it.
+
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.
+
+    Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
+    """
+    from bowden import output_files
+    from bowden.bench import configuration
+    from bowden.cli import ending
+    from bowden.trials import provenance, session
+
+    output_files.refuse_ending(output, ".mcap", what="a trial")
+    output_files.refuse_picture(picture)
+    inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
+    output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
+    sections = reached.sections(config, rate)
+    sections["homing"] = configuration.homing(sections["homing"], homing_n)
+    entered = session.entered(sections, logbook, config)
+    reference, sections["gait"], notes = session.reference(
+        walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
+        peak_given=walk.peak is not None)
+    chosen = reached.chosen(simulated)
+    prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
+                               controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
+    for note in notes:
+        terminal.remark(note)
+    with _page(web, output.name, sections["network"]) as watch:
+        result = session.perform(
+            prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
+            progress=terminal.Terminal(shown=not json), watch=watch)
+    if entered is not None and result["trial"] is not None:
+        from bowden.models import logbook_entries
+
+        with terminal.waiting("entering the trial in the logbook", shown=not json):
+            result["logbook"] = logbook_entries.entered(entered, output, logbook_entries.label(label, chosen), result)
+    if json:
+        terminal.emit(result)
+    elif result["trial"] is None:
+        print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
+    else:
+        _show(result, output, picture, chosen.told, dry_run=dry_run,
+              with_end=sections["network"].bench.measures_end)
+        if "logbook" in result:
+            print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
+    return ending.status_of(result["outcome"], result["stop_reason"])
+
+
+def _where(chosen: BusSettings) -> str:
+    """Say before anything moves whether anything real will."""
+    if chosen.simulated:
+        told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
+        return f"SIMULATED bench, {told}; --interface names a real bus."
+    return f"bench on {chosen.told}."
+
+
+def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Any]:
+    """The live page of the trial, None where none was asked for."""
+    if web is None:
+        return nullcontext()
+    from bowden.live import feeds
+
+    return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
+
+
+FORCE_FIGURES = (
+    ("relative RMSE, END (%)", "relative_rmse_percent"),
+    ("  within 10…30 % of gait (%)", "relative_rmse_window_percent"),
+    ("largest END at idle (N)", "max_idle_tension_n"),
+    ("jump at the peak (N)", "peak_jump_n"),
+)
+
+
+def _show(
+    result: dict[str, Any], output: Path, picture: Path | None, bus: str, *, dry_run: bool, with_end: bool
+) -> None:
+    from bowden.pages.reports import PAPER_RMSE_PERCENT
+
+    figure = terminal.number
+    paper = {"relative_rmse_percent": figure(PAPER_RMSE_PERCENT.get(result["peak_n"])), "max_idle_tension_n": "< 1"}
+    if dry_run:
+        paper = {}
+    title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
+             f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
+    terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
+        (name, figure(result[key]), figure(result[f"true_{key}"]), paper.get(key, "–")) for name, key in FORCE_FIGURES])
+    if not with_end:
+        print("No figures by the END sensor: the declared bench has no END load cell.")
+    ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None
+    terminal.table("bus", ("figure", "value"), [
+        ("load, measured (%)", figure(result["bus_load_percent"])),
+        ("load, computed bound (%)", figure(result["bus_load_bound_percent"])),
+        ("missed cycles", str(result["missed_cycles"])),
+        ("stale inputs", str(result["stale_inputs"])),
+        ("wall seconds per simulated second", figure(ratio, 3)),
+    ])
+    if result["stop_reason"]:
+        print(f"Stopped: {result['stop_reason']}")
+    print(f"Trial: {output}" + (f"   picture: {picture}" if picture else "") + f"   {bus}")

@@ -1,0 +1,130 @@
+"""Diagnosis of recorded trials: healthy trials are learnt once, then one trial after another is diagnosed.
+
+The rule of this file: it hands trials and models to `diagnosis` and gives back what that found; it decides nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bowden import model_files
+from bowden.model_files import BenchModel, Model
+from bowden.trials.recorded_trial import Trial
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.data.table import Table
+    from diagnosis.findings import Findings
+
+Given = Trial | str | Path
+"""A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
+
+
+class Diagnosis:
+    """Finds what the simulation gets wrong about trials of one bench, as an estimator of scikit-learn does.
+
+    `model`: what the bench was identified to be, or its calibration.toml (None: what each trial carries with it).
+    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.  `core`: evidence or relations, as of
+    `bowden diagnose`.
+    """
+
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str = "relations") -> None:
+        from diagnosis.finder import Finder
+
+        self.model = None if model is None else model_files.given(model)
+        known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz, core)
+        self._measured = known is not None
+
+    def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
+        """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
+        self._finder.fit([_table(trial) for trial in _several(healthy)])
+        self._measured = True
+        return self
+
+    def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = ()) -> DiagnosisResult:
+        """Say what is wrong in `trials`, and why; nothing is fitted on `holdout`.
+
+        Without a model or healthy trials, trials that ran on the packaged calibration get no cause named: see
+        `on_its_footing`.  Raises `InputError` for files that cannot be used; data that contradict themselves give the
+        verdict `refused`.
+        """
+        given = _several(trials)
+        asked, unseen = [_table(trial) for trial in given], [_table(trial) for trial in _several(holdout)]
+        paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
+        found = on_its_footing(self._finder.diagnose(asked, unseen), paths, measured=self._measured)
+        return DiagnosisResult(found, asked, unseen, self.model)
+
+
+class DiagnosisResult:
+    """What a diagnosis found.
+
+    `verdict`: none, found, ambiguous, unexplained or refused.  `causes`: one dict an effect, with its site, its
+    parameters (value, low, high, unit) and its gain, %.  `rivals`: effects that these data cannot tell apart, the
+    chosen ones first.  `experiment`: what would tell them apart.  `relations`: figures by relation.  `warnings`:
+    sentences for the reader.
+    """
+
+    def __init__(
+        self, found: Findings, trials: Sequence[Table], holdout: Sequence[Table], model: BenchModel | None
+    ) -> None:
+        self.found = found
+        self.verdict, self.causes, self.rivals = found.verdict, found.causes, found.rivals
+        self.experiment, self.relations, self.warnings = found.experiment, found.relations, found.warnings
+        self._trials, self._holdout, self._model = trials, holdout, model
+
+    def __repr__(self) -> str:
+        return f"DiagnosisResult({self.verdict}: {', '.join(cause['effect'] for cause in self.causes) or 'no cause'})"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what `bowden diagnose --json` prints."""
+        return self.found.as_json()
+
+    @property
+    def model(self) -> BenchModel:
+        """The bench model with what was found in it: for `bowden.simulate`, `bowden.simulated` and `Experiment`.
+
+        Raises `InputError` where the trials were refused.
+        """
+        from diagnosis import extension
+
+        text = extension.text(self.found, self._trials)
+        return model_files.extended(model_files.given(self._model), text)
+
+    def report(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write one HTML page that needs no network; raises `InputError` where the trials were refused."""
+        from bowden import output_files
+        from diagnosis.report import diagnosis_page
+
+        if self.verdict == "refused":
+            raise InputError(f"{path}: the trials were refused ({self.warnings[0]}); mend the data first.")
+        output_files.refuse([Path(path)], overwrite=overwrite)
+        diagnosis_page.write(self.found, self._trials, self._holdout, path)
+        return Path(path)
+
+
+def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -> Findings:
+    """Return what was found; without a cause named where nothing says what this bench is by itself.
+
+    That is so where every trial ran on the packaged calibration; `measured`: a calibration or healthy trials were given
+    beside them.
+    """
+    from diagnosis.data.table import NOMINAL
+    from trial.read import open as opened
+
+    measured = measured or not all(
+        path.suffix.lower() == ".mcap" and opened(path).metadata.get("calibration") == NOMINAL for path in trials)
+    return found if measured or found.verdict == "refused" else found.unnamed()
+
+
+def _several(given: Given | Iterable[Given]) -> list[Given]:
+    return [given] if isinstance(given, Trial | str | Path) else list(given)
+
+
+def _table(given: Given) -> Table:
+    from diagnosis.data import table
+
+    return table.read(given.path if isinstance(given, Trial) else given)

@@ -1,0 +1,162 @@
+"""An identification: a bench is measured on its bus, or recorded trials of it are fitted again, into a bench model."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bowden import model_files
+from bowden.bench import buses, configuration
+from bowden.bench.buses import BusSettings, opened
+from bowden.model_files import BenchModel, Model
+from bowden.progress import SILENT, Progress
+from bowden.trials import provenance, recorded, session
+from bowden.trials.recorded_trial import TemporaryFolder, Trial
+from parameters import InputError
+from trial.signals import with_observers
+
+if TYPE_CHECKING:
+    from master.identification.calibration_fit import Segment
+    from physics.calibration import Calibration
+
+
+class StoppedError(Exception):
+    """The bench stopped before there was a result; the text says why, in one sentence."""
+
+
+class Identified(NamedTuple):
+    """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to."""
+
+    reason: str | None
+    calibration: Calibration | None
+    segments: Sequence[Segment]
+
+
+def perform(
+    what: str, sections: Mapping[str, Any], guess: Path | Calibration | None, chosen: BusSettings, recording: Path, *,
+    date: str, overwrite: bool = False, progress: Progress = SILENT,
+) -> Identified:
+    """Run the experiments of `what` on a bus, recorded in `recording`."""
+    from master.identification import identify
+    from master.network.link import Link
+    from physics.calibration import nominal
+    from trial.record import Recorder, RecordingError
+
+    network = sections["network"]
+    wanted = identify.Identification(
+        what=what, guess=_calibration(guess) or nominal(), network=network, limits=sections["limits"],
+        homing=sections["homing"])
+    session.compile_laws(simulated=chosen.simulated, progress=progress)
+    with opened(chosen, network) as bus:
+        recorder = Recorder(
+            recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
+                                 "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
+                                 "commit": provenance.commit()},
+            attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated,
+            overwrite=overwrite, signals=with_observers(network.bench))
+        with session.discarding(recorder), progress.running(f"identify {what}") as update:
+            outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
+                                             lambda _part, share: update(share))
+        try:
+            recorder.close(dataclasses.asdict(outcome))
+        except RecordingError as error:
+            return Identified(outcome.reason or f"recording failed: {error}", None, segments)
+    if outcome.reason is not None:
+        if session.never_ran(recording):
+            recording.unlink(missing_ok=True)
+        return Identified(outcome.reason, None, segments)
+    with progress.waiting("fitting"):
+        return Identified(None, identify.calibrate(
+            what, segments, wanted.guess, bench=chosen.bench, date=date, trial=recording.name), segments)
+
+
+def again(
+    what: str, trials: Sequence[Path], guess: Path | Calibration | None, *, date: str, progress: Progress = SILENT
+) -> Identified:
+    """Fit to the experiments that `trials` recorded, on one bench; without a `guess` it starts where the first did.
+
+    Raises `InputError` for trials of two benches, or where an experiment that `what` needs is in none of them.
+    """
+    from master.identification import identify
+    from physics import inverse
+    from trial import read as trial
+
+    given = [trial.open(path) for path in trials]
+    benches = {each.metadata.get("bench", "") for each in given} - {""}
+    if len(benches) > 1:
+        raise InputError(f"--from: the trials are of different benches, {' and '.join(sorted(benches))}; "
+                         "identify one bench at a time.")
+    segments = [segment for each in given for segment in identify.recorded(each)]
+    start = _calibration(guess) or recorded.calibration(given[0])
+    inverse.prepare()
+    with progress.waiting("fitting"):
+        return Identified(None, identify.calibrate(
+            what, segments, start, bench=next(iter(benches), ""), date=date,
+            trial=", ".join(path.name for path in trials)), segments)
+
+
+def _calibration(given: Path | Calibration | None) -> Calibration | None:
+    from physics.calibration import read
+
+    return read(given) if isinstance(given, Path) else given
+
+
+def identify(
+    what: str = "all", *, bus: BusSettings | None = None, trials: Sequence[Trial | str | Path] = (),
+    model: Model | None = None, config: str | Path | None = None, output: str | Path | None = None,
+    overwrite: bool = False, date: str | None = None, progress: Progress = SILENT,
+) -> BenchModel:
+    """Measure a bench by the paper's procedures and return its model; or, with `trials`, fit recorded ones again.
+
+    `what`: stiffness, swing, friction, sensors or all.  `bus`: `bowden.simulated(…)`, also the default, or
+    `bowden.bus(…)`.  `model`: what it starts from (None: the packaged nominal one); `config`: a bench.toml.
+    `output`: the file that keeps the recording (None: it is not kept).  `date`: ISO date for the evidence (today).
+    Raises `InputError` for bad input, `StoppedError` where the bench stopped.
+    """
+    date = datetime.date.today().isoformat() if date is None else date
+    guess = None if model is None else model_files.given(model).calibration
+    if trials:
+        if bus is not None:
+            raise InputError("identify: trials are fitted without a bus; leave bus out, or the trials.")
+        paths = [each.path if isinstance(each, Trial) else Path(each) for each in trials]
+        return _model(again(what, paths, guess, date=date, progress=progress))
+    folder = TemporaryFolder()
+    recording = folder.path / "identification.mcap" if output is None else Path(output)
+    found = perform(what, configuration.read(None if config is None else Path(config)), guess,
+                    bus or buses.simulated(), recording, date=date, overwrite=overwrite, progress=progress)
+    folder.remove()
+    return _model(found)
+
+
+def _model(found: Identified) -> BenchModel:
+    from physics.bench_model import of_calibration
+
+    if found.calibration is None:
+        raise StoppedError(found.reason or "the identification found nothing")
+    return of_calibration(found.calibration)
+
+
+def fit(
+    trials: Sequence[Trial | str | Path], *, model: Model | None = None, lowpass_hz: float | None = None,
+    progress: Progress = SILENT,
+) -> BenchModel:
+    """Fit the simulation's constants to healthy trials of one bench, as `bowden fit` does.
+
+    `trials`: any motion, own or imported, with rope position and START, END or both; `model`: the point that the fit
+    starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz.  What the fit says of trials that
+    it had not seen is in `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`.  Raises
+    `InputError`.
+    """
+    import tomllib
+
+    from diagnosis import bench_fit
+    from physics import bench_model
+
+    start = None if model is None else tomllib.loads(model_files.given(model).text())
+    with progress.waiting("fitting"):
+        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], start,
+                              lowpass_hz)
+    return bench_model.from_tables(tomllib.loads(found.text()), "fit", rigs=True)

@@ -1,0 +1,75 @@
+"""What the simulation says of a recorded trial: its commands, or its motion, into a simulated bench, residuals beside.
+
+The rule of this file: the bench is that of the model, without the scatter of a serial number; SI throughout.  A trial
+with CAN frames plays what the master sent; one without (lab data) leads rope and knee where they were measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bowden import model_files
+from bowden.bench import buses
+from bowden.model_files import Model
+from bowden.progress import SILENT, Progress
+from bowden.trials.recorded_trial import Trial
+
+if TYPE_CHECKING:
+    from bowden.replay.plant_residuals import SignalResidual
+    from physics.bench_model import BenchModel
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A trial beside its simulation, by signal name: float64, one value a control cycle, NaN where unknown.
+
+    `time_ns`: int64, time of each SYNC, ns.  `measured` − `simulated` = `residuals`.  `figures`: RMS, mean and
+    largest of each residual.
+    """
+
+    time_ns: NDArray[np.int64]
+    measured: Mapping[str, NDArray[np.float64]]
+    simulated: Mapping[str, NDArray[np.float64]]
+    residuals: Mapping[str, NDArray[np.float64]]
+    figures: Mapping[str, SignalResidual]
+
+
+def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progress = SILENT) -> Simulation:
+    """Play what the master sent in `trial` to a simulated bench of `model`; raises `InputError`.
+
+    A trial without CAN frames (MCAP or CSV) is simulated under its measured rope and knee motion, START and END alone.
+    """
+    from bowden.replay import onto_plant
+
+    known = model_files.given(model)
+    if not isinstance(trial, Trial) and Path(trial).suffix.lower() != ".mcap":
+        return _under_motion(known, Path(trial))
+    recorded = (trial if isinstance(trial, Trial) else Trial(trial)).recorded
+    if not len(recorded.frames):
+        return _under_motion(known, recorded.path)
+    found = onto_plant.replay(recorded, buses.simulated(0, plant_model=known), progress=progress)
+    return Simulation(found.time_ns, found.recorded, found.simulated, found.columns, found.figures)
+
+
+def _under_motion(known: BenchModel, path: Path) -> Simulation:
+    """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
+    from bowden.replay.plant_residuals import figure
+    from diagnosis import bench_fit, simulation
+    from diagnosis.data import table
+    from trial.signals import SIGNALS
+
+    given, used = table.read(path), bench_fit.of_model(known)
+    told = simulation.simulate(bench_fit.as_fitted(given, used), used.values)
+    time_ns = np.round(1e9 * given["time_s"]).astype(np.int64)
+    declared = {signal.name: signal for signal in SIGNALS}
+    simulated = {name: np.asarray(getattr(told, name)) for name in simulation.SIGNALS}
+    measured = {name: given[name] if name in given else np.full(time_ns.size, np.nan) for name in simulated}
+    walked = np.asarray(simulation.counted(given))
+    figures = {name: figure(declared[name], measured[name], simulated[name], time_ns, walked) for name in simulated}
+    return Simulation(time_ns, measured, simulated, {n: measured[n] - simulated[n] for n in simulated}, figures)

@@ -1,0 +1,1 @@
+"""Reports and pictures of a trial or an identification, and the figures in them."""

@@ -1,0 +1,161 @@
+"""One experiment, described by its numbers, and run on a bus into a recorded trial.
+
+The rule of this file: it turns plain arguments into the checked sections that `session` runs; what a command line
+would print is in the trial that comes back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bowden import model_files, output_files
+from bowden.bench import buses, configuration
+from bowden.bench.buses import BusSettings
+from bowden.model_files import Model
+from bowden.progress import SILENT, Progress
+from bowden.trials import provenance, session
+from bowden.trials.recorded_trial import TemporaryFolder, Trial
+from parameters import InputError
+
+GAIT = "gait"
+_OF_GAIT = ("peak_n", "period_s", "cycles", "settle", "soft_start", "controller", "idle_slack_m")
+_OF_NETWORK = ("rate_hz", "bitrate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """What is to be run; None leaves a number to the configuration, whose defaults are the paper's.
+
+    `peak_n`: peak of the desired force, N.  `period_s`: gait period, s.  `cycles`: gait cycles; the first `settle` of
+    them are left out of every figure; `soft_start` more come before, over which the peak rises.  `controller`: a name
+    of the entry-point group bowden.controllers, "module:Class", or the class itself.  `rate_hz`: control cycles per
+    second.  `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the paper's.
+    `name`: "gait", or an experiment of `bowden trial --experiment`.  `model`: what the controller works from, a bench
+    model or its file (None: the packaged nominal one).  `dry_run`: everything on the bus, drives never enabled.
+    `configuration`: a bench.toml.
+    """
+
+    peak_n: float | None = None
+    period_s: float | None = None
+    cycles: int | None = None
+    settle: int | None = None
+    soft_start: int | None = None
+    controller: str | type[Any] | None = None
+    idle_slack_m: float | None = None
+    rate_hz: int | None = None
+    bitrate: int | None = None
+    knee: str | Path | None = None
+    desired: str | Path | None = None
+    name: str = GAIT
+    model: Model | None = None
+    dry_run: bool = False
+    configuration: str | Path | None = None
+
+    def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.Prepared:
+        """Check it for a bus; raises `InputError` for whatever can be refused before a frame is sent."""
+        sections = configuration.read(None if self.configuration is None else Path(self.configuration))
+        sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
+        knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))
+        reference, sections["gait"], notes = session.reference(
+            self._overridden(sections["gait"], _OF_GAIT), knee, desired, period_given=self.period_s is not None,
+            peak_given=self.peak_n is not None)
+        for note in notes:
+            progress.remark(note)
+        model = None if self.model is None else self._model(bus)
+        return session.prepare(
+            sections, reference, model, bus, dry_run=self.dry_run,
+            files=provenance.curves(knee=knee, desired=desired), script=None if self.name == GAIT else self.name)
+
+    def _overridden(self, section: Any, names: tuple[str, ...]) -> Any:
+        given = {name: getattr(self, name) for name in names}
+        if "controller" in given:
+            given["controller"] = _name(given["controller"])
+        return configuration.override(section, {name: (f"Experiment({name}=…)", value)
+                                                for name, value in given.items()})
+
+    def _model(self, bus: BusSettings) -> model_files.BenchModel:
+        """The model, of this bench where it says which one it belongs to."""
+        if isinstance(self.model, str | Path):
+            return model_files.read(self.model, bench=bus.bench)
+        return model_files.given(self.model)
+
+
+def _name(controller: str | type[Any] | None) -> str | None:
+    """Return how a trial records a controller: its name, or "module:Class"."""
+    if controller is None or isinstance(controller, str):
+        return controller
+    return f"{controller.__module__}:{controller.__qualname__}"
+
+
+def run(
+    experiment: Experiment | None = None, *, bus: BusSettings | None = None, output: str | Path | None = None,
+    overwrite: bool = False, progress: Progress = SILENT,
+) -> Trial:
+    """Run an experiment on a bus and return the recorded trial, whether it completed or stopped (`Trial.outcome`).
+
+    `bus`: `bowden.simulated(…)`, which is also the default, or `bowden.bus(…)`.  `output`: the file to record; without
+    one the recording is in a temporary folder that is removed with the trial.  Raises `InputError` for what can be
+    refused before a frame is sent; what happens on the bus ends in the outcome.
+    """
+    prepared = (experiment or Experiment()).prepared(bus or buses.simulated(), progress)
+    if output is not None:
+        return Trial(output, session.perform(prepared, Path(output), overwrite=overwrite, progress=progress))
+    folder = TemporaryFolder()
+    path = folder.path / "trial.mcap"
+    trial = Trial(path, session.perform(prepared, path, progress=progress))
+    folder.hand_to(trial.recorded)
+    return trial
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One experiment twice: the controller not told (`before`) and told (`after`) of a model's effects.
+
+    `judged_by`: the figure that is compared, of the true END where the bench is simulated, else of its sensor;
+    `gain_percent`: by how much it fell, None where a trial has no such figure.
+    """
+
+    before: Trial
+    after: Trial
+    judged_by: str
+    gain_percent: float | None
+
+
+def gained(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Return the figure that two trials of one experiment are judged by, and by how much it fell, %."""
+    judged = "true_relative_rmse_percent" if before["true_relative_rmse_percent"] is not None else (
+        "relative_rmse_percent")
+    first, second = before[judged], after[judged]
+    return judged, 100.0 * (1.0 - second / first) if first and second is not None else None
+
+
+def verify(
+    model: Model, experiment: Experiment | None = None, *, bus: BusSettings | None = None,
+    output: str | Path | None = None, overwrite: bool = False, progress: Progress = SILENT,
+) -> Verified:
+    """Run one experiment twice, with the model's constants alone and with its effects known to the controller too.
+
+    `model`: what `DiagnosisResult.model` is, or the file that `bowden diagnose -o` wrote.  `experiment`: its own
+    `model` must be None, its controller is "extended" where it names none.  `output`: the trials to write, with -before
+    and -after before the suffix (None: they are not kept).  Raises `InputError`.
+    """
+    asked, chosen = experiment or Experiment(), bus or buses.simulated()
+    if asked.model is not None:
+        raise InputError("verify: the experiment states a model, and verify is given one; leave it out of the "
+                         "experiment.")
+    known = model_files.read(model, bench=chosen.bench) if isinstance(model, str | Path) else model_files.given(model)
+    if not known.effects:
+        raise InputError(f"verify: {known.label} states no effect that a controller could be told of; give what a "
+                         "diagnosis found.")
+    asked = replace(asked, controller=asked.controller or "extended")
+    paths = {name: None if output is None else Path(output).with_stem(f"{Path(output).stem}-{name}")
+             for name in ("before", "after")}
+    output_files.refuse(paths.values(), overwrite=overwrite)
+    not_told = replace(known, effects={}, found={}) if known.values else None
+    before, after = (
+        run(replace(asked, model=told), bus=chosen, output=paths[name], overwrite=overwrite, progress=progress)
+        for name, told in (("before", not_told), ("after", known)))
+    return Verified(before, after, *gained(before.figures, after.figures))

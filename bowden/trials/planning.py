@@ -1,0 +1,72 @@
+"""What an experiment would show: it is run on the nominal simulated bench, then looked at as a trial would be."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.judgement.plan import Plan
+
+GAIT = "gait"
+
+
+class WalkPlan(NamedTuple):
+    """How the planned experiment is walked; None leaves a number to the configuration's default.
+
+    `noise_n` is 1σ of both tension sensors.
+    """
+
+    peak_n: float | None = None
+    period_s: float | None = None
+    cycles: int | None = None
+    noise_n: float | None = None
+
+
+AS_CONFIGURED = WalkPlan()
+
+
+def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = None,
+         healthy: Sequence[Path] = ()) -> Plan:
+    """Simulate the experiment `name` ("gait", or one of the catalogue) and say what it would show.
+
+    `calibration` is that of the bench to be examined (none: the nominal bench, which is what is simulated), `healthy`
+    its trials with nothing wrong.  Raises `InputError`.
+    """
+    from diagnosis.data import table as data
+    from diagnosis.judgement.plan import plan as planned
+    from parameters import read_toml
+    from physics.calibration import nominal, write
+
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        recorded = Path(folder) / f"{name}.mcap"
+        simulate(name, walk, recorded)
+        table = data.read(recorded)
+    known = tomllib.loads(write(nominal())) if calibration is None else read_toml(calibration)
+    return planned(table, [data.read(path) for path in healthy], known)
+
+
+def simulate(name: str, walk: WalkPlan, recorded: Path) -> None:
+    """Record the experiment on the nominal bench, its sensors as noisy as asked for."""
+    from bowden.bench import buses, configuration
+    from bowden.trials import session
+
+    sections = configuration.read(None)
+    gait = configuration.override(sections["gait"], {
+        "peak_n": ("--peak", walk.peak_n), "period_s": ("--period", walk.period_s), "cycles": ("--cycles", walk.cycles),
+        "settle": ("--settle", 0)})
+    reference, sections["gait"], _ = session.reference(
+        gait, None, None, period_given=True, peak_given=walk.peak_n is not None)
+    sensor = {"noise_n": walk.noise_n}
+    noisy = None if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
+    script = None if name == GAIT else name
+    prepared = session.prepare(
+        sections, reference, None, buses.simulated(serial=0, plant_model=noisy), dry_run=False, script=script)
+    result = session.perform(prepared, recorded)
+    if result["outcome"] != "completed":
+        raise InputError(f"--plan {name}: the simulated trial stopped ({result['stop_reason']}); ask for less.")

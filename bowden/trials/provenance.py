@@ -1,0 +1,107 @@
+"""What a trial carries with it: who ran what, with which devices, configuration, calibration and software.
+
+The rule of this file: nothing wall-timed, no output path and nothing of a simulated bench's truth goes in, so
+that one configuration and seed give one file.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict
+from hashlib import sha256
+from importlib import metadata as installed
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bowden.bench.configuration import as_text
+
+if TYPE_CHECKING:
+    from master.motion.experiment_run import ExperimentSetup
+    from physics.bench_model import BenchModel
+    from physics.calibration import Calibration
+
+CONTROLLER_MODEL = "controller_model.toml"
+PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "scipy", "zstandard")
+
+
+def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
+    """What identifies the trial, as text; `script` names what was run in place of the gait."""
+    gait = experiment.gait
+    return {
+        "experiment": script or "gait",
+        "controller": gait.controller,
+        **({"controller_model": ", ".join(experiment.known)} if experiment.known else {}),
+        "calibration": Path(experiment.calibration.label).name,
+        "peak_n": repr(gait.peak_n),
+        "period_s": repr(gait.period_s),
+        "course": course(experiment),
+        "cycles": str(gait.cycles),
+        "settle": str(gait.settle),
+        "rate_hz": str(experiment.network.rate_hz),
+        "bitrate": str(experiment.network.bitrate),
+        "dry_run": str(experiment.dry_run).lower(),
+        **{name: text for name, text in asdict(experiment.record).items() if text},
+        "commit": commit(),
+    }
+
+
+def course(experiment: ExperimentSetup) -> str:
+    """A digest of what knee and desired force are to do, to a millionth: a replay asks whether it has the same."""
+    followed = experiment.reference if experiment.motion is None else experiment.motion
+    wanted = [experiment.reference.at(i / 100) for i in range(100)]
+    numbers = [round(value * 1e6) for i, at in enumerate(wanted)
+               for value in (at.knee_angle_rad, at.force_n, followed.knee_angle(i / 100))]
+    return sha256(repr((numbers, round(followed.period_s * 1e9))).encode()).hexdigest()[:16]
+
+
+def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:
+    """The files that make the trial readable alone: configuration, calibration, packages, EDS files."""
+    from eds.bench_network import FILES
+    from eds.dictionary import packaged
+    from physics.calibration import write
+
+    devices = {f"{name}.eds": packaged(name).read_bytes() for name in sorted(set(FILES.values()))}
+    devices |= {Path(mapping.file).name: Path(mapping.file).read_bytes()
+                for mapping in sections["network"].bench.other_devices.values() if mapping.file}
+    devices |= {Path(device.type.file).name: Path(device.type.file).read_bytes()
+                for device in sections["network"].bench.observers}
+    return {
+        "bench.toml": as_text(sections).encode(),
+        "calibration.toml": write(calibration).encode(),
+        "packages.txt": "".join(f"{name}=={_version(name)}\n" for name in PACKAGES).encode(),
+        **devices,
+    }
+
+
+def curves(**files: Path | None) -> dict[str, bytes]:
+    """The files that a reference was made from, under their parts' names: knee.csv, desired.csv."""
+    return {f"{part}.csv": path.read_bytes() for part, path in files.items() if path is not None}
+
+
+def controller_model(given: Path | BenchModel | None) -> dict[str, bytes]:
+    """The effects that the controller was told of, under their part's name."""
+    if given is None:
+        return {}
+    return {CONTROLLER_MODEL: given.read_bytes() if isinstance(given, Path) else given.text().encode()}
+
+
+def _version(name: str) -> str:
+    try:
+        return installed.version(name)
+    except installed.PackageNotFoundError:
+        return "not installed"
+
+
+def commit() -> str:
+    """The commit of the source tree this runs from, "+" behind it where the tree differs; "" where there is none."""
+    here = Path(__file__).resolve().parent.parent
+    if not (here / ".git").exists():  # installed: a repository around it is not this project's
+        return ""
+    try:
+        told = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--abbrev=40", "--dirty=+", "--exclude=*"],
+            capture_output=True, text=True, timeout=10, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return told.stdout.strip() if told.returncode == 0 else ""

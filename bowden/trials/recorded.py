@@ -1,0 +1,97 @@
+"""The experiment that a trial recorded, from what it carries with it.
+
+The rule of this file: everything comes out of the file's attachments and metadata, read by those who read it when
+the trial was run; nothing is taken from the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from master.motion.experiment_run import ExperimentSetup
+    from physics.calibration import Calibration
+    from trial.read import Trial
+
+FILES = ("bench.toml", "calibration.toml")
+CURVES = ("knee", "desired")
+
+
+def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = None) -> ExperimentSetup:
+    """Build the experiment of a trial; raises `InputError` where the file does not carry it, or it is no gait.
+
+    `scripts` also takes those that ran in place of the gait (see `script`).  `allowed`: the controller "module:Class"
+    that may be imported because the trial names it; a received file must not decide which code runs.
+    """
+    from bowden.trials import provenance, session
+    from master.motion.experiment_run import ExperimentSetup
+    from physics.calibration import read
+
+    if recorded.metadata.get("experiment") != "gait" and not (scripts and script(recorded)):
+        told = recorded.metadata.get("experiment", "nothing of the kind")
+        raise InputError(f"{recorded.path}: records {told}, not a gait; give a trial of bowden trial.")
+    with _unpacked(recorded, FILES) as folder:
+        chosen = sections(recorded)
+        named = chosen["gait"].controller
+        if ":" in named and named != allowed:
+            raise InputError(f"{recorded.path}: its controller is {named!r}, which replaying would import; read that "
+                             f"code, then say --allow-controller {named}, or install it as an entry point.")
+        knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
+        reference, chosen["gait"], _ = session.reference(
+            chosen["gait"], knee, desired, period_given=True, peak_given=False)
+        model = folder / provenance.CONTROLLER_MODEL
+        made = ExperimentSetup(
+            reference=reference, calibration=read(folder / "calibration.toml"),
+            known=session.known_effects(model if model.exists() else None),
+            dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
+    if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
+        raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "
+                         "give a trial of bowden trial.")
+    return made
+
+
+def script(recorded: Trial) -> str:
+    """Name of the experiment that a trial ran in place of the gait; "" where it ran none that is known."""
+    from physics.effects.separating_experiments import SCRIPTED
+
+    named = recorded.metadata.get("experiment", "")
+    return named if named in SCRIPTED else ""
+
+
+def sections(recorded: Trial) -> dict[str, Any]:
+    """The configuration that a trial carries, as its checked sections; the defaults where it carries none."""
+    from bowden.bench import configuration
+
+    if "bench.toml" not in recorded.attachments:
+        return configuration.read(None)
+    with _unpacked(recorded, ("bench.toml",)) as folder:
+        return configuration.read(folder / "bench.toml")
+
+
+def calibration(recorded: Trial) -> Calibration:
+    """The calibration that a trial was run with; raises `InputError` where it carries none."""
+    from physics.calibration import read
+
+    with _unpacked(recorded, ("calibration.toml",)) as folder:
+        return read(folder / "calibration.toml")
+
+
+@contextmanager
+def _unpacked(recorded: Trial, needed: tuple[str, ...]) -> Iterator[Path]:
+    from bowden.trials import provenance
+
+    attached: Mapping[str, bytes] = recorded.attachments
+    for name in needed:
+        if name not in attached:
+            raise InputError(f"{recorded.path}: {name} is not attached; give a trial of bowden trial.")
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        for name in (*needed, provenance.CONTROLLER_MODEL, *(f"{part}.csv" for part in CURVES)):
+            if name in attached:
+                (Path(folder) / name).write_bytes(attached[name])
+        yield Path(folder)

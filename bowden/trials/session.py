@@ -1,0 +1,313 @@
+"""A trial from checked options to a closed file and its figures.
+
+The rule of this file: everything that can be refused is refused before a file is made or a frame is sent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from bowden import output_files
+from bowden.bench.buses import BusSettings, opened
+from bowden.bench.configuration import override
+from bowden.progress import SILENT, Progress
+from parameters import InputError, read_toml
+from trial.signals import INDEX, Signal, with_observers
+
+if TYPE_CHECKING:
+    from master.control.effect_correction import Effects
+    from master.cycle.log import CycleSink
+    from master.motion.experiment_run import ExperimentSetup, Planned, Result
+    from master.motion.scripted_experiments import Scripted
+    from master.settings import Gait
+    from physics.bench_model import BenchModel
+    from physics.reference import Reference
+    from trial.record import Recorder
+
+
+class Watch(Protocol):
+    """Who sees a trial while it is recorded."""
+
+    def beside(self, recording: CycleSink) -> CycleSink:
+        """Return a recorder that records in `recording` and shows what it records."""
+
+    def ended(self, sentence: str) -> None:
+        """Take how the trial ended."""
+
+
+CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A checked experiment, the bus it will run on, and the sections and other files it came from.
+
+    `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
+    `own_signals` are the controller's own columns, behind those of every trial.
+    """
+
+    experiment: ExperimentSetup
+    sections: Mapping[str, Any]
+    chosen: BusSettings
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    script: str = ""
+    own_signals: tuple[Signal, ...] = ()
+
+    @property
+    def laps(self) -> int:
+        """How many gait cycles, or laps of the script, are numbered."""
+        from master.motion.scripted_experiments import laps
+
+        cycles = self.experiment.gait.cycles
+        return laps(self.script, cycles) if self.script else cycles
+
+    def planned(self) -> Planned | Scripted:
+        """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
+        from master.motion.experiment_run import Planned
+        from master.motion.scripted_experiments import Scripted
+
+        return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
+
+
+def entered(sections: dict[str, Any], logbook: Path | None, config: Path | None) -> Path | None:
+    """Return the logbook that trials are entered in: `logbook`, or the one that `[record]` names beside `config`.
+
+    It is taken out of the sections: no path of a machine stands in a trial.  Raises `InputError` where none is there.
+    """
+    told = sections["record"].logbook
+    sections["record"] = dataclasses.replace(sections["record"], logbook="")
+    found = logbook
+    if found is None and told:
+        found = Path(told) if config is None else config.parent / told
+    refuse_no_logbook(found)
+    return found
+
+
+def refuse_no_logbook(folder: Path | None) -> None:
+    """Raise `InputError` for a folder that holds no logbook, before anything runs."""
+    if folder is not None:
+        from logbook.database import open_logbook
+
+        open_logbook(folder).close()
+
+
+def reference(
+    gait: Gait, knee: Path | None, desired: Path | None, *, period_given: bool, peak_given: bool
+) -> tuple[Reference, Gait, list[str]]:
+    """Build the reference from the paper's formulas or from files; `gait` comes back with their period and peak."""
+    from physics import reference as law
+    from trial.curves import read_curve
+
+    notes: list[str] = []
+    angle, force = law.paper_angle(), None
+    if knee is not None:
+        curve = read_curve(knee, "knee_angle_rad")
+        notes.append(curve.note())
+        angle = law.recorded_angle(curve.percent, curve.values)
+        if not period_given and math.isfinite(curve.stride_s):
+            gait = override(gait, {"period_s": (str(knee), curve.stride_s)})
+    if desired is not None:
+        if peak_given:
+            raise InputError("--peak belongs to the paper's force; leave it out with --desired, which has its own.")
+        curve = read_curve(desired, "desired_force_n")
+        notes.append(curve.note())
+        force = law.recorded_force(curve.percent, curve.values)
+        gait = override(gait, {"peak_n": (str(desired), float(force[0].max()))})
+    return law.Reference(gait.period_s, angle, force or law.paper_force(gait.peak_n)), gait, notes
+
+
+def prepare(
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None, chosen: BusSettings,
+    *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
+    script: str | None = None,
+) -> Prepared:
+    """Join sections to an experiment that can be run; raises `InputError` where it cannot.
+
+    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it knows of
+    too: files, or what is in them.
+    """
+    from bowden.trials import provenance
+    from eds import bus_load
+    from eds.bench_network import wire
+    from master.control import controller
+    from master.motion.experiment_run import ExperimentSetup
+    from master.motion.scripted_experiments import checked
+    from physics.bench_model import nominal
+    from physics.calibration import refuse_beyond_validity
+
+    bus_load.refuse(wire(sections["network"]))
+    gait = sections["gait"]
+    kind = controller.find(gait.controller, where="--controller")
+    if script is not None:
+        checked(script, where="--experiment")
+        if dry_run:
+            raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
+    if gait.settle >= gait.cycles:
+        raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
+    bench = _bench(chosen)
+    model, told = _read(calibration, bench), _read(controller_model, bench)
+    measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
+    refuse_beyond_validity(measured, reference.peak_n)
+    experiment = ExperimentSetup(reference=reference, calibration=measured, dry_run=dry_run,
+                                 known={**known_effects(model), **known_effects(told)}, **sections)
+    attached = controller_model or (model if known_effects(model) else None)
+    return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
+                    script or "", controller.signals(kind))
+
+
+def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
+    from physics import bench_model
+
+    return bench_model.read(given, bench=bench) if isinstance(given, Path) else given
+
+
+def _bench(chosen: BusSettings) -> str:
+    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    from physics import bench_model
+
+    simulated = chosen.arguments.get("plant_model")
+    if simulated is None:
+        return chosen.bench
+    tables = read_toml(Path(simulated)) if isinstance(simulated, str) else simulated
+    return bench_model.from_tables(tables, str(simulated)).bench or chosen.bench
+
+
+def known_effects(model: Path | BenchModel | None) -> Effects:
+    """The effects that a bench model states; none without one."""
+    found = _read(model)
+    return {} if found is None else found.effects
+
+
+def perform(
+    prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
+    progress: Progress = SILENT, announce: str = "", watch: Watch | None = None,
+) -> dict[str, Any]:
+    """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
+
+    `announce` is remarked when the bus is open, before anything is sent; `watch` sees what is recorded while it is
+    (the live page).
+    """
+    from bowden.pages import figures as report
+    from bowden.trials import provenance
+    from master.network.link import Link
+    from trial.record import Recorder
+
+    network, simulated = prepared.experiment.network, prepared.chosen.simulated
+    truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
+    output_files.refuse([output, truth, picture], overwrite=overwrite)
+    compile_laws(simulated=simulated, progress=progress)
+    planned = prepared.planned()
+    with opened(prepared.chosen, network, truth=truth) as bus:
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+                                              **provenance.metadata(prepared.experiment, prepared.script)},
+                            attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
+                                         **prepared.files},
+                            threaded=not simulated, overwrite=overwrite,
+                            signals=(*with_observers(network.bench), *prepared.own_signals))
+        began = time.perf_counter()
+        if announce:
+            progress.remark(f"{announce} {planned.pulls}")
+        with progress.running("trial") as update, bus.host() as refused:
+            sink: CycleSink = Watched(recorder, update, prepared.laps)
+            sink = sink if watch is None else watch.beside(sink)
+            for sentence in refused:
+                sink.event(bus.clock(), "host", "master", sentence)
+            try:
+                result = planned.run(Link(bus.bus, bus.clock), bus.tap, sink)
+            except InputError as error:  # of a plant's plug-in: what was recorded until then is kept
+                recorder.close({"outcome": "stopped", "stop_reason": str(error)})
+                raise
+        wall_s = time.perf_counter() - began
+        result = closed(recorder, result)
+        if watch is not None:
+            watch.ended(result.stop_reason or result.outcome)
+    if result.stop_reason is not None and never_ran(output):
+        for path in (output, truth):
+            if path is not None:
+                path.unlink(missing_ok=True)
+        return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
+    kept = recorder.failure is None
+    figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
+                             simulated=simulated, kept=kept, progress=progress)
+    if picture is not None and kept:
+        report.picture(output, picture, prepared.experiment)
+    return figures
+
+
+def never_ran(output: Path) -> bool:
+    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    from trial import read
+
+    try:
+        return not len(read.open(output).time_ns)
+    except InputError:
+        return False  # a disk that is full: what is there is kept
+
+
+def closed(recorder: Recorder, result: Result) -> Result:
+    """Close the recording; where its end found no room, the result says that instead of "completed"."""
+    from trial.record import RecordingError
+
+    try:
+        recorder.close(dataclasses.asdict(result))
+    except RecordingError as error:
+        if result.stop_reason is None:
+            return dataclasses.replace(result, outcome="stopped", stop_reason=f"recording failed: {error}")
+    return result
+
+
+@contextmanager
+def discarding(recorder: Recorder) -> Iterator[None]:
+    """Leave no file of a run that is refused before it starts."""
+    try:
+        yield
+    except InputError:
+        recorder.discard()
+        raise
+
+
+def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
+    """Compile the laws where this machine has not yet; say so with the seconds it took."""
+    import nodes
+    from physics import inverse
+    from physics.plant import bench_plant
+
+    began, compiled = time.perf_counter(), False
+    with progress.waiting("preparing; a first run on a machine compiles the laws"):
+        inverse.prepare()
+        if simulated:
+            from virtual_bus import steady_law
+
+            nodes.prepare()
+            compiled = bench_plant.prepare() | steady_law.prepare()
+    if compiled:
+        progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
+                        "later runs find them compiled.")
+
+
+class Watched:
+    """A recorder that tells how far the gait has come, once in `EVERY` rows."""
+
+    EVERY = 200
+
+    def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
+        self.frame, self.frames, self.event = recorder.frame, recorder.frames, recorder.event
+        self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
+        self._width = recorder.width
+
+    def cycle(self, time_ns: int, values: Sequence[float]) -> None:
+        """Record one control cycle."""
+        if len(values) < self._width:  # a row of which the controller says nothing
+            values = (*values, *(math.nan,) * (self._width - len(values)))
+        self._record(time_ns, values)
+        self._count += 1
+        if not self._count % self.EVERY and values[CYCLE] >= 0:
+            percent = values[GAIT_PERCENT]
+            self._update((values[CYCLE] + (percent / 100 if math.isfinite(percent) else 0)) / self._cycles)
