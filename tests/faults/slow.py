@@ -14,7 +14,10 @@ from physics.plant.bench_plant import Outputs
 from tests.faults.plants import Stage, lying
 from tests.faults.stage import Row, Scene, Walk
 
-WALKS = (Walk(1.1, "paper", 6), Walk(2.0, "extended", 6), Walk(3.0, "paper", 6), Walk(2.0, "none", 6))
+TWICE = frozenset({(1.1, "paper"), (2.0, "extended"), (3.0, "paper"), (2.0, "none")})
+"""Gaits that a fault begins in at both of its moments; in the others it begins at idle alone."""
+WALKS = tuple(Walk(period_s, controller, 6, () if (period_s, controller) in TWICE else ("idle",))
+              for controller in ("paper", "extended", "none", "friction", "impedance") for period_s in (1.1, 2.0, 3.0))
 RAMP_S = 2.0
 LOADED_SHARE = 0.8
 Act = Callable[[Scene], None]

@@ -40,11 +40,15 @@ PEAK_N, SEED = 40.0, 3
 
 
 class Walk(NamedTuple):
-    """The gait that a row breaks: its period, s, controller and number of gait cycles."""
+    """The gait that a row breaks: its period, s, controller and number of gait cycles.
+
+    `moments`, where there are any: rows begin in this gait at those of their moments alone.
+    """
 
     period_s: float = 1.1
     controller: str = "paper"
     cycles: int = 2
+    moments: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.controller}, {self.period_s:g} s"
@@ -284,7 +288,8 @@ class _Stage:
         if self.me is not None:
             return
         for row in self.rows:
-            if moment in row.moments and self._fork(row, moment, self._now_ns()):
+            due = moment in row.moments and moment in (self.walk.moments or row.moments)
+            if due and self._fork(row, moment, self._now_ns()):
                 assert self.scene is not None
                 row.act(self.scene)
                 return
