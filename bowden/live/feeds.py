@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, Protocol
 
+from bowden.live.page_process import PageProcess, PageSetup
 from bowden.live.state import LiveState
 from bowden.live.viewer import Viewer
 from bowden.live.web import LivePage
@@ -41,17 +42,20 @@ class TrialRecorder(Protocol):
     cycle: Callable[..., None]
 
 
+def setup(name: str, network: Network) -> PageSetup:
+    """Return what a page of a bench with this network is made with."""
+    return PageSetup(name, network.bitrate, tuple(wire(network).nodes), network.heartbeat_timeout_ms * 1e-3)
+
+
 def state(name: str, kind: str, network: Network, *, decode_events: bool = False) -> LiveState:
     """Return the state of a page for a bench with this network, by this process's clock."""
-    described = wire(network)
-    return LiveState(name, kind, time.monotonic, network.bitrate, tuple(described.nodes),
-                     network.heartbeat_timeout_ms * 1e-3, decode_events=decode_events)
+    return LiveState(name, kind, time.monotonic, *setup(name, network)[1:], decode_events=decode_events)
 
 
 class TrialFeed:
     """What a trial tells its page."""
 
-    def __init__(self, page: LivePage) -> None:
+    def __init__(self, page: PageProcess) -> None:
         self._page = page
 
     def beside(self, recording: Any) -> Any:
@@ -60,8 +64,7 @@ class TrialFeed:
 
     def ended(self, sentence: str) -> None:
         """Say how the trial ended."""
-        self._page.state.digest()
-        self._page.state.status("ended", sentence)
+        self._page.status("ended", sentence)
 
 
 class _Beside:
@@ -70,30 +73,30 @@ class _Beside:
     A stop that the page has asked for is recorded as an event, from the trial's own thread.
     """
 
-    def __init__(self, recording: TrialRecorder, page: LivePage) -> None:
+    def __init__(self, recording: TrialRecorder, page: PageProcess) -> None:
         self._record, self._page, self._told_stop = recording, page, False
         self._places = tuple(INDEX[name] for name in FORCES)
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
               ) -> None:
         self._record.frame(time_ns, can_id, data, flags, channel, sent)
-        self._page.state.frame(time_ns, can_id, data, flags)
+        self._page.frame(time_ns, can_id, data, flags)
 
     def frames(self, rows: Any, count: int, last_ns: int) -> None:
         self._record.frames(rows, count, last_ns)
-        self._page.state.frames(bytes(rows))
+        self._page.frames(rows)
 
     def cycle(self, time_ns: int, values: Sequence[float]) -> None:
         self._record.cycle(time_ns, values)
         desired, start, end = self._places
-        self._page.state.force(time_ns, values[desired], values[start], values[end])
+        self._page.force(time_ns, values[desired], values[start], values[end])
         if self._page.stop_asked and not self._told_stop:
             self._told_stop = True
             self.event(time_ns, "stop", "master", "safe stop requested by the live page's button.")
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         self._record.event(time_ns, kind, source, text)
-        self._page.state.event(time_ns, kind, source, text)
+        self._page.event(time_ns, kind, source, text)
 
 
 @contextmanager
@@ -105,7 +108,7 @@ def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]
     from master.cycle import stop_request
 
     with stop_request.armed() as stop:
-        page = LivePage(state(name, "trial", network), where, stop)
+        page = PageProcess(setup(name, network), where, stop)
         say(page.url)
         feed = TrialFeed(page)
         try:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import multiprocessing
+import os
 import re
+import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +23,7 @@ import pytest
 
 import trial
 from bowden.live import feeds
+from bowden.live.page_process import MOST_WAITING, SEND_NS, PageProcess
 from bowden.live.state import LiveState
 from bowden.live.web import MOST_PENDING, LivePage, address
 from eds.bench_network import Network
@@ -222,36 +227,85 @@ def test_without_data_it_says_so_and_before_time_goes_back_nothing_stays() -> No
     assert {node["state"] for node in told["nodes"]} == {None}
 
 
+class Recording:
+    """A recorder that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[Any, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *told: self.told.append((name, *told))
+
+
+@contextmanager
+def trial_page(stop: Callable[[], None] = lambda: None) -> Iterator[PageProcess]:
+    served = PageProcess(feeds.setup("bench 7", Network()), "0", stop)
+    try:
+        yield served
+    finally:
+        served.close()
+
+
+@contextmanager
+def stream_of(url: str) -> Iterator[tuple[Iterator[dict[str, Any]], Callable[[], int]]]:
+    """The messages of a page, and what presses its stop button."""
+    split = urlsplit(url)
+    client = http.client.HTTPConnection("127.0.0.1", split.port or 0, timeout=PATIENCE_S)
+    client.request("GET", "/")
+    token = re.search(r'TOKEN = "([^"]+)"', client.getresponse().read().decode())
+    assert token
+    client.close()
+
+    def press() -> int:
+        client.request("POST", "/stop", headers={"Origin": f"http://{split.netloc}", "X-Bowden-Token": token[1]})
+        return client.getresponse().status
+
+    with socket.create_connection(("127.0.0.1", split.port or 0), PATIENCE_S) as stream:
+        stream.sendall(f"GET /stream HTTP/1.1\r\nHost: {split.netloc}\r\n\r\n".encode())
+        yield (json.loads(line[6:]) for line in stream.makefile("rb") if line.startswith(b"data: ")), press
+
+
 def test_a_feed_records_first_and_tells_the_stop_from_the_trials_own_thread() -> None:
-    recorded: list[tuple[Any, ...]] = []
-
-    class Recording:
-        def frame(self, *told: Any) -> None:
-            recorded.append(("frame", *told))
-
-        def frames(self, *told: Any) -> None:
-            recorded.append(("frames", *told))
-
-        def cycle(self, *told: Any) -> None:
-            recorded.append(("cycle", *told))
-
-        def event(self, *told: Any) -> None:
-            recorded.append(("event", *told))
-
-    with page(stop=lambda: None, shown=state(kind="trial")) as served:
-        sink = feeds.TrialFeed(served).beside(Recording())
-        row = [0.0] * len(trial.SIGNALS)
+    asked, recording = threading.Event(), Recording()
+    with trial_page(asked.set) as served, stream_of(served.url) as (messages, press):
+        feed = feeds.TrialFeed(served)
+        sink, row = feed.beside(recording), [0.0] * len(trial.SIGNALS)
         sink.frame(1, 0x701, b"\x7f")
         sink.frames(memoryview(rows_of([(2, 0x702, 0, 1, 0, False, b"\x05")]).tobytes()), 1, 2)
         sink.cycle(2, row)
-        served.ask_to_stop()
+        assert press() == 202
+        assert asked.wait(PATIENCE_S)
         sink.cycle(3, row)
         sink.cycle(4, row)
-    with served.state.changed:
-        told, _ = served.state.message((-1, 0, 0))
+        feed.ended("interrupted: by the page")
+        told = next(told for told in messages if told["status"] == "ended")
     assert [node["state"] for node in told["nodes"][:3]] == ["pre-operational", "operational", None]
-    assert [one[0] for one in recorded] == ["frame", "frames", "cycle", "cycle", "event", "cycle"]
-    assert recorded[4][4] == "safe stop requested by the live page's button."
+    assert told["sentence"] == "interrupted: by the page"
+    assert [one[0] for one in recording.told] == ["frame", "frames", "cycle", "cycle", "event", "cycle"]
+    assert recording.told[4][4] == "safe stop requested by the live page's button."
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs POSIX signals")
+def test_a_page_that_takes_nothing_or_is_killed_holds_nobody_up() -> None:
+    """Ten minutes of a bus for a page that was stopped: what waits stays bounded, and every call returns."""
+    rows = rows_of([(0, 0x181, 0, 8, 0, False, bytes(8))] * 1000).tobytes()
+    with trial_page() as served:
+        [page_id] = [child.pid for child in multiprocessing.active_children() if child.name == "bowden live page"]
+        os.kill(page_id, signal.SIGSTOP)
+        for at in range(600):
+            for part in range(10):
+                served.frames(rows)
+                served.force(at * 1_000_000_000 + part * SEND_NS, 1.0, 2.0, 3.0)
+            assert served.waits <= MOST_WAITING
+        assert served.waits > MOST_WAITING // 2
+        os.kill(page_id, signal.SIGKILL)
+        served.force(0, 1.0, 2.0, 3.0)
+        served.status("ended")
+
+
+def test_a_trial_is_refused_a_page_at_a_port_that_is_taken() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(InputError, match="cannot listen there"):
+        PageProcess(feeds.setup("bench 7", Network()), str(taken.getsockname()[1]), lambda: None)
 
 
 def bowden(*arguments: object) -> subprocess.Popen[str]:
@@ -267,21 +321,10 @@ def test_the_button_stops_a_trial_safely_and_the_file_says_so(tmp_path: Path) ->
         assert process.stderr is not None
         while not (found := re.search(r"live page: (http\S+)", process.stderr.readline())):
             assert process.poll() is None
-        split = urlsplit(found[1])
-        client = http.client.HTTPConnection("127.0.0.1", split.port or 0, timeout=PATIENCE_S)
-        client.request("GET", "/")
-        token = re.search(r'TOKEN = "([^"]+)"', client.getresponse().read().decode())
-        client.close()
-        assert token
-        with socket.create_connection(("127.0.0.1", split.port or 0), PATIENCE_S) as stream:
-            stream.sendall(f"GET /stream HTTP/1.1\r\nHost: {split.netloc}\r\n\r\n".encode())
-            file = stream.makefile("rb")
-            while not (line := file.readline()).startswith(b"data: ") or not json.loads(line[6:])["rows"]:
-                assert process.poll() is None
-            client.request("POST", "/stop", headers={"Origin": f"http://{split.netloc}", "X-Bowden-Token": token[1]})
-            assert client.getresponse().status == 202
-            client.close()
-            last = [line for line in file if line.startswith(b"data: ")][-1]
+        with stream_of(found[1]) as (messages, press):
+            assert next(told for told in messages if told["rows"])
+            assert press() == 202
+            *_, last = messages
         text, _ = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
@@ -289,8 +332,8 @@ def test_the_button_stops_a_trial_safely_and_the_file_says_so(tmp_path: Path) ->
     told = json.loads(text)
     assert told["outcome"] == "stopped"
     assert told["stop_reason"].startswith("interrupted")
-    assert json.loads(last[6:])["status"] == "ended"
-    assert json.loads(last[6:])["sentence"] == told["stop_reason"]
+    assert last["status"] == "ended"
+    assert last["sentence"] == told["stop_reason"]
     events = [event.text for event in trial.open(output).events]
     assert "safe stop requested by the live page's button." in events
 

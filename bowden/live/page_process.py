@@ -1,0 +1,192 @@
+"""The live page of a trial in a process of its own, so that no request to it takes time from the control cycle.
+
+The control thread packs what it records and sends it without waiting: what a page cannot take is left out there, never
+in the recording.  The page's process answers requests; what comes back is the stop button's request alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import multiprocessing
+import os
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple
+
+from bowden.live.state import LiveState
+from bowden.live.web import LivePage
+from parameters import InputError
+from trial.mcap_file.cdr import FRAME_STRUCT
+
+BLOCK: Final = struct.Struct("<cI")
+"""Head of a block: its kind and length."""
+FRAMES, FORCES, EVENT, STATUS = b"F", b"R", b"E", b"S"
+"""Kinds of block: rows of `FRAME_ROW`, rows of `FORCE`, and JSON lists of the arguments of `event` and of `status`."""
+FORCE: Final = struct.Struct("<q3d")
+"""Time, ns, and desired, START and END force, N."""
+SEND_NS: Final = 20_000_000
+"""Bus time between two sends.  Shorter: more system calls in the control thread.  Longer: the page lags."""
+MOST_WAITING: Final = 1 << 22
+"""Bytes that wait for the page; further blocks are left out until it has taken them."""
+NICENESS: Final = 10
+"""Added to the page process's niceness: where processors are short the control thread goes first."""
+PATIENCE_S: Final = 3.0
+"""Time that the page has to send its last state."""
+
+
+class PageSetup(NamedTuple):
+    """What a page of a trial is made with: as `LiveState` takes it."""
+
+    name: str
+    bitrate: int
+    nodes: tuple[int, ...]
+    silent_s: float
+
+
+class PageProcess:
+    """The page's process from here to `close`; `stop` is called, on another thread, when its button is pressed.
+
+    Every other method is the control thread's and returns at once.  Raises `InputError` where the page cannot listen
+    at `where` ([HOST:]PORT).
+    """
+
+    def __init__(self, setup: PageSetup, where: str, stop: Callable[[], None]) -> None:
+        self.stop_asked = False
+        self._stop, self._sent_ns, self._gone = stop, 0, False
+        self._frames, self._forces, self._waiting = bytearray(), bytearray(), bytearray()
+        self._told, their_told = socket.socketpair()
+        self._answers, their_answers = socket.socketpair()
+        self._process = multiprocessing.get_context("spawn").Process(
+            target=serve, args=(their_told, their_answers, setup, where), name="bowden live page", daemon=True)
+        self._process.start()
+        their_told.close()
+        their_answers.close()
+        answers = self._answers.makefile("r", encoding="utf-8")
+        first = json.loads(answers.readline() or '{"error": "--web: the page\'s process ended before it served."}')
+        if "error" in first:
+            self._process.join()
+            for opened in (answers, self._answers, self._told):
+                opened.close()
+            raise InputError(first["error"])
+        self.url: str = first["url"]
+        self._told.setblocking(False)
+        threading.Thread(target=self._listen, args=(answers,), name="stop button", daemon=True).start()
+
+    def _listen(self, answers: Any) -> None:
+        """Wait for the button; a thread that sleeps in the kernel until it is pressed."""
+        for _line in answers:
+            self.stop_asked = True
+            self._stop()
+
+    def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
+        """Take a frame as it was on the bus."""
+        self._frames += FRAME_STRUCT.pack(time_ns, can_id, flags, min(len(data), 8), 0, False, data)
+        self._send_due(time_ns)
+
+    def frames(self, rows: Any) -> None:
+        """Take frames at once: bytes of `cdr.FRAME_ROW`s."""
+        self._frames += rows
+
+    def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
+        """Take the forces of one control cycle, N, NaN where unknown."""
+        self._forces += FORCE.pack(time_ns, desired_n, start_n, end_n)
+        self._send_due(time_ns)
+
+    def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
+        """Take what happened, in one sentence."""
+        self._send_rows()
+        self._put(EVENT, json.dumps((time_ns, kind, source, text)).encode())
+
+    def status(self, status: str, sentence: str = "") -> None:
+        """Say whether the trial is running or ended, and how it ended."""
+        self._send_rows()
+        self._put(STATUS, json.dumps((status, sentence)).encode())
+
+    @property
+    def waits(self) -> int:
+        """Bytes that the page has not taken yet."""
+        return len(self._waiting)
+
+    def close(self) -> None:
+        """Have the page send its last state and stop listening."""
+        with contextlib.suppress(OSError):
+            self._told.settimeout(PATIENCE_S)
+            self._told.sendall(self._waiting)
+        self._told.close()
+        self._process.join(PATIENCE_S)
+        self._process.kill()
+        self._process.join()
+        with contextlib.suppress(OSError):
+            self._answers.shutdown(socket.SHUT_RDWR)
+        self._answers.close()
+
+    def _send_due(self, time_ns: int) -> None:
+        if not 0 <= time_ns - self._sent_ns < SEND_NS:
+            self._sent_ns = time_ns
+            self._send_rows()
+
+    def _send_rows(self) -> None:
+        for kind, rows in ((FRAMES, self._frames), (FORCES, self._forces)):
+            if rows:
+                self._put(kind, rows)
+                rows.clear()
+
+    def _put(self, kind: bytes, payload: bytes | bytearray) -> None:
+        """Send a block, or as much of what waits as the page takes now."""
+        if self._gone:
+            return
+        if len(self._waiting) + len(payload) <= MOST_WAITING:
+            self._waiting += BLOCK.pack(kind, len(payload)) + payload
+        try:
+            del self._waiting[:self._told.send(self._waiting)]
+        except BlockingIOError:
+            return
+        except OSError:  # the page's process is gone: the trial goes on
+            self._gone = True
+
+
+def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: str) -> None:
+    """Serve the page of a trial until `told` ends; the page's own process."""
+    for name in ("SIGINT", "SIGHUP", "SIGQUIT"):  # the trial stops on them, and ends the page afterwards
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    state = LiveState(setup.name, "trial", time.monotonic, setup.bitrate, setup.nodes, setup.silent_s)
+    try:
+        page = LivePage(state, where, lambda: answers.sendall(b"stop\n"))
+    except InputError as error:
+        answers.sendall(json.dumps({"error": str(error)}).encode() + b"\n")
+        return
+    answers.sendall(json.dumps({"url": page.url}).encode() + b"\n")
+    with contextlib.suppress(OSError):
+        for kind, payload in blocks(told):
+            take(state, kind, payload)
+    page.close()
+
+
+def blocks(told: socket.socket) -> Iterator[tuple[bytes, bytes]]:
+    """Give kind and payload of each block, until the sender ends."""
+    stream = told.makefile("rb")
+    while len(head := stream.read(BLOCK.size)) == BLOCK.size:
+        kind, length = BLOCK.unpack(head)
+        yield kind, stream.read(length)
+
+
+def take(state: LiveState, kind: bytes, payload: bytes) -> None:
+    """Put a block into the state of the page."""
+    if kind == FRAMES:
+        state.frames(payload)
+    elif kind == FORCES:
+        for row in FORCE.iter_unpack(payload):
+            state.force(*row)
+    elif kind == EVENT:
+        state.event(*json.loads(payload))
+    else:
+        state.digest()
+        state.status(*json.loads(payload))
