@@ -36,9 +36,9 @@ from master.network.link import WANTED, Link
 from master.settings import Gait
 from physics.reference import paper_reference
 from virtual_bus.bench import Bench
-from virtual_bus.bits import INTERMISSION_BITS, bits_of
 from virtual_bus.bus import BowdenBus
-from virtual_bus.steady import SWITCH
+from virtual_bus.compiled.compiled_cycles import SWITCH
+from virtual_bus.wire.bits import INTERMISSION_BITS, bits_of
 
 Row = tuple[str, str, str, str, str]
 ROOT = Path(__file__).resolve().parents[1]
@@ -241,7 +241,7 @@ def simulate(seconds: int, folder: Path | None = None) -> None:
 
 
 ROOMS: dict[str, str] = {
-    "steady_law": "compiled cycle: plant, drives, sensors, wire", "virtual_bus": "virtual bus, around it",
+    "cycle_code": "compiled cycle: plant, drives, sensors, wire", "virtual_bus": "virtual bus, around it",
     "nodes": "devices, event by event", "master/control": "controller", "master": "exchange, safety, link",
     "trial": "recording", "zstandard": "recording", "eds": "PDO plans",
 }

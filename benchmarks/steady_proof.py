@@ -18,8 +18,8 @@ from pathlib import Path
 
 from eds.bench_network import END, KNEE, SERVO, START
 from tests.virtual_bus.steady_cases import Case, Hook, Ran, fault, odd_send, pause, quick_stop, ran, read, second_socket
-from virtual_bus.faults import KINDS, OF_A_DRIVE, OF_A_NODE, OF_A_SENSOR, Fault
-from virtual_bus.steady import SWITCH
+from virtual_bus.compiled.compiled_cycles import SWITCH
+from virtual_bus.wire.faults import KINDS, OF_A_DRIVE, OF_A_NODE, OF_A_SENSOR, Fault
 
 SEEDS = 40
 CYCLES = 500

@@ -17,8 +17,8 @@ import can
 
 from eds.frame import Frame
 from virtual_bus.bench import Bench
-from virtual_bus.bits import frame_bits
 from virtual_bus.bus import BowdenBus
+from virtual_bus.wire.bits import frame_bits
 
 SIZES = {1: 8, 2: 6, 3: 2, 4: 2}
 LISTENS = {1: (0x183, 0x201), 2: (0x201,), 3: (), 4: ()}

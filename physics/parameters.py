@@ -22,7 +22,7 @@ INFINITE: Final = math.inf
 
 
 class Tolerance(NamedTuple):
-    """How a parameter departs from its nominal value; `law` is one of `virtual_bus.scatter.LAWS`."""
+    """How a parameter departs from its nominal value; `law` is one of `virtual_bus.machine.scatter.LAWS`."""
 
     law: str
     size: float

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from eds.bench_network import MASTER
-from virtual_bus import outages
-from virtual_bus.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults
-from virtual_bus.host import Host
 from virtual_bus.kernel import TIMER, Kernel
-from virtual_bus.node_station import BusDevice, NodeStation
-from virtual_bus.station import Medium
-from virtual_bus.wire import FrameFaults, Wire
+from virtual_bus.wire import outages
+from virtual_bus.wire.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults
+from virtual_bus.wire.host import Host
+from virtual_bus.wire.node_station import BusDevice, NodeStation
+from virtual_bus.wire.station import Medium
+from virtual_bus.wire.wire import FrameFaults, Wire
 
 US = 1_000
 MS = 1_000_000

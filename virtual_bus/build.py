@@ -20,12 +20,11 @@ from parameters.plugins import load
 from physics.converter import Converter, SensorParameters
 from physics.drive_loops import SERVO_GAINS
 from physics.plant.bench_plant import Plant, PlantParameters
-from virtual_bus import plant_model
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
-from virtual_bus.faults import OF_A_DRIVE, Fault, declared
-from virtual_bus.hand import Hand
-from virtual_bus.machine import (
+from virtual_bus.machine import plant_model
+from virtual_bus.machine.hand import Hand
+from virtual_bus.machine.machine import (
     END_FEELS,
     START_FEELS,
     Feeling,
@@ -36,11 +35,12 @@ from virtual_bus.machine import (
     Tension,
     TickedDrive,
 )
-from virtual_bus.node_station import NodeStation
-from virtual_bus.outages import wired
-from virtual_bus.plugged_plant import PluggedPlant, plant_raised
-from virtual_bus.scatter import DAY, Tables, scattered, stream
-from virtual_bus.truth import Truth
+from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
+from virtual_bus.machine.scatter import DAY, Tables, scattered, stream
+from virtual_bus.machine.truth import Truth
+from virtual_bus.wire.faults import OF_A_DRIVE, Fault, declared
+from virtual_bus.wire.node_station import NodeStation
+from virtual_bus.wire.outages import wired
 
 PLANTS = "bowden.plants"
 OWN = {"bowden": "physics.plant:create"}

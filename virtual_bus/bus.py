@@ -20,12 +20,12 @@ from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.build import build
 from virtual_bus.bus_options import options
-from virtual_bus.host import BowdenMessage, Room, Socket, frame_of
+from virtual_bus.compiled.compiled_cycles import Steady, possible
+from virtual_bus.compiled.cycle_arrays import CycleRequest, Heartbeat
 from virtual_bus.kernel import NEVER
-from virtual_bus.periodic import Modifier, PeriodicTask
-from virtual_bus.station import Confinement
-from virtual_bus.steady import Steady, possible
-from virtual_bus.steady_arrays import CycleRequest, Heartbeat
+from virtual_bus.wire.host import BowdenMessage, Room, Socket, frame_of
+from virtual_bus.wire.periodic import Modifier, PeriodicTask
+from virtual_bus.wire.station import Confinement
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,

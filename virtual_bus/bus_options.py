@@ -13,7 +13,7 @@ from typing import Any
 
 from eds.bench_network import Network
 from parameters import from_table, parameter
-from virtual_bus.faults import Fault
+from virtual_bus.wire.faults import Fault
 
 LARGEST = 2**31 - 1
 NETWORK = Network()
@@ -35,7 +35,7 @@ class Options:
                           source="one seed, one trial")
     steady: str | Sequence[str] = parameter(
         (), "", "what the day leaves as it was: names of its table, such as plant.mu1, or their text with commas",
-        source="virtual_bus/scatter.py, DAY")
+        source="virtual_bus/machine/scatter.py, DAY")
     plant: str = parameter("bowden", "", "plant, by its name in the entry-point group bowden.plants",
                            source="docs/plants.md")
     plant_model: str | Mapping[str, float] | None = parameter(
@@ -46,7 +46,8 @@ class Options:
     truth: str | None = parameter(None, "", "file to write what no device feels to; None writes none",
                                   source="trial.truth.mcap")
     faults: str | Sequence[Fault | Mapping[str, Any]] = parameter(
-        (), "", "faults of the wire: a TOML file of [[fault]] tables or the tables", source="virtual_bus/faults.py")
+        (), "", "faults of the wire: a TOML file of [[fault]] tables or the tables",
+        source="virtual_bus/wire/faults.py")
     master_turnaround_us: int = parameter(
         NETWORK.compute_budget_us, "µs", "time from what the master hears to the frame it answers with", low=0,
         high=100_000, source="[network] compute_budget_us")

@@ -18,10 +18,10 @@ import can
 from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
-from virtual_bus.faults import OF_A_NODE, Fault, declared
-from virtual_bus.host import frame_of, message_of
 from virtual_bus.kernel import Kernel
-from virtual_bus.station import EXTENDED, Deliver, Station, Waiting
+from virtual_bus.wire.faults import OF_A_NODE, Fault, declared
+from virtual_bus.wire.host import frame_of, message_of
+from virtual_bus.wire.station import EXTENDED, Deliver, Station, Waiting
 
 PATIENCE_NS: Final = 1_000_000
 """How late, without a frame from outside, a drive's tick may be caught up."""

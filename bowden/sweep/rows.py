@@ -59,7 +59,8 @@ class SweptBench:
     day: int = _option("day")
     seed: int = _option("seed")
     plant: str = _option("plant")
-    steady: str = parameter("", "", "what the day leaves as it was, names joined by +", source="virtual_bus/scatter.py")
+    steady: str = parameter("", "", "what the day leaves as it was, names joined by +",
+                            source="virtual_bus/machine/scatter.py")
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,10 @@ from eds.frame import Frame
 from nodes import Application
 from parameters import InputError
 from virtual_bus.bench import Bench
-from virtual_bus.bits import BITRATES
 from virtual_bus.bus import BowdenBus
 from virtual_bus.kernel import TIMER
-from virtual_bus.station import ErrorKind, Station
+from virtual_bus.wire.bits import BITRATES
+from virtual_bus.wire.station import ErrorKind, Station
 
 QUEUE = 1000
 """Frames that wait in the computer and in the test's sender, as `ip link set vcan0 txqueuelen 1000`."""

@@ -23,7 +23,7 @@ from nodes.core.objects import fits
 from parameters import InputError
 from physics.drive_loops import DRIVE_TICK_NS
 from virtual_bus.kernel import TICK
-from virtual_bus.node_station import NodeStation
+from virtual_bus.wire.node_station import NodeStation
 
 if TYPE_CHECKING:
     from bowden.testing.can_bus import CanBus

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 from eds.frame import Frame
 from parameters import InputError
-from virtual_bus.faults import ANY, COPY
 from virtual_bus.kernel import NEVER
-from virtual_bus.station import ErrorKind, Station, Waiting
+from virtual_bus.wire.faults import ANY, COPY
+from virtual_bus.wire.station import ErrorKind, Station, Waiting
 
 BITS = 64
 """Bits in the longest payload: `corrupt` flips one of them."""
@@ -121,7 +121,7 @@ class CountedFaults:
         self.all.append(fault)
         return fault
 
-    # ---- what the wire asks: virtual_bus.wire.FrameFaults ----
+    # ---- what the wire asks: virtual_bus.wire.wire.FrameFaults ----
 
     def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
         """Return when the frame takes part in arbitration."""

@@ -283,10 +283,10 @@ def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
     with progress.waiting("preparing; a first run on a machine compiles the laws"):
         inverse.prepare()
         if simulated:
-            from virtual_bus import steady_law
+            from virtual_bus.compiled import cycle_code as cycle_code
 
             nodes.prepare()
-            compiled = bench_plant.prepare() | steady_law.prepare()
+            compiled = bench_plant.prepare() | cycle_code.prepare()
     if compiled:
         progress.remark(f"compiled the laws for this machine in {time.perf_counter() - began:.1f} s; "
                         "later runs find them compiled.")

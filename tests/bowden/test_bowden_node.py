@@ -14,7 +14,7 @@ import bowden as library
 from bowden.testing import CanBus
 from eds import packaged
 from eds.frame import Frame
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 Run = Callable[..., Any]
 EDS = str(packaged("knee_drive"))

@@ -16,7 +16,7 @@ from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.effects.catalogue import CATALOGUE, apply, complete
-from virtual_bus import plant_model
+from virtual_bus.machine import plant_model
 
 TRIAL: Table = table("runs/gait.mcap", {"time_s": np.arange(0.0, 13.0, 0.5), "tension_end_n": np.ones(26)})
 

@@ -29,12 +29,12 @@ from master.network.link import Link
 from physics.reference import paper_reference
 from tests.faults import plants
 from trial.signals import INDEX
-from virtual_bus import outages
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, InjectedFaults
 from virtual_bus.kernel import TIMER
-from virtual_bus.station import Station
+from virtual_bus.wire import outages
+from virtual_bus.wire.faults import OF_A_FRAME, OF_A_NODE, OF_TIME, Fault, InjectedFaults
+from virtual_bus.wire.station import Station
 
 PEAK_N, SEED = 40.0, 3
 

@@ -222,7 +222,8 @@ def _import(name: str, data: bytes) -> None:
 def _tables() -> list[tuple[bytes, Callable[[Path], Any]]]:
     from bowden.bench import configuration
     from physics import calibration
-    from virtual_bus import faults, plant_model
+    from virtual_bus.machine import plant_model
+    from virtual_bus.wire import faults
 
     declared = calibration.nominal()
     lines = [f"version = {calibration.VERSION}"]

@@ -18,8 +18,8 @@ from physics.effects.catalogue import CATALOGUE
 from physics.effects.effects_table import stated
 from physics.parameters import BY_CALIBRATION, BY_PLANT, PARAMETERS, RELATION_PARAMETERS, RENAMED
 from physics.plant.state_layout import PlantParameters
-from virtual_bus import plant_model
-from virtual_bus.scatter import LAWS
+from virtual_bus.machine import plant_model
+from virtual_bus.machine.scatter import LAWS
 
 BASE = (PARAMETERS[name] for name in (
     "mu1", "mu2", "phi0", "fabric_wrap", "presliding", "fabric_presliding", "stribeck_speed", "rope_per_knee",

@@ -14,7 +14,7 @@ from eds.frame import Frame
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 CHANNELS = itertools.count()
 Heard = list[tuple[int, Frame]]

@@ -25,7 +25,7 @@ from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.kernel import TIMER
 from virtual_bus.serve import serve
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 MS = 1_000_000
 MASTERS = frozenset({0x000, 0x080, 0x601, 0x602, 0x77F})

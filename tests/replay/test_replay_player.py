@@ -20,7 +20,7 @@ from trial.playback import TRANSITIONS, PlayerControl, PlayerStatus
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 US, MS = 1_000, 1_000_000
 CHANNELS = itertools.count()

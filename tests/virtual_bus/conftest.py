@@ -9,8 +9,8 @@ import pytest
 
 from eds.frame import Frame
 from virtual_bus.kernel import Kernel
-from virtual_bus.station import Station
-from virtual_bus.wire import Wire
+from virtual_bus.wire.station import Station
+from virtual_bus.wire.wire import Wire
 
 
 class Echo:

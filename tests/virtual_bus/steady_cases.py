@@ -23,7 +23,7 @@ from master.settings import Gait, Limits
 from physics.reference import paper_reference
 from trial.record import Recorder
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import Fault
+from virtual_bus.wire.faults import Fault
 
 Hook = Callable[[Exchange], object]
 

@@ -14,9 +14,9 @@ import eds
 from eds.bench_network import END, KNEE, SERVO, START
 from eds.frame import Frame
 from trial import read
-from virtual_bus.bits import frame_bits
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import Fault
+from virtual_bus.wire.bits import frame_bits
+from virtual_bus.wire.faults import Fault
 
 NETWORK = eds.Network()
 SYNC = can.Message(arbitration_id=0x080, is_extended_id=False)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eds.frame import Frame
-from virtual_bus import bits
+from virtual_bus.wire import bits
 
 IDS = st.integers(0, 0x7FF)
 DATA = st.binary(max_size=8) | st.integers(0, 8).flatmap(

@@ -15,9 +15,9 @@ from can.cli import create_bus_from_namespace
 from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
-from virtual_bus.bits import frame_bits
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import Fault
+from virtual_bus.wire.bits import frame_bits
+from virtual_bus.wire.faults import Fault
 
 Open = Callable[..., BowdenBus]
 SYNC = can.Message(arbitration_id=0x080, is_extended_id=False)
@@ -88,7 +88,7 @@ def test_what_a_bus_sends_leaves_after_the_stated_turnaround(open_bus: Open) -> 
 
 
 def _acknowledger() -> Any:
-    from virtual_bus.station import Station
+    from virtual_bus.wire.station import Station
 
     return Station("acknowledger", lambda frame, now_ns: None)
 

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import hashlib, can
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import Fault
+from virtual_bus.wire.faults import Fault
 faults = [Fault("drop", cob_id=0x703, probability=0.5), Fault("corrupt", node=1, probability=0.5)]
 bus, tap = BowdenBus("a", serial={serial}, day=1, seed={seed}, faults=faults), BowdenBus("a")
 sync = can.Message(arbitration_id=0x080, is_extended_id=False)

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from parameters import declarations
-from virtual_bus.bits import BITRATES
 from virtual_bus.bus_options import Options
-from virtual_bus.faults import KINDS
+from virtual_bus.wire.bits import BITRATES
+from virtual_bus.wire.faults import KINDS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/virtual_bus.md").read_text(encoding="utf-8")
 

@@ -11,10 +11,10 @@ from eds.bench_network import END, KNEE, SERVO, START
 from eds.frame import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
-from virtual_bus.bits import frame_bits
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import KINDS, Fault, declared
-from virtual_bus.station import Confinement, Station
+from virtual_bus.wire.bits import frame_bits
+from virtual_bus.wire.faults import KINDS, Fault, declared
+from virtual_bus.wire.station import Confinement, Station
 
 
 class Rig:

@@ -11,10 +11,10 @@ import pytest
 from parameters import InputError
 from physics.plant.bench_plant import Plant, create
 from physics.plant.state_layout import PlantParameters
-from virtual_bus import plant_model
 from virtual_bus.build import factory, nominal
 from virtual_bus.bus import BowdenBus
-from virtual_bus.scatter import scattered
+from virtual_bus.machine import plant_model
+from virtual_bus.machine.scatter import scattered
 
 CHANNELS = itertools.count()
 GIVEN: list[dict[str, float]] = []

@@ -9,9 +9,9 @@ import pytest
 from parameters import InputError, declarations
 from physics.converter import SensorParameters
 from physics.plant.bench_plant import PlantParameters
-from virtual_bus import scatter
 from virtual_bus.build import GROUPS, factory, nominal, steady
-from virtual_bus.scatter import DAY, LAWS, SERIAL, draw, scattered
+from virtual_bus.machine import scatter
+from virtual_bus.machine.scatter import DAY, LAWS, SERIAL, draw, scattered
 
 NOMINAL = nominal(None)
 

@@ -14,8 +14,8 @@ import pytest
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
-from virtual_bus.faults import Fault
 from virtual_bus.serve import servable, serve
+from virtual_bus.wire.faults import Fault
 
 SYNC = can.Message(arbitration_id=0x080, is_extended_id=False)
 

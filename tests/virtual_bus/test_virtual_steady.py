@@ -10,8 +10,8 @@ import pytest
 
 from physics.plant.bench_plant import BowdenPlant, Outputs, create
 from tests.virtual_bus.steady_cases import CASES, Case, ran
-from virtual_bus import steady_law as law
-from virtual_bus.steady import SWITCH
+from virtual_bus.compiled import cycle_code as law
+from virtual_bus.compiled.compiled_cycles import SWITCH
 
 FEW = {"lost inputs"}
 """Cases whose faults strike all the time: their cycles are run event by event."""

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eds.frame import Frame
-from virtual_bus import bits
 from virtual_bus.kernel import Kernel
-from virtual_bus.station import Confinement, Station
-from virtual_bus.wire import Wire
+from virtual_bus.wire import bits
+from virtual_bus.wire.station import Confinement, Station
+from virtual_bus.wire.wire import Wire
 
 SENDINGS = st.lists(
     st.tuples(st.integers(0, 3), st.integers(0, 0x7FF), st.binary(max_size=8), st.integers(0, 400_000)), max_size=12

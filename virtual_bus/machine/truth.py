@@ -17,7 +17,7 @@ from eds.frame import Frame
 from physics.plant.bench_plant import Plant
 from trial.record import Recorder, RecordingError
 from trial.signals import Signal
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 SYNC: Final = 0x080
 TABLE: Final = "/truth"

@@ -12,7 +12,7 @@ from typing import Final
 from eds.bench_network import WireLayout
 from eds.frame import Frame
 from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, loop, loop_state
-from virtual_bus.station import Station
+from virtual_bus.wire.station import Station
 
 PLACE: Final = 1
 """Place of the asked angle among the values of the frame of targets."""

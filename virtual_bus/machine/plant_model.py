@@ -17,8 +17,8 @@ from physics import bench_model
 from physics.effects import catalogue as effects
 from physics.effects import effects_table
 from physics.parameters import current_names
-from virtual_bus.faults import Fault
-from virtual_bus.scatter import Tables
+from virtual_bus.machine.scatter import Tables
+from virtual_bus.wire.faults import Fault
 
 WIRE: Final = "bus"
 NAMES: Final = (effects_table.TABLE, WIRE)

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 from eds.frame import Frame
-from virtual_bus.faults import ANY, COPY, OF_A_DRIVE, OF_A_SENSOR, Fault
 from virtual_bus.kernel import NEVER, TIMER, Kernel
-from virtual_bus.station import Confinement, Medium, Station
-from virtual_bus.wire import Wire
+from virtual_bus.wire.faults import ANY, COPY, OF_A_DRIVE, OF_A_SENSOR, Fault
+from virtual_bus.wire.station import Confinement, Medium, Station
+from virtual_bus.wire.wire import Wire
 
 
 def arrange(

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from eds.frame import Frame
 from virtual_bus.kernel import NEVER, TIMER, Kernel
-from virtual_bus.station import Confinement, Station
+from virtual_bus.wire.station import Confinement, Station
 
 
 class BusDevice(Protocol):

@@ -1,4 +1,4 @@
-"""PDO plans as rows of integers, as `steady_law` reads them.
+"""PDO plans as rows of integers, as `cycle_code` reads them.
 
 The rule of this file: a PDO that the law cannot send or take exactly as the device does gives no row.
 """
@@ -12,7 +12,7 @@ from nodes.core.receive_pdo import ReceivePdo
 from nodes.core.transmit_pdo import TransmitPdo
 from nodes.rules import RULES
 from nodes.set_point_law import Taker
-from virtual_bus import steady_law as law
+from virtual_bus.compiled import cycle_code as law
 
 WIDEST = 32
 """Bits of the widest field."""

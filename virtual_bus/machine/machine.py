@@ -11,11 +11,11 @@ from typing import NamedTuple, Protocol
 
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant.bench_plant import Outputs, Plant
-from virtual_bus.faults import Fault
-from virtual_bus.hand import Hand
 from virtual_bus.kernel import TICK, Kernel
-from virtual_bus.node_station import NodeStation
-from virtual_bus.truth import Truth
+from virtual_bus.machine.hand import Hand
+from virtual_bus.machine.truth import Truth
+from virtual_bus.wire.faults import Fault
+from virtual_bus.wire.node_station import NodeStation
 
 
 class TickedDrive(Protocol):

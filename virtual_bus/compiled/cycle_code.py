@@ -25,8 +25,8 @@ from physics import converter, drive_loops
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant import bench_plant, step, truth_row
 from physics.plant.state_layout import SIZE, SLOT
-from virtual_bus import bits
-from virtual_bus.bits import INTERMISSION_BITS, TRAILER_BITS
+from virtual_bus.wire import bits
+from virtual_bus.wire.bits import INTERMISSION_BITS, TRAILER_BITS
 
 _Part = tuple[str, tuple[int, ...]]
 """Name and shape of a part of a memory."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from eds.frame import Frame
-from virtual_bus.bits import (
+from virtual_bus.kernel import END, NEVER, START, TIMER, Kernel
+from virtual_bus.wire.bits import (
     BITRATES,
     ERROR_FRAME_BITS,
     INTERMISSION_BITS,
@@ -18,9 +19,8 @@ from virtual_bus.bits import (
     first_difference,
     frame_bits,
 )
-from virtual_bus.contention import Contention
-from virtual_bus.kernel import END, NEVER, START, TIMER, Kernel
-from virtual_bus.station import EXTENDED, Confinement, Deliver, ErrorKind, Station, Waiting
+from virtual_bus.wire.contention import Contention
+from virtual_bus.wire.station import EXTENDED, Confinement, Deliver, ErrorKind, Station, Waiting
 
 TO_ACKNOWLEDGE_BITS = -8
 """From the end of a frame back to the end of its acknowledge slot: there a missing one is noticed."""

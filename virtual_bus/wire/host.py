@@ -14,7 +14,7 @@ import can
 from can.typechecking import CanFilters
 
 from eds.frame import Frame
-from virtual_bus.station import EXTENDED, Confinement, ErrorKind, Station
+from virtual_bus.wire.station import EXTENDED, Confinement, ErrorKind, Station
 
 ERROR_CLASS: Final = {ErrorKind.BIT: 0x088, ErrorKind.CRC: 0x088, ErrorKind.ACKNOWLEDGE: 0x020}
 """Bus error with protocol violation, or no acknowledge (linux/can/error.h)."""

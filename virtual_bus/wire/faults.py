@@ -18,7 +18,7 @@ from eds.bench_network import KNEE, SENSORS, SERVO
 from eds.frame import Frame
 from parameters import InputError, checked, from_table, parameter, read_toml
 from virtual_bus.kernel import NEVER
-from virtual_bus.station import ErrorKind, Station, Waiting
+from virtual_bus.wire.station import ErrorKind, Station, Waiting
 
 KINDS: Mapping[str, str] = {
     "drop": "the frame is sent and acknowledged, and reaches nobody",

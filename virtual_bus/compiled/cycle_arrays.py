@@ -1,4 +1,4 @@
-"""The arrays of `steady_law`, filled from the bench's objects and written back to them.
+"""The arrays of `cycle_code`, filled from the bench's objects and written back to them.
 
 The rule of this file: what is read here is written back here; plant, axes, channels and converters keep their numbers
 in the arrays for good, everything else is copied.
@@ -19,13 +19,13 @@ from physics.converter import RING, Converter
 from physics.plant.bench_plant import BowdenPlant
 from physics.plant.state_layout import SIZE as PLANT
 from trial.mcap_file.cdr import FRAME_STRUCT
-from virtual_bus import steady_law as law
 from virtual_bus.bench import Bench
-from virtual_bus.host import Socket, message_of
-from virtual_bus.machine import Machine, MachineState
-from virtual_bus.node_station import NodeStation
-from virtual_bus.periodic import PeriodicTask
-from virtual_bus.steady_tables import Taking, sending, taking
+from virtual_bus.compiled import cycle_code as law
+from virtual_bus.compiled.cycle_tables import Taking, sending, taking
+from virtual_bus.machine.machine import Machine, MachineState
+from virtual_bus.wire.host import Socket, message_of
+from virtual_bus.wire.node_station import NodeStation
+from virtual_bus.wire.periodic import PeriodicTask
 
 ROW: Final = FRAME_STRUCT.size
 
@@ -70,7 +70,7 @@ class Tables(NamedTuple):
 
 
 class Arrays:
-    """Floats `f`, integers `i` and frames `rows` of one bench; `call` is what `steady_law.cycle` takes.
+    """Floats `f`, integers `i` and frames `rows` of one bench; `call` is what `cycle_code.cycle` takes.
 
     `inputs` are the bytes of the inputs' ends and data, in the order asked for, `targets` those of the targets.
     """

@@ -1,6 +1,6 @@
 """Complete control cycles at once: when they may be, and when the bench's objects hear of them.
 
-The rule of this file: a cycle is computed by `steady_law.cycle` only if all that happens up to its end is known
+The rule of this file: a cycle is computed by `cycle_code.cycle` only if all that happens up to its end is known
 beforehand; anything else runs event by event, as ever.  Between two such cycles the numbers live in the arrays alone
 (`warm`); whoever asks the bench for anything has them written back first.
 """
@@ -15,14 +15,14 @@ from eds.complete_cycle import CompleteCycle
 from nodes import Device, Drive, TensionSensor
 from physics.converter import Converter
 from physics.plant.bench_plant import BowdenPlant
-from virtual_bus import steady_law as law
 from virtual_bus.bench import Bench
-from virtual_bus.host import BowdenMessage
-from virtual_bus.machine import Machine
-from virtual_bus.node_station import NodeStation
-from virtual_bus.periodic import PeriodicTask
-from virtual_bus.steady_arrays import ROW, Arrays, CycleRequest
-from virtual_bus.wire import Wire
+from virtual_bus.compiled import cycle_code as law
+from virtual_bus.compiled.cycle_arrays import ROW, Arrays, CycleRequest
+from virtual_bus.machine.machine import Machine
+from virtual_bus.wire.host import BowdenMessage
+from virtual_bus.wire.node_station import NodeStation
+from virtual_bus.wire.periodic import PeriodicTask
+from virtual_bus.wire.wire import Wire
 
 SWITCH: Final = "BOWDEN_STEADY"
 """The environment's variable that turns it off: 0."""

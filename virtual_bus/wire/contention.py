@@ -9,9 +9,9 @@ from __future__ import annotations
 from heapq import heapify, heappop, heappush
 
 from eds.frame import Frame
-from virtual_bus.bits import arbitration
 from virtual_bus.kernel import NEVER
-from virtual_bus.station import Station, Waiting
+from virtual_bus.wire.bits import arbitration
+from virtual_bus.wire.station import Station, Waiting
 
 
 class Contention:
