@@ -28,10 +28,10 @@ import can
 import canopen
 
 from benchmarks.paired import Compared, DoneError, Turn, compare
-from eds.bench_network import DRIVES, FILES, Network, wire
+from eds.bench.bench_network import DRIVES, FILES, Network, wire
+from eds.bench.setup import RPDO, Pdo
 from eds.cia301 import SYNC_COB_ID
 from eds.dictionary import packaged
-from eds.setup import RPDO, Pdo
 from master.motion.experiment_run import ExperimentSetup, run
 from master.network.link import WANTED, Link
 from master.settings import Gait

@@ -29,7 +29,7 @@ from benchmarks import marked
 from bowden.live import feeds
 from bowden.live.page_process import PageProcess
 from bowden.live.web import MOST_WATCHERS, LivePage
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from master.network import host_computer
 from trial.convert.frames import rows_of
 

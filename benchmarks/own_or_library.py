@@ -33,7 +33,7 @@ from diagnosis.problem.fit import Space, solve
 from diagnosis.problem.healthy_trials import HealthyTrials
 from diagnosis.problem.problem import build_problem
 from diagnosis.problem.zero_phase import ORDER, SHARE, thinning
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from tests.bowden.test_bowden_live import Client
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial

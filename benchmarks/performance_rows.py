@@ -24,8 +24,8 @@ import trial
 from benchmarks import cycle
 from benchmarks import trial as recorded
 from benchmarks.paired import Turn, compare
-from eds import bus_load
-from eds.bench_network import FILES, SERVO, Network, wire
+from eds.bench import bus_load
+from eds.bench.bench_network import FILES, SERVO, Network, wire
 from eds.declaration import packaged as packaged_bench
 from eds.dictionary import packaged
 from eds.pdo_plan import Joined

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from eds.bench_network import FILES, TARGETS_COB_ID
+from eds.bench.bench_network import FILES, TARGETS_COB_ID
 from eds.cia301 import SYNC_COB_ID, TPDO_BASE
 from master.network.socketcan import KernelBus
 from tests.socketcan import rig

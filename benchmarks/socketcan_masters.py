@@ -23,12 +23,12 @@ import canopen
 
 from benchmarks.socketcan_bus import shown, watched
 from benchmarks.socketcan_profile import WHOLE, WRITER, costs_ns, watching
-from eds import bus_load
-from eds.bench_network import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, WireLayout, wire
+from eds.bench import bus_load
+from eds.bench.bench_network import FILES, MASTER, SERVO, TARGETS_COB_ID, Network, WireLayout, wire
+from eds.bench.setup import Pdo
 from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key, packaged
-from eds.setup import Pdo
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
 from master.cycle.log import Log

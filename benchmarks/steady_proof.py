@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import END, KNEE, SERVO, START
 from tests.virtual_bus.steady_cases import Case, Hook, Ran, fault, odd_send, pause, quick_stop, ran, read, second_socket
 from virtual_bus.compiled.compiled_cycles import SWITCH
 from virtual_bus.wire.faults import KINDS, OF_A_DRIVE, OF_A_NODE, OF_A_SENSOR, Fault

@@ -95,7 +95,7 @@ def identified(job: Job) -> Any:
     """Identify the job's bench on its day 0 and return the calibration."""
     from bowden.bench import buses
     from bowden.models import identification
-    from eds.bench_network import Network
+    from eds.bench.bench_network import Network
     from master import settings
 
     bench = job.bench | (family(job.number // 4, 0) if job.number % 4 == 3 else {"day": 0})
@@ -129,7 +129,7 @@ def ran(job: Job) -> Ended:
 
 def walked(job: Job, calibration: Any) -> Ended:
     """Run one trial without a recorder."""
-    from eds.bench_network import Network
+    from eds.bench.bench_network import Network
     from master import settings
     from master.cycle import plausibility, repetition
     from master.motion import experiment_run

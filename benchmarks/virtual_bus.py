@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import can
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
 from virtual_bus.wire.bits import frame_bits

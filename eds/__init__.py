@@ -3,12 +3,12 @@
 The rule of this room: it imports nothing of ours but `parameters`, and no CAN library.
 """
 
-from eds.bench_network import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, WireLayout, wire
+from eds.bench.bench_network import DRIVES, END, KNEE, MASTER, SENSORS, SERVO, START, NodeEntry, WireLayout, wire
+from eds.bench.network import Network
+from eds.cia301 import Frame
 from eds.datatype import DataType, Value
 from eds.device_mapping import DeviceMapping, KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import Dictionary, Entry, key, packaged, read
-from eds.frame import Frame
-from eds.network import Network
 from eds.pdo_plan import Field, PdoPlan, compile_plan
 
 __all__ = [

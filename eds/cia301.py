@@ -1,4 +1,4 @@
-"""CiA 301: the numbers and tables that every node and every master agree on.
+"""CiA 301: the CAN frame, and the numbers and tables that every node and every master agree on.
 
 The rule of this file: codes and tables only, each with the clause's own name; behaviour is built from
 them elsewhere.
@@ -8,7 +8,21 @@ from __future__ import annotations
 
 from enum import Enum, IntEnum, IntFlag
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
+
+
+class Frame(NamedTuple):
+    """One classical CAN frame, as devices and the wire exchange it; python-can's `Message` is met at buses alone.
+
+    `dlc` is given only if the frame is remote or malformed, so that it differs from `len(data)`.
+    """
+
+    can_id: int
+    data: bytes = b""
+    remote: bool = False
+    extended: bool = False
+    error: bool = False
+    dlc: int | None = None
 
 
 class NmtState(IntEnum):

@@ -1,6 +1,6 @@
 """Declaration of a bench: its devices, its joints and its force paths, read from `bench.toml`.
 
-A declaration states what is connected to what. `eds.bench_network` derives the wire from it: COB-IDs, PDO plans,
+A declaration states what is connected to what. `eds.bench.bench_network` derives the wire from it: COB-IDs, PDO plans,
 shared frames, set-up. Without `[[device]]` tables the packaged `bench.toml` holds, which is the bench of the paper.
 """
 

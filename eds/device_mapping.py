@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from eds.dictionary import Dictionary, Entry
-from eds.notation import number
+from eds.files.notation import number
 from eds.scale_factors import scales
 from parameters import InputError, parameter
 

@@ -1,7 +1,7 @@
 """Object dictionaries, read from EDS and DCF files (CiA 306).
 
 The rule of this file: a reader that survives vendors. What it cannot understand it leaves out and
-never guesses; `eds.check` is the one that complains.
+never guesses; `eds.files.check` is the one that complains.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from eds import ini
 from eds.datatype import BY_CODE, DataType, Value
-from eds.notation import limit, number, object_section, value
+from eds.files import ini
+from eds.files.notation import limit, number, object_section, value
 from parameters import InputError
 
 VAR, ARRAY, RECORD, DOMAIN_OBJECT = 0x7, 0x8, 0x9, 0x2

@@ -1,6 +1,6 @@
 """What the profiles say of their objects: data type, access, and which ones must be there.
 
-The rule of this file: tables, one per profile, in the profile's own order; `eds.check` reads them.
+The rule of this file: tables, one per profile, in the profile's own order; `eds.files.check` reads them.
 A row is `index[.sub] type access [m]`: `.*` stands for every sub-index from 1, `m` for mandatory.
 """
 

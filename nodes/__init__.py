@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
-from eds.bench_network import WireLayout
+from eds.bench.bench_network import WireLayout
 from eds.declaration import JOINT_DRIVE, JOINT_ENCODER, LOAD_CELL, ROPE_DRIVE
 from nodes.axis_law import prepare
 from nodes.core.device import Application, Device

@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
+from eds.bench.wire_page import diagram
 from eds.cia402 import TRANSITIONS
-from eds.wire_page import diagram
 from nodes.homing import BITS
 from nodes.state_machine import GUARDS
 

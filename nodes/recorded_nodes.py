@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from heapq import heappop, heappush
 from typing import NamedTuple
 
-from eds.cia301 import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
-from eds.frame import Frame
+from eds.cia301 import NMT_COB_ID, SDO_REQUEST_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID, Frame
 
 SECOND_NS = 1_000_000_000
 _ANSWERS = SDO_REQUEST_BASE - SDO_RESPONSE_BASE

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench_network import END, KNEE, NAMES, SERVO, START, WireLayout, tpdo_cob_id
+from eds.bench.bench_network import END, KNEE, NAMES, SERVO, START, WireLayout, tpdo_cob_id
 from eds.declaration import DeclaredDevice
 from eds.pdo_plan import Field, PdoPlan
 from eds.scale_factors import drum_radius_m

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from eds.bench_network import NAMES, WireLayout
+from eds.bench.bench_network import NAMES, WireLayout
 from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, PdoSource, layout, offsets
 from trial.signals import UNITS, with_observers
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from eds.bench_network import MASTER
+from eds.bench.bench_network import MASTER
 from virtual_bus.kernel import TIMER, Kernel
 from virtual_bus.wire import outages
 from virtual_bus.wire.faults import OF_A_FRAME, OF_TIME, Fault, InjectedFaults

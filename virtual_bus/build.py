@@ -12,7 +12,7 @@ from typing import Any, cast
 
 import eds
 import nodes
-from eds.bench_network import SERVO, Network
+from eds.bench.bench_network import SERVO, Network
 from eds.declaration import JOINT_ENCODER, DeclaredBench, packaged, read
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter

@@ -14,8 +14,8 @@ from typing import Any, Final, NoReturn
 import can
 from can.typechecking import AutoDetectedConfig, CanFilters
 
-from eds.complete_cycle import CompleteCycle
-from eds.frame import Frame
+from eds.bench.complete_cycle import CompleteCycle
+from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.build import build

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from parameters import from_table, parameter
 from virtual_bus.wire.faults import Fault
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import can
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.kernel import Kernel

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from eds.network import Network
+    from eds.bench.network import Network
     from physics.bench_model import BenchModel
 
 VIRTUAL = "bowden"

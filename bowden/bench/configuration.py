@@ -16,7 +16,7 @@ from typing import Any
 from parameters import InputError, checked, declarations, from_table, read_toml, template
 
 SECTIONS: dict[str, tuple[str, str]] = {
-    "network": ("eds.bench_network", "Network"),
+    "network": ("eds.bench.bench_network", "Network"),
     "gait": ("master.settings", "Gait"),
     "impedance": ("master.settings", "Impedance"),
     "limits": ("master.settings", "Limits"),

@@ -13,7 +13,7 @@ from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
 
 if TYPE_CHECKING:
-    from eds.bench_network import Network
+    from eds.bench.bench_network import Network
     from master.network.doctor import DoctorFinding
 
 WATCHED_S = 5.0
@@ -34,7 +34,7 @@ def doctor(
 
 def examine(network: Network, chosen: BusSettings, seconds: float) -> Iterator[DoctorFinding]:
     """Yield the findings one by one; an interface that is not fit ends them."""
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from master.network import doctor as computer
     from master.network.bus_survey import bus as heard
     from master.network.link import Link, LinkError

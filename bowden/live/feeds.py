@@ -15,7 +15,7 @@ from bowden.live.page_process import PageProcess, PageSetup
 from bowden.live.state import LiveState
 from bowden.live.viewer import Viewer
 from bowden.live.web import LivePage
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from trial.mcap_file import cdr
 from trial.playback import Playback, PlayerStatus
 from trial.signals import INDEX

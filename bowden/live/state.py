@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.pages.load_prediction import frame_bits
-from eds.bench_network import NAMES
+from eds.bench.bench_network import NAMES
 from trial.convert.frames import rows_of
 from trial.decode import events as events_of
 from trial.mcap_file import cdr

@@ -13,8 +13,8 @@ import numpy as np
 
 from bowden.pages import load_prediction as load
 from bowden.progress import SILENT, Progress
-from eds import bus_load
-from eds.bench_network import wire
+from eds.bench import bus_load
+from eds.bench.bench_network import wire
 from parameters import InputError
 from trial import metrics, read
 from trial.signals import COLUMNS

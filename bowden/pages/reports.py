@@ -31,8 +31,8 @@ def write_trial_page(recorded: Trial, path: Path, *, overwrite: bool = False, pr
 
 def _bound(recorded: Trial) -> float | None:
     """The sustained load, %, computed for the network that the trial carries with it; None where it has none."""
-    from eds import bus_load
-    from eds.bench_network import Network, wire
+    from eds.bench import bus_load
+    from eds.bench.bench_network import Network, wire
 
     try:
         table = tomllib.loads(recorded.attachments["bench.toml"].decode())["network"]

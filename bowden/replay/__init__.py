@@ -62,7 +62,7 @@ def refuse_imported(recorded: Recorded, onto: str) -> None:
     if not len(recorded.frames):
         raise InputError(f"{said}, a table without CAN frames, so nothing of it can be replayed; bowden diagnose reads "
                          "it, and bowden report shows it.")
-    from eds.bench_network import Network, wire
+    from eds.bench.bench_network import Network, wire
 
     commands = bool((recorded.frames["can_id"] == wire(Network()).targets.cob_id).any())
     others = "--onto bus" + (" or --onto plant" if commands else "")

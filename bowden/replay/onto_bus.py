@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bowden.bench.buses import BusSettings, opened_one
 from bowden.progress import SILENT, Progress
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.replay.comparison import Comparison
-from eds.bench_network import KNEE, WireLayout, wire
+from eds.bench.bench_network import KNEE, WireLayout, wire
 from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs

@@ -31,7 +31,7 @@ def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Prog
     """
     from bowden.replay.master_comparison import compare, on_wire, said
     from bowden.replay.plant_residuals import commands
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from nodes.recorded_nodes import RecordedNodes
 
     masters = commands(wire(sections(recorded)["network"])).cob_ids

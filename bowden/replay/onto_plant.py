@@ -16,7 +16,7 @@ from bowden.trials.recorded import sections
 if TYPE_CHECKING:
     from bowden.replay.plant_residuals import Residuals
     from bowden.replay.schedule import Rows
-    from eds.bench_network import WireLayout
+    from eds.bench.bench_network import WireLayout
     from trial.read import Trial
 
 
@@ -29,7 +29,7 @@ def replay(
     `output` gets the residuals as a trial of its own.
     """
     from bowden.replay.plant_residuals import residuals
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
 
     output_files.refuse([output], overwrite=overwrite, inputs=[recorded.path])
     described = wire(sections(recorded)["network"])

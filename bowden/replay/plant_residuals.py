@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.replay.schedule import Rows, Selection
-from eds.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, WireLayout
 from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from parameters import InputError
 from trial import decode

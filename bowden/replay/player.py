@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bowden.replay.schedule import Schedule, frame_of, restoration
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 from trial.playback import SPEEDS, TRANSITIONS, PlayerControl, PlayerStatus, ready
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import can
 
 from bowden.replay.player import Player
-from eds.frame import Frame
+from eds.cia301 import Frame
 from trial.playback import PlayerStatus
 
 NS = 1_000_000_000

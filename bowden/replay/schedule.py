@@ -18,10 +18,10 @@ from eds.cia301 import (
     SDO_RESPONSE_BASE,
     SYNC_COB_ID,
     TPDO_BASE,
+    Frame,
     NmtCommand,
     NmtState,
 )
-from eds.frame import Frame
 from parameters import InputError
 from trial.mcap_file import cdr
 

@@ -22,8 +22,9 @@ import numpy as np
 from bowden.bench import configuration
 from bowden.sweep.departure import Departure
 from bowden.trials import session
-from eds import bus_load, declaration
-from eds.bench_network import Network, wire
+from eds import declaration
+from eds.bench import bus_load
+from eds.bench.bench_network import Network, wire
 from master.control import controller
 from master.settings import Gait
 from parameters import InputError, checked, declarations, parameter

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 from bowden.testing import golden
 from bowden.testing.canopen_node import CanopenNode, DriveLoad
 from bowden.testing.counted_faults import CountedFaults
+from eds.cia301 import Frame
 from eds.dictionary import Dictionary
-from eds.frame import Frame
 from nodes import Application
 from parameters import InputError
 from virtual_bus.bench import Bench

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from bowden.testing.behaviour import Behaviour, Refusal, StateTable
-from eds import check
 from eds.cia301 import Abort, ErrorRegister, NmtState
 from eds.datatype import DataType, Value, decode, encode
 from eds.dictionary import PACKAGED, Dictionary, Entry, packaged, read
-from eds.notation import object_section
+from eds.files import check
+from eds.files.notation import object_section
 from nodes import Application, Device, Drive, TensionSensor
 from nodes.core.objects import fits
 from parameters import InputError

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.kernel import NEVER
 from virtual_bus.wire.faults import ANY, COPY

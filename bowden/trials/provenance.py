@@ -57,7 +57,7 @@ def course(experiment: ExperimentSetup) -> str:
 
 def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[str, bytes]:
     """The files that make the trial readable alone: configuration, calibration, packages, EDS files."""
-    from eds.bench_network import FILES
+    from eds.bench.bench_network import FILES
     from eds.dictionary import packaged
     from physics.calibration import write
 

@@ -18,7 +18,7 @@ import can
 from bowden import output_files
 from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings
-from eds.bench_network import WireLayout, wire
+from eds.bench.bench_network import WireLayout, wire
 from parameters import InputError
 from trial.convert.frames import ChannelNumbers, rows_of
 from trial.convert.python_can import flags_of, payload_of, time_ns_of

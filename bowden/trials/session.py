@@ -134,8 +134,8 @@ def prepare(
     too: files, or what is in them.
     """
     from bowden.trials import provenance
-    from eds import bus_load
-    from eds.bench_network import wire
+    from eds.bench import bus_load
+    from eds.bench.bench_network import wire
     from master.control import controller
     from master.motion.experiment_run import ExperimentSetup
     from master.motion.scripted_experiments import checked

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from eds.bench_network import WireLayout
+from eds.bench.bench_network import WireLayout
 from eds.cia301 import Abort
 from eds.dictionary import key
 from master.cycle.drives import RELEASE

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 
-from eds.bench_network import KNEE, SERVO
+from eds.bench.bench_network import KNEE, SERVO
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
 from eds.dictionary import key
 from master.cycle.exchange import Exchange

@@ -13,9 +13,9 @@ from typing import Any
 
 import can
 
-from eds.bench_network import END, KNEE, SERVO, WireLayout, tpdo_cob_id
+from eds.bench.bench_network import END, KNEE, SERVO, WireLayout, tpdo_cob_id
+from eds.bench.complete_cycle import CompleteCycle, CompleteCycles
 from eds.cia301 import SYNC_COB_ID
-from eds.complete_cycle import CompleteCycle, CompleteCycles
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard

@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Sequence
 
-from eds.bench_network import END, KNEE, SERVO, START, WireLayout
+from eds.bench.bench_network import END, KNEE, SERVO, START, WireLayout
 from eds.cia301 import Emcy, NmtState
 from eds.cia402 import State, Status
 from eds.emcy_codes import emcy_text

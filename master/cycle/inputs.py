@@ -9,7 +9,7 @@ import itertools
 import math
 from typing import Final, NamedTuple
 
-from eds.bench_network import END, KNEE, SERVO, START, WireLayout, tpdo_cob_id
+from eds.bench.bench_network import END, KNEE, SERVO, START, WireLayout, tpdo_cob_id
 from eds.pdo_plan import PdoPlan
 
 NAN: Final = math.nan

@@ -16,8 +16,8 @@ from typing import Final
 
 import can
 
-from eds import bus_load
-from eds.bench_network import Network, WireLayout, wire
+from eds.bench import bus_load
+from eds.bench.bench_network import Network, WireLayout, wire
 from master.cycle import drives, plausibility, repetition
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from eds.bench_network import END, SERVO, START
+from eds.bench.bench_network import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
 from master.cycle.exchange import Exchange

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 import can
 import numpy as np
 
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import END, KNEE, SERVO, START
 from eds.cia301 import SIGNATURE_ZERO
 from eds.cia402 import State, state_of
 from eds.dictionary import key

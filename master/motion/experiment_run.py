@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from master import settings
 from master.control import controller
 from master.control.controller import Conditions, Controller, ControllerInput

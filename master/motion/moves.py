@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Generator
 from typing import Final, TypeVar
 
-from eds.bench_network import SERVO
+from eds.bench.bench_network import SERVO
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
 from master.network.bringup import BringUpError

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from eds.bench_network import MASTER, NodeEntry, WireLayout
+from eds.bench.bench_network import MASTER, NodeEntry, WireLayout
 from eds.cia301 import SYNC_COB_ID, NmtCommand, NmtState
 from eds.datatype import encode
 from eds.dictionary import key

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from eds.bench_network import MASTER, WireLayout
-from eds.bus_load import frame_bits
+from eds.bench.bench_network import MASTER, WireLayout
+from eds.bench.bus_load import frame_bits
 from eds.cia301 import NmtState
 from master.network.bringup import BringUpError, identify
 from master.network.doctor import DoctorFinding

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import can
 
-from eds.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, WireLayout
 from eds.cia301 import (
     EMCY_BASE,
     HEARTBEAT_BASE,

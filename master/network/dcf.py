@@ -12,10 +12,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
-from eds import ini
 from eds.cia301 import SIGNATURE_SAVE
 from eds.datatype import Value, decode, encode
 from eds.dictionary import Dictionary, Entry, key
+from eds.files import ini
 from master.network.link import Link
 from master.network.sdo import SdoError
 from parameters import InputError
@@ -31,7 +31,7 @@ _GIVEN: Final = re.compile(r"^\s*ParameterValue\s*=", re.IGNORECASE)
 
 
 class DescribedNode(Protocol):
-    """A node with its dictionary, such as `eds.bench_network.NodeEntry`; `name` is for messages."""
+    """A node with its dictionary, such as `eds.bench.bench_network.NodeEntry`; `name` is for messages."""
 
     @property
     def node_id(self) -> int: ...

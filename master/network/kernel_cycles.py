@@ -18,7 +18,7 @@ from typing import Any, Final, Protocol, cast
 import can
 import numpy as np
 
-from eds.complete_cycle import CompleteCycle
+from eds.bench.complete_cycle import CompleteCycle
 from master.network import kernel_frames as frames
 
 Socket = socket.socket

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from eds.bench_network import WireLayout
+from eds.bench.bench_network import WireLayout
 from eds.cia301 import (
     COB_ID_INVALID,
     EMCY_BASE,

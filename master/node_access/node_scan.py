@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from eds import dictionary
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from eds.dictionary import Dictionary, key
-from eds.notation import number
+from eds.files.notation import number
 from master.network.link import Link
 from master.network.sdo import SdoError
 from master.node_access.remote_node import LISTEN_NS, MASTER, NodeAccess, state_name

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections import deque
 from pathlib import Path
 
-from eds.cia301 import NMT_COB_ID, SERVICES, Abort, Emcy, NmtState, Service
+from eds.cia301 import NMT_COB_ID, SERVICES, Abort, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import Dictionary, read
-from eds.frame import Frame
 from nodes.core.application import Application
 from nodes.core.emergency import Emergency
 from nodes.core.heartbeat import Consumer, Producer

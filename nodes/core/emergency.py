@@ -11,10 +11,9 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Final
 
-from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, NmtState, Service
+from eds.cia301 import SERVICES, Abort, Emcy, ErrorRegister, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
-from eds.frame import Frame
 from nodes.core import cob_id
 from nodes.core.interfaces import EmergencyHost
 from nodes.core.parts import FAR_NS, US, Part

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from eds.cia301 import HEARTBEAT_BASE, Abort, Emcy, NmtState, Service
+from eds.cia301 import HEARTBEAT_BASE, Abort, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
-from eds.frame import Frame
 from nodes.core.interfaces import HeartbeatHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 

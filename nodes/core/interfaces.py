@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from eds.cia301 import Abort, Emcy, NmtState
+from eds.cia301 import Abort, Emcy, Frame, NmtState
 from eds.datatype import Value
-from eds.frame import Frame
 from nodes.core.objects import Objects
 
 

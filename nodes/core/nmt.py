@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from eds.cia301 import HEARTBEAT_BASE, NMT_TRANSITIONS, NmtCommand, NmtState
-from eds.frame import Frame
+from eds.cia301 import HEARTBEAT_BASE, NMT_TRANSITIONS, Frame, NmtCommand, NmtState
 from nodes.core.interfaces import NmtHost
 
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from eds.cia301 import NmtState, Service
+from eds.cia301 import Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
-from eds.frame import Frame
 from eds.pdo_plan import compile_plan
 from nodes.core import cob_id, pdo_parameters
 from nodes.core.interfaces import PdoHost

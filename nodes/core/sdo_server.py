@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, NmtState, Service
-from eds.frame import Frame
+from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtState, Service
 from nodes.core.interfaces import SdoHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
 from nodes.core.sdo_block import BlockDownload, BlockUpload

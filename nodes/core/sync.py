@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from eds.cia301 import COB_ID_NO_RTR, SERVICES, SYNC_MAX, Abort, Emcy, NmtState, Service
+from eds.cia301 import COB_ID_NO_RTR, SERVICES, SYNC_MAX, Abort, Emcy, Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
-from eds.frame import Frame
 from nodes.core import cob_id
 from nodes.core.interfaces import SyncHost
 from nodes.core.parts import FAR_NS, US, Handler, Part

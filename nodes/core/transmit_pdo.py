@@ -6,9 +6,8 @@ event timer asks, never sooner than the inhibit time allows.
 
 from __future__ import annotations
 
-from eds.cia301 import COB_ID_NO_RTR, SYNC_MAX
+from eds.cia301 import COB_ID_NO_RTR, SYNC_MAX, Frame
 from eds.dictionary import key
-from eds.frame import Frame
 from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost

@@ -12,7 +12,7 @@ import pytest
 
 from bowden.bench import configuration
 from bowden.sweep import rows
-from eds.bench_network import KNEE, WireLayout, wire
+from eds.bench.bench_network import KNEE, WireLayout, wire
 from eds.declaration import text_of
 from eds.dictionary import key
 from trial.convert.frames import rows_of

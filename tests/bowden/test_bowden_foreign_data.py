@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import trial
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from trial.convert import candump
 from trial.convert.frames import rows_of
 

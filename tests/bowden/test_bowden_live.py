@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 import trial
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from trial.follow import Follower
 from trial.mcap_file import cdr
 

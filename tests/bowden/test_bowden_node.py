@@ -13,7 +13,7 @@ import pytest
 import bowden as library
 from bowden.testing import CanBus
 from eds import packaged
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.wire.station import Station
 
 Run = Callable[..., Any]

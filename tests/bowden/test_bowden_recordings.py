@@ -14,7 +14,7 @@ from mcap.writer import Writer
 
 import trial
 from bowden.trials.recording import BusRecording
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from parameters import InputError
 from trial.mcap_file import cdr
 

@@ -26,7 +26,7 @@ from bowden.live import feeds
 from bowden.live.page_process import MOST_WAITING, SEND_NS, PageProcess
 from bowden.live.state import LiveState
 from bowden.live.web import MOST_PENDING, LivePage, address
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from parameters import InputError
 from trial.convert.frames import rows_of
 

@@ -5,8 +5,9 @@ import math
 import pytest
 
 import eds
-from eds import bench_network, cia301, scale_factors, setup
-from eds.bench_network import Network
+from eds import cia301, scale_factors
+from eds.bench import bench_network, setup
+from eds.bench.bench_network import Network
 from eds.datatype import DataType
 from eds.device_mapping import KneeMapping, ServoMapping
 from eds.dictionary import key

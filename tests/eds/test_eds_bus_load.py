@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import eds
-from eds import bus_load
-from eds.bench_network import Network
-from eds.bus_load import Kind, Stream, frame_bits, response_ns
+from eds.bench import bus_load
+from eds.bench.bench_network import Network
+from eds.bench.bus_load import Kind, Stream, frame_bits, response_ns
 from parameters import InputError
 
 

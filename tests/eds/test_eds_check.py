@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import eds
-from eds import check
+from eds.files import check
 
 SERVO = eds.packaged("servo_drive").read_text()
 SENSOR = eds.packaged("tension_sensor").read_text()

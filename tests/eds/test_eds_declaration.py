@@ -6,8 +6,8 @@ import tomllib
 import pytest
 
 import eds
-from eds import bus_load, setup
-from eds.bench_network import Network
+from eds.bench import bus_load, setup
+from eds.bench.bench_network import Network
 from eds.declaration import as_json, declared, from_json, packaged, text_of
 from parameters import InputError
 

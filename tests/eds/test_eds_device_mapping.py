@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 import eds
-from eds import bench_network, check
+from eds.bench import bench_network
 from eds.device_mapping import KneeMapping, SensorMapping, ServoMapping
 from eds.dictionary import key
+from eds.files import check
 from parameters import InputError, from_table
 
 VENDOR = str(Path(__file__).with_name("vendor_drive.eds"))

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eds import dictionary, ini
+from eds import dictionary
 from eds.datatype import BY_CODE, DataType, decode, encode
 from eds.dictionary import key
-from eds.notation import limit, number, value
+from eds.files import ini
+from eds.files.notation import limit, number, value
 from parameters import InputError
 
 NODE = 3

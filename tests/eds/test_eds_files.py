@@ -10,9 +10,10 @@ from pathlib import Path
 import canopen
 import pytest
 
-from eds import check, dictionary
+from eds import dictionary
 from eds.cia402 import Mode
 from eds.dictionary import key
+from eds.files import check
 
 NODE = 5
 CORE = (

@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
+from eds.bench.wire_page import diagram, page
 from eds.cia402 import TRANSITIONS, State
-from eds.wire_page import diagram, page
 
 PAGE = Path(__file__).parents[2] / "docs" / "wire.md"
 
 
 def test_the_page_is_the_one_that_the_code_writes():
-    assert PAGE.read_text(encoding="utf-8") == page(), "run: python -m eds.wire_page docs/wire.md"
+    assert PAGE.read_text(encoding="utf-8") == page(), "run: python -m eds.bench.wire_page docs/wire.md"
 
 
 def test_the_diagram_shows_every_state_and_row():

@@ -14,7 +14,7 @@ from typing import Any
 
 import can
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import END, KNEE, SERVO, START
 from physics.calibration import nominal
 from tests.faults import plants, slow
 from tests.faults.plants import lying, stuck

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import can
 import numpy as np
 
-from eds.bench_network import MASTER
-from eds.frame import Frame
+from eds.bench.bench_network import MASTER
+from eds.cia301 import Frame
 from master import settings
 from master.motion import experiment_run as trials
 from master.network.link import Link

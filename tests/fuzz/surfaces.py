@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from eds import dictionary
-from eds.bench_network import Network, wire
-from eds.frame import Frame
+from eds.bench.bench_network import Network, wire
+from eds.cia301 import Frame
 from nodes import build
 from parameters import InputError
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import can
 import pytest
 
-from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
+from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
 from master.cycle.acknowledge import acknowledge
 from master.cycle.drives import RELEASE

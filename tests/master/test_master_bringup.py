@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
-from eds.bench_network import Network, WireLayout, wire
+from eds.bench.bench_network import Network, WireLayout, wire
 from eds.cia301 import NmtCommand, NmtState
 from master.cycle import drives
 from master.cycle.exchange import Exchange

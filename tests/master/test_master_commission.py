@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from eds.bench_network import KNEE, SERVO, Network
+from eds.bench.bench_network import KNEE, SERVO, Network
 from eds.cia402 import State, state_of
 from master.cycle.run_safely import Outcome, run_safely
 from master.motion import commission

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from eds import dictionary
-from eds.bench_network import SERVO, START, Network, WireLayout, wire
+from eds.bench.bench_network import SERVO, START, Network, WireLayout, wire
 from eds.cia301 import NmtCommand
 from eds.dictionary import key
 from master.cycle.log import Log

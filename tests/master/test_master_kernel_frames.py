@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import END, KNEE, SERVO, START
 from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, TPDO_BASE
 from master.network import kernel_frames as frames
 from trial.mcap_file.cdr import ERROR, EXTENDED, FRAME_ROW, REMOTE

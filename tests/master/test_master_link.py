@@ -8,7 +8,7 @@ import can
 import numpy as np
 import pytest
 
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from eds.cia301 import NmtCommand, NmtState
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from eds.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import END, KNEE, SERVO, START
 from master.cycle.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from eds.bench_network import Network
+from eds.bench.bench_network import Network
 from master.control.stability import GAIN_MARGIN, crossing_rad_s, derated, gain_margin
 from master.settings import Impedance
 from physics.calibration import nominal

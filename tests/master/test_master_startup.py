@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import pytest
 
-from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
+from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
 from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eds.bench_network import END, KNEE, SERVO, START, Network, wire
+from eds.bench.bench_network import END, KNEE, SERVO, START, Network, wire
 from eds.cia301 import NmtCommand
 from master.cycle import plausibility
 from master.cycle.blame import blamed, suspected

@@ -9,9 +9,8 @@ import struct
 from binascii import crc_hqx
 from pathlib import Path
 
-from eds.cia301 import Abort, NmtCommand
+from eds.cia301 import Abort, Frame, NmtCommand
 from eds.dictionary import key
-from eds.frame import Frame
 from nodes.core.device import Application, Device
 
 EDS = Path(__file__).with_name("core_device.eds")

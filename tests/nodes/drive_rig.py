@@ -10,11 +10,10 @@ import struct
 from collections.abc import Iterable
 
 import nodes
-from eds.bench_network import KNEE, SERVO, Network, WireLayout, wire
-from eds.cia301 import NmtCommand
+from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
+from eds.cia301 import Frame, NmtCommand
 from eds.cia402 import State, next_controlword, state_of
 from eds.dictionary import key
-from eds.frame import Frame
 from nodes import Drive
 
 MS = 1_000_000

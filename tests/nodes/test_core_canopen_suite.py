@@ -23,9 +23,8 @@ import pytest
 from canopen.pdo import PDO, RPDO, TPDO
 from canopen.sdo.base import SdoBase
 
-from eds.cia301 import Abort, NmtState
+from eds.cia301 import Abort, Frame, NmtState
 from eds.dictionary import key, read
-from eds.frame import Frame
 from nodes.core.application import Application
 from nodes.core.device import Device
 

@@ -10,9 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from eds.cia301 import Abort, Emcy, NmtCommand, NmtState
+from eds.cia301 import Abort, Emcy, Frame, NmtCommand, NmtState
 from eds.dictionary import read
-from eds.frame import Frame
 from tests.nodes.core_client import EDS, MS, NODE, AbortedError, Bus
 
 ENTRIES = sorted(read(EDS, NODE).entries)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from eds.cia301 import NmtCommand, NmtState
-from eds.frame import Frame
+from eds.cia301 import Frame, NmtCommand, NmtState
 from tests.nodes.core_client import MS, NODE, Bus
 
 REACH = {

@@ -7,10 +7,9 @@ import struct
 
 import pytest
 
-from eds.bench_network import Network, wire
-from eds.cia301 import Abort, NmtCommand
+from eds.bench.bench_network import Network, wire
+from eds.cia301 import Abort, Frame, NmtCommand
 from eds.cia402 import state_of
-from eds.frame import Frame
 from nodes import Drive, TensionSensor, build
 
 WIRE = wire(Network())

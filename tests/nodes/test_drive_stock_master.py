@@ -24,7 +24,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from eds import dictionary
-from eds.bench_network import END, FILES, KNEE, SERVO, START
+from eds.bench.bench_network import END, FILES, KNEE, SERVO, START
 from virtual_bus.build import build
 from virtual_bus.bus_options import Options
 from virtual_bus.serve import serve

@@ -8,7 +8,7 @@ import struct
 import pytest
 
 import eds
-from eds.bench_network import KNEE, Network
+from eds.bench.bench_network import KNEE, Network
 from eds.declaration import packaged
 from nodes import JointEncoder
 from physics.plant.bench_plant import Outputs

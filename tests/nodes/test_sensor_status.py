@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from eds.bench_network import END, START
+from eds.bench.bench_network import END, START
 from eds.cia301 import NmtCommand
 from physics.converter import FULL_COUNTS
 from tests.nodes.drive_rig import MS, NodeBus

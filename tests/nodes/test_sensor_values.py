@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eds.bench_network import END, START
+from eds.bench.bench_network import END, START
 from eds.cia301 import SIGNATURE_SAVE, SIGNATURE_ZERO, NmtCommand
 from nodes import TensionSensor
 from nodes.filter import Filter, FilterType

@@ -18,7 +18,7 @@ def make(controller: str, folder: Path) -> None:
     """Run one walk on the simulated bench and keep the rows of its gait, with the frames of targets."""
     from bowden.cli.app import run
     from bowden.replay.onto_controller import INPUTS, OUTPUTS, walked
-    from eds.bench_network import TARGETS_COB_ID
+    from eds.bench.bench_network import TARGETS_COB_ID
     from trial import read
     from trial.assemble import TrialContent, write
     from trial.signals import PDO_NAMES

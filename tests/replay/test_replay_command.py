@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from trial.read import Trial
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus

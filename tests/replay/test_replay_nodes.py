@@ -16,8 +16,8 @@ from bowden.replay import onto_master
 from bowden.replay.master_comparison import compare, on_wire, said
 from bowden.replay.onto_plant import lengths_ns
 from bowden.replay.plant_residuals import commands
-from eds.bench_network import Network, wire
-from eds.frame import Frame
+from eds.bench.bench_network import Network, wire
+from eds.cia301 import Frame
 from master.settings import Impedance
 from nodes.recorded_nodes import Heard, OnWire, RecordedNodes
 from trial.read import Trial

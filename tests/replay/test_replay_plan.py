@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bowden.replay.schedule import Selection, nmt_states, nodes_of, plan, restoration
-from eds.cia301 import NmtCommand, NmtState
-from eds.frame import Frame
+from eds.cia301 import Frame, NmtCommand, NmtState
 from parameters import InputError
 from trial.convert.frames import rows_of
 from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE

@@ -78,7 +78,7 @@ def test_a_trial_that_was_stamped_by_the_day_is_replayed_at_its_phase(
 
 
 def test_one_changed_bit_is_left_over(recorded: Callable[..., Trial]) -> None:
-    from eds.bench_network import Network, wire
+    from eds.bench.bench_network import Network, wire
 
     trial, described = recorded(), wire(Network())
     assert residuals(trial, trial.frames, described).same
@@ -95,7 +95,7 @@ def test_one_changed_bit_is_left_over(recorded: Callable[..., Trial]) -> None:
 
 
 def test_commands_are_what_the_recording_computer_sent(recorded: Callable[..., Trial]) -> None:
-    from eds.bench_network import Network, wire
+    from eds.bench.bench_network import Network, wire
 
     frames = recorded().frames
     chosen = plan(frames, commands(wire(Network())))
@@ -123,7 +123,7 @@ def test_only_simulated_benches_and_trials_with_frames(
     told = bowden("replay", path, "--onto", "plant")
     assert (told.status, told.stdout) == (2, "")
     assert "no CAN frames" in told.stderr
-    from eds.bench_network import Network, wire
+    from eds.bench.bench_network import Network, wire
 
     with pytest.raises(InputError, match="no SYNC"):
         residuals(opened(path), trial.frames[:10], wire(Network()))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bowden.replay import playing_bus
 from bowden.replay.player import Player
 from bowden.replay.schedule import Schedule, Selection, plan
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 from trial.convert.frames import rows_of
 from trial.playback import TRANSITIONS, PlayerControl, PlayerStatus

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eds.bench_network import KNEE
+from eds.bench.bench_network import KNEE
 from eds.dictionary import packaged
 from tests.socketcan import rig
 

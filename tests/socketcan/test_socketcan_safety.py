@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from eds.bench_network import KNEE, SERVO
+from eds.bench.bench_network import KNEE, SERVO
 from eds.cia402 import State, state_of
 from master.network.link import Link
 from master.network.sdo import SdoError

@@ -16,7 +16,7 @@ import pytest
 from mcap.writer import Writer
 
 import trial
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from parameters import InputError
 from trial.convert import candump, csv_table
 from trial.convert.frames import rows_of

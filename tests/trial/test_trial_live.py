@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import trial
-from eds.bench_network import Network, wire
+from eds.bench.bench_network import Network, wire
 from trial import decode
 from trial.convert.frames import rows_of
 from trial.follow import Follower

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import Kernel
 from virtual_bus.wire.station import Station
 from virtual_bus.wire.wire import Wire

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from eds.bench_network import END, KNEE, SERVO, START, Network
+from eds.bench.bench_network import END, KNEE, SERVO, START, Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.run_safely import run_safely

@@ -11,8 +11,8 @@ import can
 import pytest
 
 import eds
-from eds.bench_network import END, KNEE, SERVO, START
-from eds.frame import Frame
+from eds.bench.bench_network import END, KNEE, SERVO, START
+from eds.cia301 import Frame
 from trial import read
 from virtual_bus.bus import BowdenBus
 from virtual_bus.wire.bits import frame_bits

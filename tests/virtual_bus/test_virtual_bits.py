@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.wire import bits
 
 IDS = st.integers(0, 0x7FF)

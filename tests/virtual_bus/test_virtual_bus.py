@@ -12,7 +12,7 @@ import can
 import pytest
 from can.cli import create_bus_from_namespace
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from eds.bench_network import END, KNEE, SERVO, START
-from eds.frame import Frame
+from eds.bench.bench_network import END, KNEE, SERVO, START
+from eds.cia301 import Frame
 from parameters import InputError
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import Kernel
 from virtual_bus.wire import bits
 from virtual_bus.wire.station import Confinement, Station

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench_network import NAMES, Network, wire
+from eds.bench.bench_network import NAMES, Network, wire
 from parameters import InputError
 from parameters.files import refuse_special
 from trial.convert import imports

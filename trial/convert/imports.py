@@ -15,8 +15,8 @@ from typing import BinaryIO, NamedTuple, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench_network import Network, WireLayout
-from eds.bench_network import wire as wire_of
+from eds.bench.bench_network import Network, WireLayout
+from eds.bench.bench_network import wire as wire_of
 from parameters import InputError
 from parameters.files import refuse_special, unpacked_limit
 from trial import assemble, decode

@@ -10,8 +10,8 @@ from __future__ import annotations
 import os
 from typing import Final, cast
 
+from eds.bench.complete_cycle import CompleteCycle
 from eds.cia301 import HEARTBEAT_BASE, NmtState
-from eds.complete_cycle import CompleteCycle
 from nodes import Device, Drive, TensionSensor
 from physics.converter import Converter
 from physics.plant.bench_plant import BowdenPlant

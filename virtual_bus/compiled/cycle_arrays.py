@@ -11,8 +11,7 @@ from typing import Any, Final, NamedTuple, cast
 
 import numpy as np
 
-from eds.cia301 import HEARTBEAT_BASE
-from eds.frame import Frame
+from eds.cia301 import HEARTBEAT_BASE, Frame
 from nodes import Device, Drive, TensionSensor, axis_law, channel_law
 from nodes.core.receive_pdo import ReceivePdo
 from physics.converter import RING, Converter

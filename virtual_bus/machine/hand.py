@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from eds.bench_network import WireLayout
-from eds.frame import Frame
+from eds.bench.bench_network import WireLayout
+from eds.cia301 import Frame
 from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, loop, loop_state
 from virtual_bus.wire.station import Station
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from eds.bench_network import KNEE, SENSORS, SERVO, tpdo_cob_id
+from eds.bench.bench_network import KNEE, SENSORS, SERVO, tpdo_cob_id
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.effects import catalogue as effects

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from physics.plant.bench_plant import Plant
 from trial.record import Recorder, RecordingError
 from trial.signals import Signal

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 
 CRC_POLYNOMIAL: Final = 0x4599
 TRAILER_BITS: Final = 10

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from heapq import heapify, heappop, heappush
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import NEVER
 from virtual_bus.wire.bits import arbitration
 from virtual_bus.wire.station import Station, Waiting

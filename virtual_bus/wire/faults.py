@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from eds.bench_network import KNEE, SENSORS, SERVO
-from eds.frame import Frame
+from eds.bench.bench_network import KNEE, SENSORS, SERVO
+from eds.cia301 import Frame
 from parameters import InputError, checked, from_table, parameter, read_toml
 from virtual_bus.kernel import NEVER
 from virtual_bus.wire.station import ErrorKind, Station, Waiting

@@ -13,7 +13,7 @@ from typing import Final
 import can
 from can.typechecking import CanFilters
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.wire.station import EXTENDED, Confinement, ErrorKind, Station
 
 ERROR_CLASS: Final = {ErrorKind.BIT: 0x088, ErrorKind.CRC: 0x088, ErrorKind.ACKNOWLEDGE: 0x020}

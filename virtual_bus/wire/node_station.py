@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import NEVER, TIMER, Kernel
 from virtual_bus.wire.station import Confinement, Station
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import NEVER, TIMER, Kernel
 from virtual_bus.wire.faults import ANY, COPY, OF_A_DRIVE, OF_A_SENSOR, Fault
 from virtual_bus.wire.station import Confinement, Medium, Station

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Final, Protocol
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 
 TEC_STEP: Final = 8
 PASSIVE_ABOVE: Final = 127

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from eds.frame import Frame
+from eds.cia301 import Frame
 from virtual_bus.kernel import END, NEVER, START, TIMER, Kernel
 from virtual_bus.wire.bits import (
     BITRATES,

@@ -159,7 +159,7 @@ def acknowledge(
     Example: bowden acknowledge --interface socketcan --channel can0
     """
     from bowden.bench import buses
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from master.cycle.acknowledge import acknowledge as release
     from master.network.bringup import BringUpError
     from master.network.link import Link, LinkError

@@ -141,7 +141,7 @@ def _follow(reached: Bus, config: Path | None, served: LiveAddress, ended: Calla
     from bowden.bench import buses
     from bowden.live.feeds import OTHER_PROCESS
     from bowden.live.relay import Relay
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from trial.follow import Follower
 
     network = reached.sections(config)["network"]

@@ -48,8 +48,8 @@ def monitor(
     Example: bowden monitor --for 0.2 --only sdo,pdo,emcy
     """
     from bowden import output_files
-    from eds.bench_network import wire
-    from eds.bus_load import frame_bits
+    from eds.bench.bench_network import wire
+    from eds.bench.bus_load import frame_bits
     from master.node_access.frame_words import FrameReader, FrameWords, of_wire
     from master.node_access.signal_files import SignalRecording, write_dbc
 

@@ -467,7 +467,7 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
 def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
                **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
     """Give a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from eds.cia301 import NmtCommand
     from master.network.dcf import NamedNode
     from parameters import InputError
@@ -507,7 +507,7 @@ def _refuse_other_master(link: Link, force: bool) -> None:
 
 
 def _node_id(name: str, reached: Bus, config: Path | None) -> int:
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
     from parameters import InputError
 
     if name.isdecimal() and 1 <= int(name) <= 127:

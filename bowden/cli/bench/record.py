@@ -50,7 +50,7 @@ def record(
     from bowden import output_files
     from bowden.bench import buses
     from bowden.trials.recording import BusRecording
-    from eds.bench_network import wire
+    from eds.bench.bench_network import wire
 
     reached = Bus(interface, channel, bitrate, option)
     network = reached.sections(config)["network"]

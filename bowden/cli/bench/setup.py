@@ -63,8 +63,8 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     Example: bowden init -o bench.toml && bowden check config bench.toml
     """
     from bowden.bench import configuration
-    from eds.bench_network import lacks, wire
-    from eds.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
+    from eds.bench.bench_network import lacks, wire
+    from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
 
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
@@ -109,7 +109,7 @@ def check_eds(files: Files, json: options.Json = False) -> int:
     """
     from dataclasses import asdict
 
-    from eds.check import findings
+    from eds.files.check import findings
 
     found = [finding for file in files for finding in findings(file)]
     if json:

@@ -11,9 +11,9 @@ from typing import Final
 
 from eds.datatype import BY_CODE, DataType
 from eds.dictionary import ARRAY, DOMAIN_OBJECT, RECORD, VAR
-from eds.ini import Section
-from eds.notation import limit, number, object_section, value
-from eds.sheet import EdsSheet, SheetFault
+from eds.files.ini import Section
+from eds.files.notation import limit, number, object_section, value
+from eds.files.sheet import EdsSheet, SheetFault
 
 ACCESS: Final = ("ro", "wo", "rw", "rwr", "rww", "const")
 _LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")

@@ -13,13 +13,13 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from eds import cia301, cia402, dictionary
+from eds.bench.network import Network as Network
+from eds.bench.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from eds.datatype import DataType
 from eds.declaration import LOAD_CELL, DeclaredDevice, packaged
 from eds.device_mapping import DeviceMapping, MappedPart, ServoMapping, part
 from eds.dictionary import Dictionary, key
-from eds.network import Network as Network
 from eds.pdo_plan import Field, PdoPlan, compile_plan, overlay
-from eds.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from parameters import InputError
 
 MASTER: Final = 127

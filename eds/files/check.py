@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from eds import check_pdos, check_profiles, check_sections, ini
 from eds.dictionary import build
-from eds.sheet import EdsSheet, SheetFault
+from eds.files import check_pdos, check_profiles, check_sections, ini
+from eds.files.sheet import EdsSheet, SheetFault
 
 __all__ = ["SheetFault", "findings"]
 

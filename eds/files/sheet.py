@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from eds.dictionary import Dictionary
-from eds.ini import Section
-from eds.notation import object_section
+from eds.files.ini import Section
+from eds.files.notation import object_section
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from eds.dictionary import Entry, key
-from eds.notation import number
+from eds.files.notation import number
+from eds.files.sheet import EdsSheet, SheetFault
 from eds.profiles import CIA301, MODE_OBJECTS, PROFILES, Rule
-from eds.sheet import EdsSheet, SheetFault
 
 
 def objects(sheet: EdsSheet) -> Iterator[SheetFault]:

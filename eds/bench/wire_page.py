@@ -1,4 +1,4 @@
-"""Writes docs/wire.md from the wire's own declarations: `python -m eds.wire_page [FILE]`.
+"""Writes docs/wire.md from the wire's own declarations: `python -m eds.bench.wire_page [FILE]`.
 
 The rule of this file: the page repeats what the code says and adds only the sentences between.
 """
@@ -9,17 +9,18 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from eds import bus_load, cia402
-from eds.bench_network import MASTER, Network, WireLayout, wire
-from eds.bus_load import Kind
+from eds import cia402
+from eds.bench import bus_load
+from eds.bench.bench_network import MASTER, Network, WireLayout, wire
+from eds.bench.bus_load import Kind
+from eds.bench.setup import TPDO, Pdo
 from eds.pdo_plan import PdoPlan
-from eds.setup import TPDO, Pdo
 
 _HEAD = """\
 # The wire
 
 One page on what goes over the bus, with the default `[network]`. Generated from `eds/` by
-`python -m eds.wire_page docs/wire.md`; change the declarations, not this page.
+`python -m eds.bench.wire_page docs/wire.md`; change the declarations, not this page.
 
 Node ids: {nodes}. The master makes the SYNC. Every node and the master send a heartbeat
 every {heartbeat} ms; each node misses the master's after {timeout} ms (0x1016).

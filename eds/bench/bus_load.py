@@ -18,9 +18,9 @@ from enum import Enum
 from typing import Final
 
 from eds import cia301
-from eds.bench_network import MASTER, WireLayout
+from eds.bench.bench_network import MASTER, WireLayout
+from eds.bench.setup import fits_one_byte
 from eds.pdo_plan import PdoPlan
-from eds.setup import fits_one_byte
 from parameters import InputError
 
 LOAD_GOAL_PERCENT: Final = 60.0

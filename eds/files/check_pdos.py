@@ -13,9 +13,9 @@ from typing import Final
 from eds import cia301
 from eds.datatype import BY_CODE, DataType
 from eds.dictionary import Entry, key
-from eds.notation import number
+from eds.files.notation import number
+from eds.files.sheet import EdsSheet, SheetFault
 from eds.pdo_plan import FIRST_OBJECT, MAX_BITS
-from eds.sheet import EdsSheet, SheetFault
 
 _RPDO: Final = range(0x1400, 0x1600)
 _TPDO: Final = range(0x1800, 0x1A00)
