@@ -11,13 +11,13 @@ from typing import Final
 
 from eds.bench.bench_network import WireLayout
 from eds.declaration import JOINT_DRIVE, JOINT_ENCODER, LOAD_CELL, ROPE_DRIVE
-from nodes.axis_law import prepare
 from nodes.core.device import Application, Device
-from nodes.drive import Drive
-from nodes.joint_encoder import JointEncoder
-from nodes.knee import KneeDrive
-from nodes.servo import ServoDrive
-from nodes.tension_sensor import TensionSensor
+from nodes.drives.axis_law import prepare
+from nodes.drives.drive import Drive
+from nodes.drives.knee import KneeDrive
+from nodes.drives.servo import ServoDrive
+from nodes.sensors.joint_encoder import JointEncoder
+from nodes.sensors.tension_sensor import TensionSensor
 from parameters import InputError
 
 __all__ = [

@@ -41,7 +41,7 @@ def test_arrows_of_the_diagram_go_down() -> None:
         assert all(level[above] < level[room] for room in re.split(r"[ &]+", below)), above
 
 
-@pytest.mark.parametrize("room", ["physics", "trial", "master", "diagnosis", "virtual_bus", "bowden"])
+@pytest.mark.parametrize("room", ["physics", "nodes", "trial", "master", "diagnosis", "virtual_bus", "bowden"])
 def test_folders_stand_in_the_order_of_their_contract(room: str) -> None:
     order, named = layers(room), rooms()[room]
     assert named == [name for name in order if name in named] != []

@@ -18,8 +18,8 @@ from nodes.core.heartbeat import Consumer, Producer
 from nodes.core.nmt import Nmt
 from nodes.core.objects import Objects, outside
 from nodes.core.parts import FAR_NS, Applied, Check, Command, Handler, Part
-from nodes.core.pdo import Pdos
-from nodes.core.sdo_server import SdoServer
+from nodes.core.pdo.pdos import Pdos
+from nodes.core.sdo.sdo_server import SdoServer
 from nodes.core.store import Store
 from nodes.core.sync import Sync
 from parameters import InputError

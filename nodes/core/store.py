@@ -18,7 +18,7 @@ from eds.dictionary import key
 from nodes.core.interfaces import StoreHost
 from nodes.core.objects import outside
 from nodes.core.parts import Part
-from nodes.core.pdo_mapping import process_output
+from nodes.core.pdo.pdo_mapping import process_output
 
 SAVE: Final = 0x1010
 LOAD: Final = 0x1011

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from nodes.drives_page import page
+from nodes.drives.drives_page import page
 
 HERE = Path(__file__).parent
 TEXT = (HERE.parents[1] / "docs" / "drives.md").read_text(encoding="utf-8")
@@ -18,7 +18,7 @@ def defined() -> set[str]:
 
 
 def test_generated_parts_are_up_to_date() -> None:
-    assert page(TEXT) == TEXT, "run: python -m nodes.drives_page"
+    assert page(TEXT) == TEXT, "run: python -m nodes.drives.drives_page"
 
 
 def test_every_test_named_exists_and_every_test_is_named() -> None:

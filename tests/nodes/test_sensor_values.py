@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from eds.bench.bench_network import END, START
 from eds.cia301 import SIGNATURE_SAVE, SIGNATURE_ZERO, NmtCommand
 from nodes import TensionSensor
-from nodes.filter import Filter, FilterType
-from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, two_point
+from nodes.sensors.filter import Filter, FilterType
+from nodes.sensors.scaling import INTEGER16, INTEGER32, integer, invalid, two_point
 from parameters import InputError
 from physics.converter import FULL_COUNTS, SensorParameters
 from tests.nodes.drive_rig import MS, NodeBus

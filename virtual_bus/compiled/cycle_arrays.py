@@ -12,8 +12,10 @@ from typing import Any, Final, NamedTuple, cast
 import numpy as np
 
 from eds.cia301 import HEARTBEAT_BASE, Frame
-from nodes import Device, Drive, TensionSensor, axis_law, channel_law
-from nodes.core.receive_pdo import ReceivePdo
+from nodes import Device, Drive, TensionSensor
+from nodes.core.pdo.receive_pdo import ReceivePdo
+from nodes.drives import axis_law
+from nodes.sensors import channel_law
 from physics.converter import RING, Converter
 from physics.plant.bench_plant import BowdenPlant
 from physics.plant.state_layout import SIZE as PLANT

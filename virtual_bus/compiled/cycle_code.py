@@ -20,7 +20,8 @@ from typing import Any, Final
 import numpy as np
 from numba import njit
 
-from nodes import axis_law, channel_law, set_point_law
+from nodes.drives import axis_law, set_point_law
+from nodes.sensors import channel_law
 from physics import converter, drive_loops
 from physics.drive_loops import DRIVE_TICK_NS
 from physics.plant import bench_plant, step, truth_row

@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from nodes import Drive, TensionSensor
-from nodes.core.receive_pdo import ReceivePdo
-from nodes.core.transmit_pdo import TransmitPdo
-from nodes.rules import RULES
-from nodes.set_point_law import Taker
+from nodes.core.pdo.receive_pdo import ReceivePdo
+from nodes.core.pdo.transmit_pdo import TransmitPdo
+from nodes.drives.rules import RULES
+from nodes.drives.set_point_law import Taker
 from virtual_bus.compiled import cycle_code as law
 
 WIDEST = 32

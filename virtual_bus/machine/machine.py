@@ -19,7 +19,7 @@ from virtual_bus.wire.node_station import NodeStation
 
 
 class TickedDrive(Protocol):
-    """What is asked of a drive; `nodes.drive.TickedDrive` does it."""
+    """What is asked of a drive; `nodes.drives.drive.TickedDrive` does it."""
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
         """Return the torque demand, N·m."""
@@ -29,7 +29,7 @@ class TickedDrive(Protocol):
 
 
 class Tension(Protocol):
-    """What is asked of a tension sensor; `nodes.tension_sensor.TensionSensor` does it."""
+    """What is asked of a tension sensor; `nodes.sensors.tension_sensor.TensionSensor` does it."""
 
     @property
     def interval_ns(self) -> int:

@@ -1,6 +1,6 @@
 """What a drive's axis does with a set-point and with START's tension as they come over the bus.
 
-The rule of this file: compiled laws over the arrays of `nodes.axis_law`; whether a set-point is taken at all is
+The rule of this file: compiled laws over the arrays of `nodes.drives.axis_law`; whether a set-point is taken at all is
 decided by whoever calls them.
 """
 
@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from numba import njit
 
-from nodes.axis_law import FRESH, TARGET, TENSION, TENSION_AGE_S
+from nodes.drives.axis_law import FRESH, TARGET, TENSION, TENSION_AGE_S
 
 NEWTON: Final = 0.01
 """Newton per count of the tension objects."""

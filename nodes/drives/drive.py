@@ -13,14 +13,14 @@ from eds.cia301 import Emcy, NmtState
 from eds.cia402 import DriveEvent, Mode, State
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes import axis_law as law
-from nodes import rules
-from nodes.axis import Axis
 from nodes.core.interfaces import ProfileHost
-from nodes.homing import Phase
-from nodes.modes import MODE_DISPLAY, ModesOfOperation
-from nodes.set_point_law import Taker
-from nodes.state_machine import ERROR_CODE, RELEASE
+from nodes.drives import axis_law as law
+from nodes.drives import rules
+from nodes.drives.axis import Axis
+from nodes.drives.homing import Phase
+from nodes.drives.modes import MODE_DISPLAY, ModesOfOperation
+from nodes.drives.set_point_law import Taker
+from nodes.drives.state_machine import ERROR_CODE, RELEASE
 
 CONTROLWORD, STATUSWORD, MODE = key(0x6040), key(0x6041), key(0x6060)
 TARGET_POSITION, TARGET_VELOCITY, TARGET_TORQUE = key(0x607A), key(0x60FF), key(0x6071)

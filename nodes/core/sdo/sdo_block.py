@@ -12,8 +12,8 @@ from typing import Final
 
 from eds.cia301 import Abort
 from nodes.core.parts import FAR_NS, US
-from nodes.core.sdo_segment import Write
-from nodes.core.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError, multiplexer
+from nodes.core.sdo.sdo_segment import Write
+from nodes.core.sdo.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError, multiplexer
 
 MAX_BLOCK: Final = 127
 """Segments in a block; what this server asks for."""

@@ -5,7 +5,7 @@ The rule of this file: the reducer is in the objects 0x6091 and 0x6092, and nowh
 
 from __future__ import annotations
 
-from nodes.drive import Drive
+from nodes.drives.drive import Drive
 
 
 class KneeDrive(Drive):

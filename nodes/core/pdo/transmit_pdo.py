@@ -12,7 +12,7 @@ from eds.pdo_plan import PdoPlan
 from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, MS, US
-from nodes.core.pdo_mapping import packer
+from nodes.core.pdo.pdo_mapping import packer
 
 
 class TransmitPdo:

@@ -1,4 +1,4 @@
-"""Writes the generated parts of docs/drives.md from the tables: `python -m nodes.drives_page [FILE]`.
+"""Writes the generated parts of docs/drives.md from the tables: `python -m nodes.drives.drives_page [FILE]`.
 
 The rule of this file: what a table knows, the page repeats between its markers; the sentences around them are written
 by hand and kept.
@@ -13,8 +13,8 @@ from typing import Final
 
 from eds.bench.wire_page import diagram
 from eds.cia402 import TRANSITIONS
-from nodes.homing import BITS
-from nodes.state_machine import GUARDS
+from nodes.drives.homing import BITS
+from nodes.drives.state_machine import GUARDS
 
 _BLOCK: Final = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

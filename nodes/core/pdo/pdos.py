@@ -13,12 +13,13 @@ from eds.cia301 import Frame, NmtState, Service
 from eds.datatype import Value
 from eds.dictionary import key
 from eds.pdo_plan import compile_plan
-from nodes.core import cob_id, pdo_parameters
+from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost
 from nodes.core.parts import FAR_NS, Applied, Handler, Part
-from nodes.core.pdo_mapping import mapping_refused
-from nodes.core.receive_pdo import ReceivePdo
-from nodes.core.transmit_pdo import TransmitPdo
+from nodes.core.pdo import pdo_parameters
+from nodes.core.pdo.pdo_mapping import mapping_refused
+from nodes.core.pdo.receive_pdo import ReceivePdo
+from nodes.core.pdo.transmit_pdo import TransmitPdo
 
 _frame: Final = tuple.__new__
 """Makes a Frame without the cost of its constructor, in the cyclic path only."""

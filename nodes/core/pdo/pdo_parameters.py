@@ -12,7 +12,7 @@ from nodes.core import cob_id
 from nodes.core.interfaces import PdoHost
 from nodes.core.objects import Objects
 from nodes.core.parts import Check
-from nodes.core.pdo_mapping import mapping_refused, word_refused
+from nodes.core.pdo.pdo_mapping import mapping_refused, word_refused
 
 
 def words(objects: Objects, index: int) -> tuple[int, ...]:

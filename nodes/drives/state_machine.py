@@ -14,9 +14,9 @@ from eds.cia301 import Emcy
 from eds.cia402 import STEP, AbortConnection, DriveEvent, Input, State, Status, Stop, Transition
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes.axis import Axis
 from nodes.core.application import Application
 from nodes.core.interfaces import ProfileHost
+from nodes.drives.axis import Axis
 
 ERROR_CODE, RELEASE, INPUTS = key(0x603F), key(0x2020), key(0x60FD)
 HOLD_TIME, MS_NS = 0x2018, 1_000_000

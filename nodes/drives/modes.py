@@ -12,11 +12,11 @@ from typing import Final
 from eds.cia301 import Emcy
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, Stop, command_of
 from eds.dictionary import key
-from nodes import axis_law as law
-from nodes import homing
-from nodes.homing import Phase
-from nodes.set_point_law import FOLLOWS, KEEPS, Taker
-from nodes.state_machine import StateMachine
+from nodes.drives import axis_law as law
+from nodes.drives import homing
+from nodes.drives.homing import Phase
+from nodes.drives.set_point_law import FOLLOWS, KEEPS, Taker
+from nodes.drives.state_machine import StateMachine
 
 MODE_DISPLAY = key(0x6061)
 _ENABLED: Final = State.OPERATION_ENABLED

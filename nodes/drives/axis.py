@@ -1,4 +1,4 @@
-"""One axis of a drive: the arrays of `nodes.axis_law`, kept in step with the drive's objects.
+"""One axis of a drive: the arrays of `nodes.drives.axis_law`, kept in step with the drive's objects.
 
 The rule of this file: every object is turned into SI here, once, when it is written; nothing is converted at a tick.
 """
@@ -15,8 +15,8 @@ import numpy as np
 from eds import scale_factors
 from eds.datatype import Value
 from eds.dictionary import Dictionary, key
-from nodes import axis_law as law
-from nodes import set_point_law
+from nodes.drives import axis_law as law
+from nodes.drives import set_point_law
 
 NO_WINDOW: Final = 0xFFFFFFFF
 """0x6065: the following error is not monitored."""

@@ -12,9 +12,9 @@ from typing import Final
 from eds.cia301 import SDO_REQUEST_BASE, SDO_RESPONSE_BASE, Abort, Frame, NmtState, Service
 from nodes.core.interfaces import SdoHost
 from nodes.core.parts import FAR_NS, MS, Handler, Part
-from nodes.core.sdo_block import BlockDownload, BlockUpload
-from nodes.core.sdo_segment import SegmentDownload, SegmentUpload
-from nodes.core.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
+from nodes.core.sdo.sdo_block import BlockDownload, BlockUpload
+from nodes.core.sdo.sdo_segment import SegmentDownload, SegmentUpload
+from nodes.core.sdo.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
 
 TIMEOUT_NS: Final = 1000 * MS
 """Silence of the client after which a transfer is aborted; CiA 301 leaves the time to the device."""

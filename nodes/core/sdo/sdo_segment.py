@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Final
 
 from eds.cia301 import Abort
-from nodes.core.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError
+from nodes.core.sdo.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError
 
 Write = Callable[[int, bytes, int], int]
 """(key, data, now_ns) → 0 or an abort code."""

@@ -1,13 +1,13 @@
 """Filters of a measuring channel (CiA 404, 0x61A0 and 0x61A1), on whole numbers.
 
-The rule of this file: it names the filters; what they do is `nodes.channel_law`'s.
+The rule of this file: it names the filters; what they do is `nodes.sensors.channel_law`'s.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum
 
-from nodes import channel_law as law
+from nodes.sensors import channel_law as law
 
 
 class FilterType(IntEnum):

@@ -13,12 +13,12 @@ from typing import Any, Final
 from eds.cia301 import SIGNATURE_ZERO, Abort, Emcy
 from eds.datatype import Value
 from eds.dictionary import key
-from nodes import channel_law as law
-from nodes import filter as filters
-from nodes.channel_law import NEGATIVE_OVERLOAD, NOT_VALID, POSITIVE_OVERLOAD
 from nodes.core.application import Application
 from nodes.core.interfaces import ProfileHost
-from nodes.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
+from nodes.sensors import channel_law as law
+from nodes.sensors import filter as filters
+from nodes.sensors.channel_law import NEGATIVE_OVERLOAD, NOT_VALID, POSITIVE_OVERLOAD
+from nodes.sensors.scaling import INTEGER16, INTEGER32, integer, invalid, real32, two_point
 
 FIELD_REAL, FIELD = key(0x6100, 1), key(0x9100, 1)
 OPERATING_MODE, SAMPLE_RATE = key(0x6112, 1), key(0x6114, 1)

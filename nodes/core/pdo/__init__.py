@@ -1,0 +1,1 @@
+"""PDOs of a device: mapping, parameters, reception and transmission."""
