@@ -65,7 +65,8 @@ _TARGETS: Final = {
 }
 
 NMT_TRANSITIONS: Final = MappingProxyType({(s, c): t for s in _STATES for c, t in _TARGETS.items()})
-"""(state, command) → state (CiA 301, figure 48); initialising leaves by itself to PRE-OPERATIONAL, with a boot-up."""
+"""(state, command) → state (CiA 301, figure 48); INITIALISING passes to PRE-OPERATIONAL without a command, with a
+boot-up."""
 
 SERVICES: Final = MappingProxyType({
     NmtState.INITIALISING: frozenset[Service](),
@@ -73,7 +74,7 @@ SERVICES: Final = MappingProxyType({
     NmtState.OPERATIONAL: frozenset(Service),
     NmtState.STOPPED: frozenset({Service.NMT, Service.ERROR_CONTROL}),
 })
-"""What a node may send and answer in each state (CiA 301, table 37)."""
+"""Services that a node provides in each state (CiA 301, table 37)."""
 
 NMT_COB_ID: Final = 0x000
 SYNC_COB_ID: Final = 0x080
@@ -87,7 +88,7 @@ HEARTBEAT_BASE: Final = 0x700
 COB_ID_INVALID: Final = 1 << 31
 """PDO and EMCY COB-ID entries: the object does not exist."""
 COB_ID_NO_RTR: Final = 1 << 30
-"""TPDO COB-ID entries: no remote request allowed. In 0x1005 the same bit says that the device makes the SYNC."""
+"""TPDO COB-ID entries: no remote request allowed. In 0x1005 the same bit marks the device as the SYNC producer."""
 COB_ID_EXTENDED: Final = 1 << 29
 
 SYNC_MAX: Final = 240

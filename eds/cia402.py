@@ -1,7 +1,6 @@
 """CiA 402: the power drive system's state machine, as one table for master, drives, tests and docs.
 
-The rule of this file: behaviour is read from `TRANSITIONS`; nothing else in the project knows which
-state follows which.
+`TRANSITIONS` alone holds which state follows which; all behaviour is derived from it.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class State(Enum):
 
 
 class DriveEvent(Enum):
-    """What moves the state machine: commands of the controlword, and events inside the drive."""
+    """Event of the state machine: a command of the controlword, or an event inside the drive."""
 
     INITIALISED = "initialised"
     SHUTDOWN = "shutdown"
@@ -47,7 +46,7 @@ class DriveEvent(Enum):
 
 
 class Command(NamedTuple):
-    """A command: the controlword shows it where `word & mask == value`; `word` is what a master sends for it."""
+    """A command: the controlword shows it if `word & mask == value`; a master sends `word` for it."""
 
     mask: int
     value: int
@@ -169,9 +168,9 @@ _NEXT: Final = MappingProxyType({goal: MappingProxyType(_routes(goal)) for goal 
 def next_controlword(state: State, goal: State) -> int:
     """Give the controlword that moves a drive from `state` one row nearer to `goal`, or holds it there.
 
-    In a state that leaves by itself (NOT READY, FAULT REACTION ACTIVE) or has no way to the goal it is 0x0000.
-    Out of FAULT it is 0x0080: send 0x0000 before it, for the drive acts on the edge. `goal` is a state that can
-    be commanded: SWITCH ON DISABLED … OPERATION ENABLED, QUICK STOP ACTIVE (KeyError otherwise).
+    In a state that the drive ends without a command (NOT READY, FAULT REACTION ACTIVE), or without a way to the goal,
+    it is 0x0000. Out of FAULT it is 0x0080: send 0x0000 before it, for the drive acts on the edge. `goal` is a state
+    that can be commanded: SWITCH ON DISABLED … OPERATION ENABLED, QUICK STOP ACTIVE (KeyError otherwise).
     """
     return _NEXT[goal].get(state, 0x0000)
 
@@ -243,7 +242,7 @@ class HomingMethod(IntEnum):
 
 
 class Stop(IntEnum):
-    """Values of 0x605A (quick stop) that the drives here know; 0x605B to 0x605E know the first three."""
+    """Values of 0x605A (quick stop) that the drives here support; 0x605B to 0x605E support the first three."""
 
     DISABLE = 0
     SLOW_DOWN_RAMP = 1
@@ -253,7 +252,7 @@ class Stop(IntEnum):
 
 
 class AbortConnection(IntEnum):
-    """Values of 0x6007: what a drive does when its communication is lost."""
+    """Values of 0x6007: the drive's reaction to a lost connection."""
 
     NO_ACTION = 0
     FAULT = 1

@@ -1,7 +1,7 @@
 """CiA 301 data types: width, sign, range, and the bytes of a value.
 
-The rule of this file: a value is an int, a float or bytes (strings and domains are bytes), and each
-type knows alone how it lies on the wire, little-endian.
+A value is an int, a float or bytes (strings and domains are bytes); each type converts its values to little-endian
+bytes and back.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Declaration of a bench: its devices, its joints and its force paths, read from `bench.toml`.
 
-A declaration states what is connected to what. `eds.bench.bench_network` derives the wire from it: COB-IDs, PDO plans,
-shared frames, set-up. Without `[[device]]` tables the packaged `bench.toml` holds, which is the bench of the paper.
+A declaration states how devices, joints and ropes are connected. `eds.bench.bench_network` derives the wire from it:
+COB-IDs, PDO plans, shared frames, set-up. Without `[[device]]` tables the packaged `bench.toml` holds, the bench of
+the paper.
 """
 
 from __future__ import annotations
@@ -132,7 +133,7 @@ class DeclaredBench:
         return next(device for device in self.devices if device.name == name)
 
     def start_of(self, actuator: str) -> DeclaredDevice | None:
-        """Return the START load cell of the path that a device actuates; None if there is none."""
+        """Return the START load cell of the path that a device actuates; None without one."""
         path = next((path for path in self.force_paths if path.actuator == actuator), None)
         return self.named(path.start) if path is not None and path.start else None
 

@@ -1,7 +1,7 @@
-"""How a device fits into its place on the bench: its file, the objects that play each part, their units.
+"""Mapping of a device to its place on the bench: its file, the objects that play each part, their units.
 
-The rule of this file: the bench knows parts (position, target, torque …), a fitting says which object of
-a device plays each. The defaults are the profile's objects, whose units the device declares itself.
+The bench names parts (position, target, torque …); a mapping names the object of the device that plays each. The
+defaults are the profile's objects, whose units the device declares.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class MappedPart(NamedTuple):
         return self.entry.data_type << 16 | self.entry.data_type.bits
 
     def unit(self, symbol: str) -> str:
-        """Say what a count is worth."""
+        """Return the value of one count, with its unit."""
         return f"{self.scale:g} {symbol} in {self.entry.data_type.name}"
 
 

@@ -1,7 +1,7 @@
 """Object dictionaries, read from EDS and DCF files (CiA 306).
 
-The rule of this file: a reader that survives vendors. What it cannot understand it leaves out and
-never guesses; `eds.files.check` is the one that complains.
+The reader survives vendors' files: unreadable entries are left out and never guessed; `eds.files.check` is the module
+that reports them.
 """
 
 from __future__ import annotations
@@ -195,7 +195,8 @@ def _compact(section: ini.Section, sections: Mapping[str, ini.Section], index: i
 
 
 def _data_type(section: ini.Section, sections: Mapping[str, ini.Section]) -> DataType | None:
-    """The section's type; a type of its own kind (CANFestival's [A0] sections) is followed once, else a DOMAIN."""
+    """Return the section's type; a vendor-specific type (CANFestival's [A0] sections) is followed once, else a
+    DOMAIN."""
     code = number(section.get("DataType"))
     if code is None:
         return DataType.DOMAIN if number(section.get("ObjectType")) == DOMAIN_OBJECT else None

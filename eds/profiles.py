@@ -1,7 +1,7 @@
-"""What the profiles say of their objects: data type, access, and which ones must be there.
+"""Requirements of the profiles on their objects: data type, access, and mandatory objects.
 
-The rule of this file: tables, one per profile, in the profile's own order; `eds.files.check` reads them.
-A row is `index[.sub] type access [m]`: `.*` stands for every sub-index from 1, `m` for mandatory.
+Tables, one per profile, in the profile's own order; `eds.files.check` reads them. A row is `index[.sub] type access
+[m]`: `.*` means every sub-index from 1, `m` mandatory.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ACCESS: Final = MappingProxyType({
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What a profile demands of an object; `subindex` None means every one from 1."""
+    """Requirement of a profile on an object; `subindex` None means every one from 1."""
 
     index: int
     subindex: int | None

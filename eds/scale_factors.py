@@ -1,7 +1,7 @@
-"""Raw counts ↔ SI, as the devices' own unit objects say.
+"""Raw counts ↔ SI, from the devices' own unit objects.
 
-The rule of this file: no scale is written down twice. A plan's factors come from 0x608F, 0x6091, 0x6092,
-0x60A8, 0x60A9, 0x6076, 0x6131 and 0x6132 of the dictionary, whoever made the device.
+No scale is written down twice. A plan's factors come from 0x608F, 0x6091, 0x6092, 0x60A8, 0x60A9, 0x6076, 0x6131 and
+0x6132 of the dictionary, whoever made the device.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ UNIT_OBJECTS: Final = ((0x60A8, 0), (0x60A9, 0), (0x6076, 0), (0x6131, 1), (0x61
 def units(dictionary: Dictionary) -> dict[int, tuple[float, str]]:
     """SI per raw count and SI unit of every object whose unit the device declares, by key.
 
-    A unit word that is not known here, such as 0, leaves its objects out.
+    Objects with an unsupported unit word, such as 0, are left out.
     """
     found: dict[int, tuple[float, str]] = {}
     has = dictionary.entries.__contains__

@@ -1,7 +1,7 @@
 """Docstrings of the product: what can be held mechanically of how the project writes.
 
-A docstring is counted if its summary opens with a relative word, if a thing speaks or knows in it, or if a sentence is
-longer than thirty words.  The share of a room may fall, never rise beyond its ceiling.
+A docstring is counted if its summary opens with a relative word, if a thing speaks or knows in it, if it has a private
+term, or if a sentence is longer than thirty words.  The share of a room may fall, never rise beyond its ceiling.
 """
 
 from __future__ import annotations
@@ -15,16 +15,22 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CEILING_PERCENT = {
-    "parameters": 8, "eds": 15, "physics": 21, "nodes": 17, "trial": 22, "master": 29, "virtual_bus": 23,
-    "diagnosis": 26, "bowden": 27}
-"""Largest share of counted docstrings by room, in percent: the share when it was set, and four points.
+    "parameters": 2, "eds": 2, "physics": 30, "nodes": 26, "trial": 2, "master": 37, "virtual_bus": 32,
+    "diagnosis": 44, "logbook": 18, "bowden": 34}
+"""Largest share of counted docstrings by room, in percent: 2 if the room was rewritten, else its share and five points.
 
-Lower a ceiling when a room was mended.  A share above it means that docstrings were added against the rules.
+A ceiling only falls.  A share above it means that docstrings were added against the rules.
 """
 LONGEST_SENTENCE = 30
 OPENING = re.compile(r"(What|Where|How|The same|That|Those|It|There|Which|As)\b")
 SPEECH = re.compile(
-    r"\b(say|says|said|tell|tells|told|know|knows|teach|teaches|taught|speaks?|believes?|remembers?|forgets?)\b")
+    r"\b(says?|said|saying|tells?|told|knows?|teach(?:es)?|taught|speaks?|swallows?|outlives?|wants?|believes?|pays?"
+    r"|forgets?|remembers?)\b")
+"""Verbs of people; a function returns, a file contains, an engineer decides."""
+PRIVATE = re.compile(
+    r"\b(nameless|strained|bends? to|stands? (?:in )?for|is none|leaves?|strangers?|takers?|heed|witness\w*|rivals?"
+    r"|strange|floors?|taken away|of its own|what (?:is|was|it|the|a|an|one|no|other|nothing))\b", re.IGNORECASE)
+"""Words of everyday English that had become private terms of the project, and relative clauses without a noun."""
 
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
@@ -42,6 +48,7 @@ def faults(text: str) -> list[str]:
     """Return why a docstring is counted; empty if it is not."""
     found = [f"opens with {m[0]!r}" for m in [OPENING.match(text.strip())] if m]
     found += [f"{word!r} of a thing" for word in SPEECH.findall(text)[:1]]
+    found += [f"the private term {word!r}" for word in PRIVATE.findall(text)[:1]]
     sentences = re.split(r"(?<=[.:;])\s", text)
     return found + ["a sentence of more than 30 words"] * any(len(s.split()) > LONGEST_SENTENCE for s in sentences)
 
@@ -60,7 +67,8 @@ def test_docstrings_of_a_room_keep_its_ceiling(room: str) -> None:
 
 
 @pytest.mark.parametrize(("text", "count"), [
-    ("Return the force, in N.", 0), ("What the bench does.", 1), ("It tells the force.", 2),
+    ("Return the force, in N.", 0), ("What a bench does.", 2), ("It tells the force.", 2),
+    ("Return the force, None if it is none.", 1),
     ("Return " + "a " * 31 + "force.", 1)])
 def test_each_rule_is_seen(text: str, count: int) -> None:
     assert len(faults(text)) == count

@@ -50,9 +50,9 @@ def write(
     target: str | Path, content: TrialContent, *, metadata: Mapping[str, str], result: Mapping[str, object],
     attachments: Mapping[str, bytes] | None = None, overwrite: bool = False, progress: Progress = silent,
 ) -> None:
-    """Write a trial; its columns are those of its signals that `content` has.  Raises `InputError`.
+    """Write a trial; its columns are those of its signals that `content` has. Raises `InputError`.
 
-    The file appears when it is whole; `progress` is told the share done, 0 … 1.
+    The file appears when it is complete; `progress` receives the share done, 0 … 1.
     """
     signals = [signal for signal in content.signals if signal.name in content.columns]
     columns = [content.columns[signal.name] for signal in signals]

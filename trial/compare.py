@@ -1,7 +1,7 @@
-"""Two trials side by side: what they were told, what came out, and how their signals differ.
+"""Comparison of two trials: their settings, their results, and the differences between their signals.
 
-The rule of this file: signals are compared row by row where both trials have the same rows, else at the same gait
-phase, else at the same time, and it is said which; A minus B throughout; what only one of them has is listed.
+Signals are compared row by row if both trials have the same rows, else at the same gait phase, else at the same time;
+`matched` names which. Differences are A minus B, and whatever only one trial has is listed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 
 class FieldDifference(NamedTuple):
-    """Something that is not the same: `a` or `b` is None where that trial does not have it."""
+    """One differing entry; `a` or `b` equals None if that trial does not have the key."""
 
     key: str
     a: object
@@ -29,7 +29,8 @@ class FieldDifference(NamedTuple):
 
 
 class SignalDifference(NamedTuple):
-    """How A's signal differs from B's, over `rows` of A: RMS, mean and largest magnitude, and when that is (s)."""
+    """Difference of A's signal from B's over `rows` of A: RMS, mean, largest magnitude, and the time of the largest
+    (s)."""
 
     name: str
     unit: str
@@ -42,7 +43,7 @@ class SignalDifference(NamedTuple):
 
 @dataclass
 class TrialComparison:
-    """What differs between two trials; `same` where every channel is the same, bit for bit."""
+    """Differences between two trials; `same` if every channel is the same, bit for bit."""
 
     same: bool
     matched: str
@@ -170,7 +171,7 @@ def aligned(a: Trial, b: Trial, name: str) -> tuple[str, Floats, Floats, Floats]
 
 
 def _at(wanted: Floats, along: Floats, values: Floats) -> Floats:
-    """Return `values` at the places `wanted`, NaN outside, where unknown, and next to what is unknown."""
+    """Return `values` interpolated at `wanted`; NaN outside the range and beside an unknown sample."""
     good = np.isfinite(along)
     between = np.interp(wanted, along[good], values[good], left=np.nan, right=np.nan)
     return np.where(np.isfinite(wanted), between, np.nan)

@@ -1,8 +1,8 @@
-"""A knee motion or a desired force from a file, checked row by row.
+"""Knee motions and desired forces from files, checked row by row.
 
-The rule of this file: what a row says is used, bridged and counted, or refused with the row's number; nothing
-is smoothed or closed here (`physics.reference` does that).  The file is read as every CSV file is, by
-`trial.convert.csv_file`: its delimiter, decimal sign, units row and encoding are detected.
+Each row is used, bridged and counted, or refused with its number; nothing is smoothed or closed here
+(`physics.reference` does that). `trial.convert.csv_file` reads the file: its delimiter, decimal sign, units row and
+encoding are detected.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 class Abscissa(NamedTuple):
-    """What runs along a curve: the longest step between samples that is bridged by a straight line."""
+    """Abscissa of a curve, and the longest step between samples that a straight line may bridge."""
 
     name: str
     unit: str
@@ -57,9 +57,9 @@ LEAST_ROWS = 8
 class Curve:
     """One gait cycle of a file: `percent` 0 … 100 rising, `values` in SI, of equal length.
 
-    `strides` is how many whole ones the file holds; of several, `values` is the first one.  `stride_s` is its
-    duration (NaN where the file knows no time), `begins` where on the file's own axis it begins; `bridged` counts
-    rows without a value that a straight line replaced, `trimmed` those at the ends that were left out.
+    `strides` is the number of complete strides in the file; of several, `values` is the first one. `stride_s` is its
+    duration (NaN if the file has no time), `begins` its start on the file's own axis. `bridged` counts rows without a
+    value that a straight line replaced, `trimmed` those at the ends that were left out.
     """
 
     path: Path
@@ -73,7 +73,7 @@ class Curve:
     trimmed: int
 
     def note(self) -> str:
-        """Return in one sentence what was done to the file."""
+        """Return in one sentence how the file was processed."""
         parts = [f"{len(self.values)} samples"]
         if self.strides > 1:
             parts.append(f"the first of {self.strides} strides of {self.stride_s:.2f} s, from {self.begins:g} s")

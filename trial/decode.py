@@ -1,9 +1,8 @@
-"""CAN frames to control cycles, by the PDO plans: what each mapped object is, and a whole log at once.
+"""CAN frames to control cycles, by the PDO plans: the signal of each mapped object, and a whole log at once.
 
-The rule of this file: a row is one SYNC; a TPDO belongs to the SYNC before it in the log, a target to the cycle
-it was computed in; what did not come in a cycle is NaN there.  Nothing is held over and nothing guessed.
-`layout` is the one place that says which object is which signal; `cycles` decodes a log by it, and
-`trial.follow.Follower` a bus, frame by frame.
+A row is one SYNC. A TPDO belongs to the SYNC before it in the log, a target to the cycle in which it was computed;
+values that did not arrive in a cycle are NaN. Nothing is held over and nothing guessed. `layout` alone maps objects
+to signals; `cycles` decodes a log by it, and `trial.follow.Follower` a bus, frame by frame.
 """
 
 from __future__ import annotations
@@ -37,9 +36,9 @@ TARGETS = ("servo_target_m", "knee_target_rad")
 
 
 class Place(NamedTuple):
-    """What one mapped object is: its signal, raw × scale / divisor in SI, its field and the bit where it begins.
+    """Meaning of one mapped object: its signal, raw × scale / divisor in SI, its field and its first bit.
 
-    `optional`: the least integer says that there is no value.
+    `optional`: the least integer marks a missing value.
     """
 
     signal: str
@@ -51,7 +50,7 @@ class Place(NamedTuple):
 
 
 class PdoSource(NamedTuple):
-    """What a PDO carries: its plan, a name to count it by, its signals, and the column of its arrival, if any."""
+    """Contents of a PDO: its plan, a name for counts, its signals, and the column of its arrival, if any."""
 
     plan: PdoPlan
     name: str
@@ -60,7 +59,7 @@ class PdoSource(NamedTuple):
 
 
 class DecodedCycles(NamedTuple):
-    """Control cycles: the time of each SYNC (ns, strictly rising), columns by signal name, and what was counted."""
+    """Control cycles: the time of each SYNC (ns, strictly rising), columns by signal name, and counted anomalies."""
 
     time_ns: NDArray[np.int64]
     columns: dict[str, Floats]
@@ -84,7 +83,7 @@ def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
 
 
 def _observed(wire: WireLayout, device: DeclaredDevice) -> PdoSource:
-    """Return what the TPDO of an observer carries."""
+    """Return the contents of an observer's TPDO."""
     plan, entry = wire.tpdo[tpdo_cob_id(device.node_id)], wire.nodes[device.node_id]
     names = {entry.part(one.part).entry.key: f"{device.name}_{one.ending}" for one in device.type.observed}
     places = tuple(Place(names[field.key], field.scale, 1.0, False, field, bit)
@@ -125,7 +124,7 @@ def cycles(rows: NDArray[np.void], wire: WireLayout) -> DecodedCycles:
 def _place(
     found: DecodedCycles, rows: NDArray[np.void], sync: NDArray[np.intp], plan: PdoPlan, name: str
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the rows of a PDO and the cycle of each; counts what is short, early, missing or there twice."""
+    """Return the rows of a PDO and the cycle of each; counts short, early, missing and repeated frames."""
     every = np.flatnonzero(rows["can_id"] == plan.cob_id)
     whole = every[rows["dlc"][every] >= plan.size]
     cycle = np.searchsorted(sync, whole, side="right") - 1
@@ -179,7 +178,7 @@ def _raw(data: NDArray[np.uint8], field: Field, offset: int) -> Floats:
 
 
 def events(rows: NDArray[np.void], names: Mapping[int, str] = NAMES) -> list[tuple[int, str, str, str]]:
-    """Return what NMT, EMCY and boot-up frames say, as events."""
+    """Return NMT, EMCY and boot-up frames as events in words."""
     can_id, dlc = rows["can_id"], rows["dlc"]
     plain = rows["flags"] == 0
     emcy = plain & (can_id >= EMCY_FIRST) & (can_id <= EMCY_LAST) & (dlc >= 3)

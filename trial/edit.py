@@ -1,7 +1,7 @@
-"""A part of an MCAP recording, or several made one: `bowden cut` and `bowden merge`.
+"""Parts and unions of MCAP recordings: `bowden cut` and `bowden merge`.
 
-The rule of this file: messages keep their bytes, times and channels; their sequence numbers count anew, since what was
-left out is not lost.  It works on any MCAP file, with mcap's own reader and writer: speed does not matter here.
+Messages keep their bytes, times and channels. Sequence numbers are counted anew, since messages left out on purpose
+are not lost ones. Any MCAP file will do; mcap's own reader and writer are used, since speed does not matter here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TOLD_OF_A_WHOLE = ("cycles", "settle")  # of a trial's metadata: does not hold f
 
 @dataclass
 class Edited:
-    """What was written: messages by topic, and how long they last, s."""
+    """Result of an edit: messages by topic, and the duration of the written recording, s."""
 
     messages: dict[str, int] = field(default_factory=dict)
     seconds: float = 0.0
@@ -65,8 +65,8 @@ def cut(
 def merge(sources: Sequence[Path], target: Path, *, overwrite: bool = False) -> Edited:
     """Write several recordings as one, by time.
 
-    Topics that several of them have are joined where they follow each other and have one schema.  Raises `InputError`
-    where they overlap, since nobody could tell whose message is whose.
+    Topics that several of them have are joined if they follow each other and have one schema. Raises `InputError` if
+    they overlap, since messages could not be attributed to a recording.
     """
     if len(sources) < 2:
         raise InputError("merge: needs two recordings or more.")

@@ -1,9 +1,9 @@
-"""The figures a trial is judged by, from its columns.
+"""Figures of merit of a trial, computed from its columns.
 
-The rule of this file: pure functions over arrays; a figure that the data cannot give is None, never a guess.
-Rows are scored in whole gait cycles, without the first `settle`.  END is taken as it was recorded at the latch
-that also holds the desired force.  In the idle and jump figures it is low-passed first: Butterworth of second
-order at 20 Hz, forwards and backwards (no phase, −6 dB at 20 Hz); true END never is.
+Pure functions over arrays; a figure that the data cannot give equals None, never a guess. Rows are scored in complete
+gait cycles, without the first `settle`. END is taken as recorded at the latch that also holds the desired force. In
+the idle and jump figures it is low-passed first: Butterworth of second order at 20 Hz, forwards and backwards (no
+phase, −6 dB at 20 Hz); true END never is.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ def figures(
 ) -> dict[str, float | None]:
     """Return the eight force figures of a trial by their `--json` names, in percent of `peak_n` or in N.
 
-    `columns` needs gait_percent, cycle, desired_force_n and tension_end_n, one row a control cycle at `rate_hz`;
-    `true_end_n` has their length, or is None where nobody knows it.  `settle` < `cycles` are numbers of gait cycles.
+    `columns` needs gait_percent, cycle, desired_force_n and tension_end_n, one row a control cycle at `rate_hz`.
+    `true_end_n` has their length; it is omitted (None) if the true force is unknown. `settle` < `cycles` are numbers
+    of gait cycles.
     """
     scored = (columns["cycle"] >= settle) & (columns["cycle"] < cycles)
     return _both(columns, scored, peak_n, rate_hz, true_end_n)

@@ -1,8 +1,7 @@
-"""Where a recording stands that is played, paused, stepped and sought: one table of states, one time axis.
+"""State of a played recording: position on one time axis, and one table of states for pause, step and seek.
 
-The rule of this file: time comes in as an argument and nothing here waits or sends.  Positions are ns of the recording,
-clock readings are ns of whatever clock the caller reads.  The live view (`bowden.live`) and the replay onto a bus
-(`bowden.replay.player`) both play by it.
+Time is an argument; nothing here waits or sends. Positions are ns of the recording, clock readings are ns of the
+caller's clock. The live view (`bowden.live`) and the replay onto a bus (`bowden.replay.player`) share it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ SPEEDS = (0.001, 1000.0)
 
 
 class PlayerStatus(Enum):
-    """Where playing stands; READY is paused at the start, until somebody plays or watches."""
+    """State of a player; READY is paused at the start, until a viewer opens or plays."""
 
     READY = "ready"
     PLAYING = "playing"
@@ -28,7 +27,7 @@ class PlayerStatus(Enum):
 
 
 class PlayerControl(Enum):
-    """What a player is told; WATCH: a viewer has opened; END comes from the recording itself."""
+    """Command to a player; WATCH: a viewer has opened; END comes from the recording itself."""
 
     PLAY = "play"
     PAUSE = "pause"
@@ -88,7 +87,8 @@ class Playback:
         return self.origin_clock_ns + round(max(0, position_ns - self.origin_ns) / self.speed)
 
     def advanced(self, clock_ns: int) -> Playback:
-        """Return it at a later look; what is due is in `self.at_ns` … `.at_ns`, without the latter."""
+        """Return the playback at a later clock reading; messages in `self.at_ns` … `.at_ns` are due, the latter
+        excluded."""
         late = max(0, clock_ns - self.clock_ns - LONGEST_NS)
         clock = replace(self, clock_ns=clock_ns, origin_clock_ns=self.origin_clock_ns + late)
         if self.status is not PlayerStatus.PLAYING:
@@ -110,10 +110,9 @@ class Playback:
     def told(
         self, clock_ns: int, control: PlayerControl, *, speed: float | None = None, seek_ns: int | None = None
     ) -> Playback:
-        """Return it after a control; a seek is held inside the recording, a speed between 0.001 and 1000.
+        """Return the playback after a command; a seek is limited to the recording, a speed to 0.001 … 1000.
 
-        It goes on from `at_ns`: what the clock has counted since the last look does not count.  An end that is
-        played on begins again.
+        Playing goes on from `at_ns`: clock time since the last look does not count. PLAY at the end begins again.
         """
         status = TRANSITIONS.get((self.status, control), self.status)
         at = self.at_ns

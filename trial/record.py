@@ -1,9 +1,9 @@
-"""Recording a trial: the control thread packs rows into flat memory, a writer makes chunks of them in bulk.
+"""Recording of a trial: the control thread packs rows into flat memory, a writer makes chunks of them in bulk.
 
-The rule of this file: nothing is lost and nothing blocks.  A row is one `pack_into`; rows are handed over
-when a chunk is full or when the next 100 ms of trial time begin, so that the file depends only on what was
-recorded, not on when it was written.  With `threaded=True` another thread writes and, where the bus has been
-silent for 100 ms, also takes what is waiting; with False (virtual time) it is written in place.
+Nothing is lost and nothing blocks. A row is one `pack_into`. Rows are handed over when a chunk is full or when the
+next 100 ms of trial time begin. The file therefore depends on the recorded data only, not on the time of writing.
+With `threaded=True` another thread writes; if the bus has been silent for 100 ms, that thread also takes pending
+rows. With False (virtual time) rows are written in place.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ FRAME_BYTES = cdr.FRAME_STRUCT.size
 
 
 class RecordingError(Exception):
-    """The file takes no more; what was written is closed and readable.  The text says which file and why."""
+    """The file accepts no more data; all data up to here are closed and readable. The text names the file and the
+    reason."""
 
 
 class Recorder:
@@ -169,7 +170,7 @@ class Recorder:
         self._events.count += 1
 
     def close(self, result: Mapping[str, object]) -> None:
-        """Write what is waiting, then `result` (each value as JSON) and the summary; closing twice is closing once."""
+        """Write pending rows, then `result` (each value as JSON) and the summary; a second call does nothing."""
         written = {key: json.dumps(value, allow_nan=False) for key, value in result.items()}
         for block in self._waiting():
             self._writer.put(block)

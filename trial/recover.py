@@ -1,8 +1,8 @@
-"""A torn or damaged recording, made whole again.
+"""Repair of a torn or damaged recording.
 
-The rule of this file: what survived is kept as it was, byte for byte and with its sequence numbers, so that a
-reader sees what is missing; what does not match its checksum is left out and counted, never mended.  The
-file is read once from front to back, a chunk at a time.
+Surviving messages are kept as they were, byte for byte and with their sequence numbers, so that gaps stay visible.
+Data that do not match their checksum are left out and counted, never mended. The file is read once from front to
+back, a chunk at a time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Index = dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 @dataclass
 class Recovery:
-    """What was found: messages kept, chunks they came from, chunks left out, bytes that belong to no record."""
+    """Result of a recovery: messages kept, chunks they came from, chunks left out, bytes that belong to no record."""
 
     messages: int = 0
     chunks: int = 0
@@ -41,9 +41,9 @@ class Recovery:
 def recover(
     torn: str | Path, whole: str | Path, *, overwrite: bool = False, progress: Progress = silent
 ) -> Recovery:
-    """Write every surviving message of `torn` to `whole`, indexed; raises `InputError` where nothing survived.
+    """Write every surviving message of `torn` to `whole`, indexed; raises `InputError` if nothing survived.
 
-    `whole` appears when it is complete; `progress` is told the share done, 0 … 1.
+    `whole` appears when it is complete; `progress` receives the share done, 0 … 1.
     """
     torn, whole = Path(torn), Path(whole)
     if whole.exists() and torn.exists() and whole.samefile(torn):

@@ -1,8 +1,8 @@
-"""The names of what one control cycle measured, wanted and did.
+"""Names of all signals of one control cycle: measured, desired and commanded.
 
-The rule of this file: a signal has one name, one unit and one meaning, in `/cycle`, in a CSV header and
-on a report's axis.  Order is the order of `/cycle`; a name is never reused for something else.  What is
-not known in a cycle is NaN, and a column that a trial does not have is missing knowledge, never zeros.
+A signal has one name, one unit and one meaning, in `/cycle`, in a CSV header and on a report's axis. The order is
+that of `/cycle`; a name is never reused for something else. A value that is unknown in a cycle is NaN; a column that
+a trial does not have is missing, never zeros.
 """
 
 from __future__ import annotations

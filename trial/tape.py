@@ -1,7 +1,7 @@
-"""The messages of a recorded trial by time, as a player wants them.
+"""Messages of a recorded trial by time, for a player.
 
-The rule of this file: the player says which span of the trial is due; the tape says what lies in it.  Every message of
-a trial played from end to end comes exactly once.
+The player asks for a time span; the tape returns the messages in it. Every message of a trial played from end to end
+comes exactly once.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Tape:
         return found
 
     def latest(self, at_ns: int, topics: frozenset[str]) -> list[Message]:
-        """Return the last message of each of `topics` before `at_ns`: what a viewer shows after a seek."""
+        """Return the last message of each of `topics` before `at_ns`: a viewer's content after a seek."""
         found: list[Message] = []
         for topic in sorted(topics):
             _, end = self._span(topic, self.first_ns, at_ns)

@@ -55,7 +55,7 @@ class NodeEntry(NamedTuple):
     fitting: DeviceMapping
 
     def part(self, name: str) -> MappedPart:
-        """Find the object that plays a part; `InputError` where there is none."""
+        """Find the object that plays a part; raises `InputError` if the device has none."""
         return part(self.dictionary, self.fitting, name)
 
     def lacks(self, names: Sequence[str]) -> Iterator[str]:
@@ -68,9 +68,9 @@ class NodeEntry(NamedTuple):
 
 
 class WireLayout:
-    """Everything that both ends of the wire must know, built once; treat it as read-only.
+    """The agreement between both ends of the wire, built once; treat it as read-only.
 
-    A joint without a drive has a place in the frame of targets, too: the angle that whoever moves it is asked for.
+    A joint without a drive has a place in the frame of targets, too: the desired angle, for whoever moves the joint.
 
     `tpdo` maps COB-ID to plan, in the order of the declaration (paper's bench: 181h servo, 182h knee, 183h START,
     184h END). `target_frames` and `controlword_frames` are the master's frames to the drives, as many drives in each
@@ -176,7 +176,7 @@ class WireLayout:
         return tuple(self._frame(name, base + group[0], group) for group in self._groups(name))
 
     def master_frames(self) -> Iterator[tuple[str, PdoPlan, Sequence[int]]]:
-        """Yield the master's frames to the drives: what is in it, its plan, and the node of each object in it."""
+        """Yield the master's frames to the drives: the frame's content, its plan, and the node of each object in it."""
         for name, frames in (("target", self.target_frames), ("controlword", self.controlword_frames)):
             yield from ((name, plan, group) for plan, group in zip(frames, self._groups(name), strict=True))
 
@@ -213,7 +213,8 @@ class WireLayout:
             yield option, 0, int(code)
 
     def _step_limit(self, node_id: int) -> int:
-        """What the drive's greatest speed (0x607F) makes of `STEP_US`, or of `STEP_CYCLES` where that is longer."""
+        """Return the largest position step in `STEP_US`, or in `STEP_CYCLES` if longer, at the drive's maximum speed
+        (0x607F)."""
         for_us = max(STEP_US, STEP_CYCLES * self.network.period_us)
         return max(1, self.nodes[node_id].dictionary.initial(0x607F) * for_us // 1_000_000)
 
@@ -239,7 +240,7 @@ def wire(network: Network, device_mappings: Mapping[int, DeviceMapping] | None =
 
 
 def lacks(network: Network, device_mappings: Mapping[int, DeviceMapping] | None = None) -> list[str]:
-    """List in a sentence each what the devices lack for their places; empty if all of them fit."""
+    """List in a sentence each the objects that devices lack for their places; empty if all of them fit."""
     entries = _entries(network, device_mappings)
     unfit = [said for device in network.bench.devices for said in entries[device.node_id].lacks(_parts(device))]
     return unfit or [said for node in entries for said in wire(network, device_mappings).missing(node)]

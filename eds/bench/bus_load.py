@@ -1,12 +1,12 @@
-"""How full the bus is, and how late a frame can be.
+"""Bus load and worst-case response times.
 
-The rule of this file: bounds, not estimates. Frame lengths at maximum stuffing; response times by Davis,
-Burns, Bril and Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted, revisited and
-revised", Real-Time Systems 35 (2007); a network that cannot keep its own deadline is refused.
+The results are bounds, not estimates. Frame lengths are at maximum stuffing; response times by Davis, Burns, Bril and
+Lukkien, "Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised", Real-Time Systems 35
+(2007). A network that cannot keep its own deadline is refused.
 
-A cycle is a chain: SYNC, then the inputs, then the targets. Each link waits at most for one frame of lower
-priority that has begun. The chain holds for the sustained traffic; an EMCY or an SDO in a cycle may cost
-that cycle its deadline, which the master counts as a miss, and `responses` tells how late it can get.
+A cycle is a chain: SYNC, then the inputs, then the targets. Each link waits at most for one frame of lower priority
+that has begun. The chain holds for the sustained traffic. An EMCY or an SDO in a cycle may cost that cycle its
+deadline, which the master counts as a miss; `responses` gives the worst lateness.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SDO_SIZE: Final = 8
 def frame_bits(size: int, worst: bool = True) -> int:
     """Bit times of an 11-bit data frame of `size` bytes with its interframe space; unstuffed unless `worst`.
 
-    Worst case (Davis 2007, eq. 1 with g = 34): 34 + 8n + 13 + floor((34 + 8n - 1) / 4) = 55 + 10n.
+    Worst case (Davis 2007, eq. 1 with g = 34): 34 + 8n + 13 + ⌊(34 + 8n − 1) / 4⌋ = 55 + 10n.
     """
     bits = 47 + 8 * size
     return bits + (33 + 8 * size) // 4 if worst else bits
@@ -67,7 +67,7 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What `bowden check config` shows; times in ns, `inputs_ns` and `deadline_ns` from the SYNC's own instant."""
+    """Figures of `bowden check config`; times in ns, `inputs_ns` and `deadline_ns` from the SYNC's own instant."""
 
     load_percent: float
     inputs_ns: int

@@ -1,6 +1,6 @@
-"""The network's parameters: bit rate, cycle, supervision times, turnarounds.
+"""Parameters of the network: bit rate, cycle, supervision times, turnarounds.
 
-The rule of this file: what a user may change of the wire is declared here, and nowhere else.
+All wire settings that a user may change are declared here, and nowhere else.
 """
 
 from __future__ import annotations

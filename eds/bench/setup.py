@@ -51,7 +51,7 @@ class Pdo:
 
 
 def pdo_writes(dictionary: Dictionary, pdos: Sequence[Pdo]) -> Iterator[Write]:
-    """Yield the writes that leave a node with exactly these PDOs: every other one is made invalid first."""
+    """Yield the writes after which a node has exactly these PDOs: every other one is made invalid first."""
     used = {(pdo.base, pdo.number) for pdo in pdos}
     for base in (RPDO, TPDO):
         for number in range(1, PDOS + 1):

@@ -1,6 +1,6 @@
-"""Writes docs/wire.md from the wire's own declarations: `python -m eds.bench.wire_page [FILE]`.
+"""Generator of docs/wire.md from the declarations of the wire: `python -m eds.bench.wire_page [FILE]`.
 
-The rule of this file: the page repeats what the code says and adds only the sentences between.
+Values come from the code; this module adds only the sentences between them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""`bowden check eds`: what is wrong with an EDS or DCF, beyond what other checkers find.
+"""`bowden check eds`: faults of an EDS or DCF, beyond those that other checkers find.
 
-The rule of this file: every finding says where it is (file, section, key, line) and how to mend it, and
-no file, however broken, stops the search. The searches themselves stand in `check_sections` (what is
-written), `check_pdos` (maps and COB-IDs) and `check_profiles` (objects against their profile).
+Every finding has its place (file, section, key, line) and a remedy, and no file, however broken, stops the search.
+The searches are in `check_sections` (sections and keys), `check_pdos` (maps and COB-IDs) and `check_profiles`
+(objects against their profile).
 """
 
 from __future__ import annotations

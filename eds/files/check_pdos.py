@@ -1,7 +1,6 @@
 """PDO counts, maps, transmission types and COB-IDs of an EDS.
 
-The rule of this file: what a master would find out only when the device refuses, or when two frames
-collide, is found here.
+These faults would otherwise appear only when the device refuses a write, or when two frames collide.
 """
 
 from __future__ import annotations
@@ -148,7 +147,7 @@ def identifiers(sheet: EdsSheet) -> Iterator[SheetFault]:
 
 
 def _cob_id_places(sheet: EdsSheet) -> Iterator[tuple[int, int]]:
-    """Where COB-IDs stand; SYNC and TIME before the rest, so that it is the later one that is complained of."""
+    """Objects that hold COB-IDs; SYNC and TIME come first, so that a collision is reported at the later object."""
     places = [(0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1200, 1), (0x1200, 2)]
     places += [(index, 1) for index in (*_RPDO, *_TPDO)]
     return (place for place in places if key(*place) in sheet.dictionary.entries)

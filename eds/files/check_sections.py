@@ -1,6 +1,6 @@
-"""What is written in an EDS: sections, keys, lists, numbers, limits.
+"""Checks of the text of an EDS: sections, keys, lists, numbers, limits.
 
-The rule of this file: one search, one fault; nothing here knows a profile.
+One search per kind of fault; no profile is needed here.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""How EDS and DCF files write numbers, limits, values and section names.
+"""Notation of EDS and DCF files for numbers, limits, values and section names.
 
-The rule of this file: every notation met in the field is read, nothing is guessed; what is no number
-is None.
+Every notation met in the field is read, nothing is guessed; text that is not a number gives None.
 """
 
 from __future__ import annotations
@@ -23,9 +22,10 @@ def object_section(name: str) -> tuple[int, int | None] | None:
 
 
 def number(text: str | None, node_id: int | None = None) -> int | None:
-    """Read a number as EDS files write it: decimal, 0x…, C octal, …h, signed hex, `$NODEID` forms; None if it is none.
+    """Read a number as EDS files write it: decimal, 0x…, C octal, …h, signed hex, `$NODEID` forms; None for other
+    text.
 
-    A `$NODEID` form without a node id is None too.
+    A `$NODEID` form without a node id gives None, too.
     """
     word = (text or "").replace(" ", "")
     rest = _NODE_ID.sub("", word)
@@ -42,7 +42,7 @@ def number(text: str | None, node_id: int | None = None) -> int | None:
 
 
 def value(data_type: DataType, text: str | None, node_id: int | None = None) -> Value | None:
-    """Read a value of a type; None where the text is absent or is none."""
+    """Read a value of a type; None if the text is absent or not a value."""
     if text is None:
         return None
     if data_type.integer:
@@ -58,7 +58,7 @@ def value(data_type: DataType, text: str | None, node_id: int | None = None) -> 
 
 
 def limit(data_type: DataType, text: str | None, node_id: int | None = None) -> int | None:
-    """Read a LowLimit or HighLimit; None where the type has no order or the text is none."""
+    """Read a LowLimit or HighLimit; None if the type has no order or the text is not a number."""
     if data_type.real:
         try:
             return int(float(text or ""))

@@ -15,7 +15,7 @@ from eds.files.notation import object_section
 
 @dataclass(frozen=True, slots=True)
 class SheetFault:
-    """One fault: `text` says what is wrong, `remedy` what to do; `key` is "" where it concerns a whole section."""
+    """One fault: `text` describes it, `remedy` is the remedy; `key` is "" if it concerns a whole section."""
 
     file: str
     section: str
@@ -45,7 +45,7 @@ class EdsSheet:
                 self.objects.setdefault(place, section)
 
     def section(self, index: int, subindex: int | None = None) -> Section:
-        """Give the section of an object, or the nearest that stands for it."""
+        """Return the section of an object, or the nearest section for a report on it."""
         for place in ((index, subindex), (index, None), (index, 0)):
             if place in self.objects:
                 return self.objects[place]

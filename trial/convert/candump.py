@@ -1,9 +1,9 @@
-"""candump's log file, read and written: `(1700000000.000123) can0 181#3706102700000A00`.
+"""candump's log files, read and written: `(1700000000.000123) can0 181#3706102700000A00`.
 
-The rule of this file: stamps stay integers; a line that is none is counted, and only a file that is mostly
-such lines is refused.  Format: `candump -L` of can-utils; a remote frame carries its DLC, `R` or `T` behind a
-frame its direction, `_9` … `_F` behind its data a DLC above 8.  What candump shows on the screen
-(`(0.000123)  can0  181   [8]  37 06 10 27 00 00 0A 00`) is read where it was told to stamp its lines.
+Time stamps stay integers. A line that is not a frame is counted; a file that consists mostly of such lines is
+refused. Format: `candump -L` of can-utils. A remote frame carries its DLC; `R` or `T` after a frame is its direction,
+`_9` … `_F` after its data a DLC above 8. candump's screen output (`(0.000123) can0 181 [8] 37 06 10 27 00 00 0A 00`)
+is read, too, if its lines have time stamps.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def is_log(line: str) -> bool:
 
 
 def read(lines: Iterable[str]) -> LoggedFrames:
-    """Read a candump log; `counts` tells malformed lines, CAN FD frames, which a trial cannot hold, and DLC above 8.
+    """Read a candump log; `counts` holds malformed lines, CAN FD frames (a trial cannot store them) and DLCs above 8.
 
-    Raises `InputError` for what candump showed on a screen without a time, or with the time since the line before.
+    Raises `InputError` for screen output without a time, or with the time since the line before.
     """
     rows = Gathered()
     channels = ChannelNumbers()
@@ -78,7 +78,7 @@ def _row(found: re.Match[str], channels: ChannelNumbers, counts: dict[str, int])
 
 
 def _shown(text: str, channels: ChannelNumbers, counts: dict[str, int]) -> Row | None:
-    """Read a line of candump's screen; counts what is none."""
+    """Read a line of candump's screen output; a line that is not a frame is counted and gives None."""
     found = _SCREEN.match(text)
     if found is None:
         fd_frame = bool(_FD_LINE.match(text))
@@ -115,7 +115,7 @@ def _made(
 
 
 def lines(rows: NDArray[np.void]) -> Iterator[str]:
-    """Write frames as candump's lines; the format knows microseconds, what is finer is cut off."""
+    """Write frames as candump's lines; the format's resolution is 1 µs, finer digits are cut off."""
     for time_ns, can_id, flags, dlc, channel, sent, data in rows.tolist():
         seconds, rest = divmod(time_ns, 1_000_000_000)
         identifier = f"{can_id:08X}" if flags & cdr.EXTENDED else f"{can_id:03X}"
@@ -126,7 +126,7 @@ def lines(rows: NDArray[np.void]) -> Iterator[str]:
 
 
 def write(path: Path, rows: NDArray[np.void], progress: Callable[[float], None] = lambda share: None) -> None:
-    """Write a candump log; `progress` is told the share done, 0 … 1."""
+    """Write a candump log; `progress` receives the share done, 0 … 1."""
     with path.open("w", encoding="ascii") as file:
         for at in range(0, len(rows), 4096):
             file.writelines(lines(rows[at:at + 4096]))

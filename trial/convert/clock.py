@@ -22,7 +22,7 @@ LATEST_NS = 2**62  # in the year 2116; sums and differences of two such times fi
 
 
 class Mended(NamedTuple):
-    """Stamps ≥ 0 and what was done to them: steps of the clock taken out, and the shift of all to reach 0."""
+    """Time stamps ≥ 0 after repair, the number of clock steps taken out, and the shift of all of them to reach 0."""
 
     times: Integers
     steps: int

@@ -1,6 +1,6 @@
-"""What is in a file, of whatever format: streams with their rates, gaps, units and ranges, and who recorded it.
+"""Contents of a file of any format: streams with rates, gaps, units and ranges, and its author.
 
-The rule of this file: nothing is converted and nothing judged; what the file does not say is None.
+Nothing is converted and nothing judged; a property that the file does not state equals None.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ColumnSummary(NamedTuple):
 
 @dataclass
 class Contents:
-    """What a file holds."""
+    """Contents of a file, as `bowden info` shows them."""
 
     path: Path
     format: str
@@ -71,7 +71,7 @@ class Contents:
 
 
 def contents(path: Path) -> Contents:
-    """Return what is in a file; raises `InputError` where it cannot be read."""
+    """Return the contents of a file; raises `InputError` if it cannot be read."""
     refuse_special(path)
     if not path.exists():
         raise InputError(f"{path}: no such file; give the path of a recording, a log or a table.")

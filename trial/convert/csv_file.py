@@ -1,8 +1,8 @@
-"""A CSV file as its writer left it: encoding, delimiter, decimal sign, comments, header, units, kind of time.
+"""CSV files as their writers made them: encoding, delimiter, decimal sign, comments, header, units, kind of time.
 
-The rule of this file: what is not told is detected from the text itself, what was detected beyond the plain is said,
-and what is told (`Dialect`) is not questioned.  Rows are counted as an editor counts them.  It is the one place that
-parses CSV: imports, curves and the diagnosis read through it.
+Properties that the caller does not give are detected from the text; unusual detections are reported. Properties that
+the caller gives (`Dialect`) are not questioned. Rows are counted as an editor counts them. All CSV parsing is here:
+imports, curves and the diagnosis read through this module.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _COMMA_INSIDE = re.compile(r"\d,\d")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a CSV file is written; what is left empty or −1 is detected.  It is the table [csv] of a map."""
+    """Format of a CSV file, the table [csv] of a map; an empty or −1 entry is detected."""
 
     encoding: str = parameter("", "", "such as utf-8, utf-16 or cp1252; detected where empty", source="the map file")
     delimiter: str = parameter("", "", "one character; \"\\t\" is a tab; detected where empty", source="the map file")
@@ -72,7 +72,7 @@ def read_text(path: Path, text: str) -> LabTable:
 
 
 def decoded(path: Path, raw: bytes, encoding: str = "") -> tuple[str, str]:
-    """Return text and the name of its encoding; raises `InputError` for what is no text."""
+    """Return text and the name of its encoding; raises `InputError` if the bytes are not text."""
     name = encoding or _encoding(raw)
     try:
         text = raw.decode(name)
@@ -169,7 +169,7 @@ class _Reading:
         return found
 
     def _comment_mark(self) -> str:
-        """Return what the first comment line begins with; "#" without one."""
+        """Return the mark that the first comment line begins with; "#" without one."""
         first = self.comments[0].text.lstrip() if self.comments else "#"
         return next(mark for mark in COMMENTS if first.startswith(mark))
 
@@ -244,7 +244,7 @@ class _Reading:
     def _without_repeats(
         self, header: int, units: list[str], body: list[_Line], names: list[str]
     ) -> list[_Line]:
-        """Leave out header and units where they stand again, as in files put one behind the other."""
+        """Drop header and units rows that occur again, as in files appended to one another."""
         first = next((line.text for line in self.lines if line.row == header), None)
         if first is None:
             return body
@@ -365,7 +365,7 @@ def _by_column(columns: Sequence[Sequence[str]], comma: bool) -> _Columns:
 
 
 def _parsed(cells: Sequence[str], comma: bool) -> tuple[Floats, tuple[int, str] | None]:
-    """Return a column's numbers and its first cell that is none."""
+    """Return a column's numbers and its first cell that is not a number."""
     try:
         quick = np.array([cell.replace(",", ".") if comma else cell or "nan" for cell in cells]).astype(np.float64)
         if not np.isinf(quick).any():

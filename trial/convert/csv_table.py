@@ -1,8 +1,8 @@
-"""A table of a file as columns of `/cycle`.
+"""Tables of files as columns of `/cycle`.
 
-The rule of this file: a column is taken under its canonical name, or under the name, unit, factor and offset
-that a map gives it; what is not mapped is left out and named.  An empty cell or NaN is an unknown value; a
-cell that is no number is an error with its row.
+A column is taken under its canonical name, or under the name, unit, factor and offset that a map gives it; other
+columns are left out and named. An empty cell or NaN is an unknown value; a cell that is not a number is an error with
+its row.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CSV_TABLE = "csv"  # of a map: how the file is written
 
 @dataclass(frozen=True)
 class SignalSource:
-    """Where a signal comes from: value = (number in the file × scale) in `unit`, converted, plus `offset`."""
+    """Source of a signal: value = (number in the file × scale) in `unit`, converted, plus `offset`."""
 
     column: str = parameter("", "", "header of the file's column", source="the map file")
     unit: str = parameter("", "", "unit of the file's numbers; the signal's own where empty", source="the map file")
@@ -41,16 +41,17 @@ class SignalSource:
 
 
 class Map(dict[str, SignalSource]):
-    """Sources by signal; `dialect` is how the file is written, where the map says so."""
+    """Sources by signal; `dialect` is the file's format, if the map gives it."""
 
     dialect: Dialect | None = None
 
 
 @dataclass
 class Columns:
-    """Columns by signal name, what was counted, the headers left out; `rows` number the rows as the file does.
+    """Columns by signal name, counts, and the headers left out; `rows` number the rows as the file does.
 
-    `said` is how the file was read, and `begins_ns` the time since 1970 at which `time_s` is 0, where it tells.
+    `said` lists how the file was read; `begins_ns` is the time since 1970 at which `time_s` is 0, if the file gives
+    it.
     """
 
     columns: dict[str, Floats]
@@ -79,7 +80,7 @@ def read_map(path: Path) -> Map:
 
 
 def read(path: Path, mapped: Mapping[str, SignalSource] | None = None) -> Columns:
-    """Read a table; `mapped` says where signals come from that are not under their own names."""
+    """Read a table; `mapped` gives the sources of signals that do not have their own names in the file."""
     return columns_of(sheet_of(path, getattr(mapped, "dialect", None)), mapped)
 
 

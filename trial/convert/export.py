@@ -29,9 +29,8 @@ def export(
 ) -> int:
     """Write `trial` in the format that the ending of `target` names; returns the rows or frames written.
 
-    .csv, .csv.gz, .xlsx, .tdms, .parquet, .mf4 and .mat (v5; v7.3 with `mat73`) hold cycles;
-    .log (candump), .asc, .blf and .trc frames;
-    `progress` is told the share done, 0 … 1.  Raises `InputError`.
+    .csv, .csv.gz, .xlsx, .tdms, .parquet, .mf4 and .mat (v5; v7.3 with `mat73`) hold cycles; .log (candump), .asc,
+    .blf and .trc hold frames. `progress` receives the share done, 0 … 1. Raises `InputError`.
     """
     target = Path(target)
     write = _writer(target)
@@ -181,7 +180,7 @@ def _matlab5(trial: Trial, part: Path, progress: Progress) -> int:
 
 
 def _matlab73(trial: Trial, part: Path, progress: Progress) -> int:
-    """Write HDF5 as MATLAB v7.3 reads it: a user block of 512 bytes that says so, and classes as attributes."""
+    """Write HDF5 as MATLAB v7.3 reads it: a user block of 512 bytes that identifies it, and classes as attributes."""
     try:
         import h5py
     except ImportError:

@@ -1,7 +1,7 @@
-"""CAN frames and tables out of MCAP files that others wrote, or that contradict themselves.
+"""CAN frames and tables from MCAP files of other programs, and from inconsistent files.
 
-The rule of this file: a topic is read by what its schema says it is, `can_msgs/msg/Frame` in CDR or a stamp and
-float64 columns; every other topic is left out and named.  Files without a summary are for `bowden recover`.
+A topic is read by its schema: `can_msgs/msg/Frame` in CDR, or a stamp and float64 columns. Every other topic is left
+out and named. `bowden recover` handles files without a summary.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FRAME = struct.Struct("<I3?B")
 
 @dataclass
 class ForeignContent:
-    """What a file held: frames, a table (times and columns as its schema names them), and topics left out."""
+    """Content of a file: frames, a table (times and columns as its schema names them), and topics left out."""
 
     frames: LoggedFrames
     times: NDArray[np.int64]

@@ -1,7 +1,6 @@
-"""CAN frames in bulk, whatever they came from.
+"""CAN frames in bulk, from any source.
 
-The rule of this file: frames are a structured array of `cdr.FRAME_ROW`, in the order of the log; what was
-noticed on the way is counted under a name.
+Frames are a structured array of `cdr.FRAME_ROW`, in the order of the log; anomalies are counted under a name.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ class Gathered:
 
 @dataclass
 class LoggedFrames:
-    """A log's frames, what its channels are called, and what was counted in reading it."""
+    """Frames of a log, the names of its channels, and the anomalies counted in reading it."""
 
     rows: NDArray[np.void]
     channels: dict[str, int]

@@ -1,8 +1,8 @@
-"""A map for somebody else's table, guessed from names, units and ranges, to be checked by who knows the bench.
+"""Guessed map of a foreign table, from names, units and ranges, to be checked by an engineer of that bench.
 
-A guess is written with what it rests on. A column is given to at most one signal. A stated unit is never dropped: a
-column whose unit is not known is not assigned. Every column that is not assigned is listed with the reason. The words
-are those of English, German, French, Spanish and romanised Chinese labs.
+Each guess states its grounds. A column is given to at most one signal. A stated unit is never dropped: a column with
+an unsupported unit is not assigned. Every column that is not assigned is listed with the reason. Words of English,
+German, French, Spanish and romanised Chinese laboratories are recognised.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _UNIT = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$|\s*/\s*([^\s/\d]+)\s*$|\s+in\s+(
 
 
 class Guess(NamedTuple):
-    """A column for a signal, how sure it is, what it rests on, and what is to be checked ("": nothing special)."""
+    """A column for a signal, the confidence, its grounds, and a question to check ("": nothing special)."""
 
     signal: str
     column: str
@@ -180,7 +180,7 @@ def _guess(sheet: LabTable, name: str, signal: str, si: str) -> Guess | None:
 
 
 def _question(si: str, unit: str, stated: bool, known: Floats) -> str:
-    """Return what is to be checked of a column whose largest value is beyond `MOST`; "" within it."""
+    """Return the question about a column whose largest value is beyond `MOST`; "" within it."""
     largest = float(np.abs(known).max()) * TO_SI[unit][1]
     if largest <= MOST.get(si, math.inf):
         return ""

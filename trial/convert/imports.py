@@ -1,7 +1,7 @@
-"""Files of others made into trials: tables, CAN logs and foreign MCAP.
+"""Import of foreign files into trials: tables, CAN logs and foreign MCAP.
 
-The rule of this file: nothing is dropped or changed without a count, and the counts go into the trial's result
-and back to whoever asked.  What may be mended and what is refused is the table in docs/trials.md.
+Everything dropped or changed is counted; the counts go into the trial's result and back to the caller. The table in
+docs/trials.md lists repairs and refusals.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ READING = 0.7  # of the share: of a CAN log the reading takes longer than the wr
 
 @dataclass
 class Imported:
-    """What an import made of a file: counts by name (zeros left out), what was left out, how it was read."""
+    """Result of an import: counts by name (zeros left out), columns left out, and how the file was read."""
 
     source: Path
     counts: dict[str, int] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Imported:
 
 
 class ImportRequest(NamedTuple):
-    """What an import is told: where columns come from, what CAN frames mean, and who hears how much is read."""
+    """Settings of an import: sources of columns, meaning of CAN frames, and the receiver of progress."""
 
     mapped: Mapping[str, SignalSource] | None
     wire: WireLayout
@@ -69,7 +69,7 @@ def import_file(
     """Make a trial of `source`, a table, a CAN log or an MCAP file (`FORMATS`); raises `InputError`.
 
     `mapped` (see `csv_table.read_map`) names columns of tables; `wire` decodes CAN frames, this bench's by default;
-    `progress` is told the share done, 0 … 1.
+    `progress` receives the share done, 0 … 1.
     """
     source = Path(source)
     report = Imported(source)
@@ -215,7 +215,7 @@ def _candump_frames(source: Path, progress: Progress) -> LoggedFrames:
 
 
 def _followed(lines: TextIO, raw: BinaryIO, source: Path, progress: Progress) -> Iterator[str]:
-    """Yield `lines`, cut where they are endless, and tell how much of the file `raw` that took."""
+    """Yield `lines`, cut at the longest line allowed, and report how much of the file `raw` has been read."""
     size, unpacked = os.fstat(raw.fileno()).st_size, 0
     limit = unpacked_limit(source)
     for number, line in enumerate(iter(lambda: lines.readline(LONGEST_LINE), ""), start=1):

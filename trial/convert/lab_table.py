@@ -1,7 +1,7 @@
-"""A table as a file has it: names, numbers, units, before anything is said about signals.
+"""Tables of files: names, numbers and units, before columns are assigned to signals.
 
-The rule of this file: a column is numbers or it is not, and what is wrong in one that nobody takes is nobody's
-concern; a row keeps the number that an editor, or the program that wrote the file, gives it.
+A column is numeric or not; a fault in a column is an error only if that column is used. A row keeps the number that
+an editor, or the program that wrote the file, gives it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _SPELT = {  # other spellings, in lower case
 
 
 def unit_of(text: str) -> str:
-    """Return a unit that `TO_SI` knows for how a file spells it, brackets or not; empty where it is none."""
+    """Return the unit of `TO_SI` for a file's spelling of it, brackets or not; empty for an unsupported one."""
     bare = text.strip().strip("[](){}<>").strip()
     if bare in TO_SI:
         return bare
@@ -52,9 +52,9 @@ def unit_of(text: str) -> str:
 class LabTable:
     """A table: `names` and, of equal length, `values`; `units` are those of the file, empty if it states none.
 
-    `rows[i]` is the number of row i in the file.  `faults` gives, by column, the first cell that is no number, with
-    its row.  `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0.  `said` lists what
-    was detected, as sentences; `dialect` has the detected values of a map's [csv], {} of a file that is not CSV.
+    `rows[i]` is the number of row i in the file. `faults` gives, by column, the first cell that is not a number, with
+    its row. `begins_ns` is, by name, the time since 1970 at which a column of absolute times is 0. `said` lists the
+    detections, as sentences; `dialect` has the detected values of a map's [csv], {} of a file that is not CSV.
     """
 
     path: Path

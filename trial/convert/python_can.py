@@ -74,7 +74,7 @@ def flags_of(message: can.Message) -> int:
 
 
 def payload_of(message: can.Message) -> bytes:
-    """Return the bytes to record: of a remote frame as many zeros as its DLC says."""
+    """Return the bytes to record; for a remote frame, as many zeros as its DLC."""
     return bytes(min(message.dlc, 8)) if message.is_remote_frame else bytes(message.data)
 
 
@@ -94,7 +94,7 @@ class McapReader(BinaryIOMessageReader):
 
 
 class McapWriter(SizedMessageWriter):
-    """Writes CAN messages as a trial without cycles, from a thread of its own; an existing file is replaced.
+    """Writer of CAN messages into a trial without cycles, on a separate thread; an existing file is replaced.
 
     A file object opened for writing bytes gets the whole file when the writer stops; it stays open.
 
@@ -125,7 +125,7 @@ class McapWriter(SizedMessageWriter):
                              self._channels.number(msg.channel), not msg.is_rx)
 
     def stop(self) -> None:
-        """Write what is waiting and close the file."""
+        """Write all pending messages and close the file."""
         self._recorder.close({"fd_frames": self._fd_frames, "channels": self._channels.names})
         if self._handed is not None and self._path.exists():
             with self._path.open("rb") as whole:
@@ -194,7 +194,7 @@ class Bounded(io.RawIOBase):
 
 @contextmanager
 def _messages(path: Path) -> Iterator[tuple[Any, Callable[[], int]]]:
-    """Yield an iterator over a log's messages, and what tells how many of its bytes have been read."""
+    """Yield an iterator over a log's messages, and a function that returns the bytes read so far."""
     ending = _ending(path)
     if ending == ".db":
         yield _sqlite(path), lambda: 0
@@ -238,10 +238,10 @@ LAST_IDENTIFIER: Final = 0x1FFF_FFFF
 
 
 def read_log(path: Path, progress: Callable[[float], None] = lambda share: None) -> LoggedFrames:
-    """Read a log that python-can knows (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
+    """Read a log in a format of python-can (.asc, .blf, .trc …, its own .csv and .db; some packed by gzip).
 
-    `counts` tells CAN FD frames, which a trial cannot hold, DLC above 8 of classical ones, and frames that are none;
-    `progress` is told the share read, 0 … 1.  Raises `InputError` where the file makes no sense.
+    `counts` holds CAN FD frames (a trial cannot store them), DLCs above 8 of classical frames, and malformed frames.
+    `progress` receives the share read, 0 … 1. Raises `InputError` if the file is malformed.
     """
     refuse_special(path)
     rows = Gathered()
@@ -285,7 +285,7 @@ def _row(message: can.Message, channels: ChannelNumbers) -> Row:
 def write_log(path: Path, rows: NDArray[np.void], progress: Callable[[float], None] = lambda share: None) -> None:
     """Write frames in the format that the file's ending names (.asc, .blf, .log, .trc …).
 
-    `progress` is told the share done, 0 … 1.
+    `progress` receives the share done, 0 … 1.
     """
     try:
         with can.Logger(path) as writer:

@@ -1,7 +1,7 @@
 """Tables of several formats as sheets: CSV, Excel, TDMS, Parquet, MATLAB and MDF.
 
-The rule of this file: a format's library is imported where such a file is read, and where it is absent the error says
-what to install; what is no column of numbers is left out and counted.
+A format's library is imported when such a file is read; if it is absent, the error names the package to install.
+Columns that are not numeric are left out and counted.
 """
 
 from __future__ import annotations

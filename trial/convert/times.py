@@ -1,7 +1,7 @@
 """Dates and times of day, as tables have them, to seconds.
 
-The rule of this file: a date is taken where it can mean one day only (ISO 8601, year first, or day.month.year);
-of 03/04/2024 nobody knows the month, so it is no time here.
+A date is accepted only if it is unambiguous (ISO 8601, year first, or day.month.year); 03/04/2024 could be March or
+April, so it is refused.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def told(begins_ns: int) -> str:
 
 
 def seconds(cells: Sequence[str], unknown: Container[str]) -> Timed | None:
-    """Return a column's times; None where a cell is none."""
+    """Return a column's times; None if a cell is not a time."""
     found: list[int | None] = []
     days, before, dated = 0, -1, True
     for cell in cells:

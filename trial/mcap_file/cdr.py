@@ -1,8 +1,8 @@
-"""The bytes of each topic: ROS 2 CDR, little endian, every message of a topic equally long where it can be.
+"""Bytes of each topic: ROS 2 CDR, little endian, every message of a topic equally long if possible.
 
-The rule of this file: a layout is declared once, as the `ros2msg` schema that readers see and the numpy
-dtype that writes and reads it in bulk; the two are held together by a test that decodes with a CDR reader
-that knows only the schema.  A dtype here is one whole MCAP message record, opcode to payload.
+A layout is declared once, as the `ros2msg` schema for readers and the numpy dtype for bulk access. A test holds the
+two together: it decodes with a CDR reader that has the schema only. A dtype here is one complete MCAP message record,
+opcode to payload.
 """
 
 from __future__ import annotations
@@ -99,9 +99,9 @@ def cycle_row(columns: int) -> struct.Struct:
 def headed(
     dtype: np.dtype[np.void], channel: int, first_sequence: int, times: NDArray[np.int64], **same: Any
 ) -> NDArray[np.void]:
-    """Return message records with what all of them have: lengths, sequence numbers, stamps; `same`: equal fields.
+    """Return message records with the fields common to all: lengths, sequence numbers, stamps; `same`: equal fields.
 
-    What is equal is written once and copied whole: field by field costs several times as much.
+    Equal fields are written once and copied as a block: field by field takes several times as long.
     """
     first = np.zeros(1, dtype)
     for name, value in {"opcode": MESSAGE, "length": dtype.itemsize - 9, "channel": channel, "cdr": LITTLE_ENDIAN,

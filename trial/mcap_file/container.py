@@ -23,7 +23,7 @@ ZSTD_LEVEL = 1  # level 3 costs 1.6 times the processor time for a tenth of the 
 
 
 class ByteSink(Protocol):
-    """Where bytes go: an unbuffered binary file."""
+    """Destination of bytes: an unbuffered binary file."""
 
     def write(self, data: bytes, /) -> int | None: ...
 

@@ -19,7 +19,7 @@ EVENTS_PER_CHUNK = 256
 
 
 class ChunkContent(NamedTuple):
-    """What a chunk holds: message records, bytes, the time of each (ns), and where in `data` each begins."""
+    """Content of a chunk: message records, bytes, the time of each (ns), and its start in `data`."""
 
     data: bytes | memoryview
     times: NDArray[np.int64]

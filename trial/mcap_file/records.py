@@ -1,8 +1,8 @@
-"""MCAP records, read.
+"""Reader of MCAP records.
 
-The rule of this file: nothing a file says about itself is believed before it is checked against the bytes
-that are there, and nothing is unpacked that would not fit its stated, bounded size.  What ends too early
-raises `CutError`, what contradicts itself ValueError; whoever knows the file's name says it.
+Every length and count in a file is checked against the bytes present before it is used, and nothing is unpacked
+beyond its stated, bounded size. A record that ends too early raises `CutError`, an inconsistent one ValueError; the
+caller adds the file's name.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def magic(view: View, path: str | Path) -> None:
 
 
 def records(view: View, at: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield (opcode, begin, end) of each record's content; raises `CutError` where one is none or reaches too far."""
+    """Yield (opcode, begin, end) of each record's content; raises `CutError` at a malformed or truncated record."""
     while at < end:
         if end - at < 9:
             raise CutError
@@ -126,7 +126,7 @@ def read_schema(cursor: Cursor) -> tuple[int, tuple[str, str, str]]:
 
 
 def read_channel(cursor: Cursor, schemas: dict[int, tuple[str, str, str]]) -> Channel:
-    """Read a channel, joined with its schema (empty where there is none)."""
+    """Read a channel, joined with its schema (empty strings if it has no schema)."""
     number, schema = cursor.unpack(_CHANNEL)
     topic, encoding = cursor.string(), cursor.string()
     name, schema_encoding, text = schemas.get(schema, ("", "", ""))

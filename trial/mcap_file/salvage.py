@@ -1,7 +1,7 @@
-"""What survives in the bytes of a torn or damaged MCAP file.
+"""Recovery of records from the bytes of a torn or damaged MCAP file.
 
-The rule of this file: bytes are believed where records follow one another or a checksum holds; behind what makes no
-sense the next chunk is looked for.  Nothing here writes.
+Bytes are accepted if records follow one another or a checksum holds; after malformed bytes the search goes on at the
+next chunk. Nothing here writes.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def surviving(cursor: records.Cursor) -> tuple[bytes, bool]:
 
 
 def _front(cursor: records.Cursor) -> bytes:
-    """Return what a chunk cut by the end of the file still unpacks to."""
+    """Return the bytes that a chunk cut by the end of the file still unpacks to."""
     try:
         _first, _last, size, crc = cursor.unpack(records.CHUNK_FIELDS)
         compression = cursor.string()
@@ -105,7 +105,7 @@ class _Descriptions:
         self.channels: dict[int, records.Channel] = {}
 
     def take(self, opcode: int, cursor: records.Cursor) -> None:
-        """Note what a record describes, if it does."""
+        """Store the schema, channel or other description in a record, if it has one."""
         try:
             if opcode == mcap.SCHEMA:
                 number, parts = records.read_schema(cursor)

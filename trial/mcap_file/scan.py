@@ -38,7 +38,7 @@ _PLACE = struct.Struct("<QQ")  # offset and length
 
 
 class ChunkAt(NamedTuple):
-    """Where a chunk record lies, the channels in it (none stated: any), and its size unpacked."""
+    """Position of a chunk record, the channels in it (empty: any), and its size unpacked."""
 
     offset: int
     length: int
@@ -47,7 +47,7 @@ class ChunkAt(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What the end of a file says of the file; `checked` where the bytes before it match its checksum."""
+    """Summary section at the end of a file; `checked` if the bytes before it match its checksum."""
 
     channels: dict[int, Channel]
     chunks: list[ChunkAt]

@@ -21,10 +21,10 @@ IDLE_S = 0.1  # where the bus falls silent, what is waiting is written after thi
 
 
 class Writer:
-    """Writes blocks to `container`, whose topics have the ids `channels`.
+    """Writer of blocks to `container`, whose topics have the ids `channels`.
 
-    `waiting` returns the blocks that the control thread is filling now; only a writer with a thread asks for
-    them, when nothing has been handed over for 100 ms.  `failure` says why the recording ended early.
+    `waiting` returns the blocks that the control thread is filling now; only a writer with a thread asks for them,
+    when nothing has been handed over for 100 ms. `failure` is the reason if the recording ended early.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Writer:
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:
-        """Cut the file back to its last whole record, close it properly if that still fits, and say why."""
+        """Cut the file back to its last complete record, close it properly if that still fits, and store the reason."""
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         self._cut()
         with contextlib.suppress(OSError):

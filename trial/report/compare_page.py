@@ -1,6 +1,6 @@
-"""Two trials in one HTML page: what they were told, what came out, signals one over the other and their difference.
+"""Two trials in one HTML page: settings, results, overlaid signals and their difference.
 
-The rule of this file: it shows what `trial.compare` finds; A and B keep their colours throughout.
+The page shows the result of `trial.compare`; A and B keep their colours throughout.
 """
 
 from __future__ import annotations

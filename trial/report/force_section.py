@@ -1,7 +1,7 @@
-"""The report's force and motion: over time, and gait cycle over gait cycle against the phase.
+"""Force and motion in the report: over time, and gait cycles overlaid against the phase.
 
-The rule of this file: what is drawn was recorded; of a long trial every extreme stays (see `packing`), and of
-many gait cycles the whole band beside the first, the worst and the last.
+Only recorded values are drawn. Of a long trial every extreme stays (see `packing`); of many gait cycles the complete
+band is drawn with the first, the worst and the last.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def motion(page: Page, trial: Trial) -> None:
 
 
 def others(page: Page, trial: Trial) -> None:
-    """Add the signals that only this bench or its controller has, over time; nothing where there is none."""
+    """Add the signals that only this bench or its controller has, over time; nothing if there are none."""
     columns = chosen(trial, [name for name in trial.columns if name not in UNITS and name in trial.units])
     if not columns:
         return

@@ -1,4 +1,4 @@
-"""Labels of what a trial's metadata and result hold, in words, and which of it an engineer looks at first.
+"""Labels in words for the keys of a trial's metadata and result, and which keys an engineer reads first.
 
 `bowden info` and the report's summary show `shown`; digests, commits, bit rates and the homing fit are in `folded`.
 """
@@ -30,7 +30,7 @@ def label(key: str) -> str:
 
 
 def shown(told: Mapping[str, object]) -> dict[str, object]:
-    """Return what is shown at once, by label: known keys with a value, and keys of others' files."""
+    """Return the entries to show at once, by label: documented keys with a value, and keys of foreign files."""
     return {label(key): _plain(value) for key, value in told.items()
             if key not in ALWAYS_FOLDED and value not in (None, "", [], {}, "[]", "{}", "null")}
 

@@ -1,7 +1,7 @@
-"""Arrays for a page: thinned to what a screen can show, and packed as base64.
+"""Arrays for a page: thinned to screen resolution, and packed as base64.
 
-The rule of this file: thinning never hides an extreme.  Of every bin the least and the greatest value stay, in
-the order in which the bin rises or falls; a bin without a known value stays unknown.
+Thinning never hides an extreme. Of every bin the least and the greatest value stay, in the order in which the bin
+rises or falls; a bin without a finite value stays unknown.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One HTML file that needs no network: text, tables and plots that zoom together.
 
-The rule of this file: every text that comes in is escaped, every number arrives in bulk, and the page forbids
-itself to load anything.  What it says is its caller's; trials and diagnoses are both told on it.
+Every text is escaped, every number arrives in bulk, and the page's policy forbids loading anything. The caller
+supplies the content; trial reports and diagnosis reports both use it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Series(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A figure in large type: text of its value, unit, what it is, and what to hold it against."""
+    """A figure in large type: its value as text, unit, label, and a reference to compare it with."""
 
     value: str
     unit: str
@@ -52,7 +52,7 @@ class Tile(NamedTuple):
 
 
 class Page:
-    """A page under construction; what is added appears in that order, under the last `section`."""
+    """A page under construction; elements appear in the order of the calls, under the last `section`."""
 
     def __init__(self, title: str, subtitle: str = "", *, badge: tuple[str, str] | None = None) -> None:
         """`badge` is a word beside the title and its kind: good, bad, warn or plain."""
@@ -90,9 +90,9 @@ class Page:
             for name, value in facts.items()) + "</dl>")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[Cell]], *, tall: bool = False) -> None:
-        """Add a table; columns of numbers (None: unknown) stand to the right.  `tall` scrolls in a box of its own.
+        """Add a table; columns of numbers (None: unknown) are right-aligned. `tall` makes the table scroll.
 
-        More than 5000 rows are cut, and the table says so.
+        More than 5000 rows are cut, with a note under the table.
         """
         figure = [bool(rows) and all(not isinstance(row[place], str) or row[place] == UNKNOWN for row in rows)
                   for place in range(len(header))]

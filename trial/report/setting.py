@@ -1,6 +1,6 @@
-"""What a report must know of a trial before it can judge it: peak, rate, gait cycles.
+"""Settings of a trial that a report needs for its figures: peak, rate, gait cycles.
 
-The rule of this file: what the metadata states is taken; what it does not is read off the columns, and said.
+Values come from the metadata; missing ones are estimated from the columns, and `read_off` lists them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ SETTLE = 1  # first gait cycles that no figure counts, where nothing else is sta
 
 @dataclass(frozen=True)
 class TrialSetting:
-    """Peak of the desired force (N), control rate (Hz; None: unknown), gait cycles, and what the columns gave."""
+    """Peak of the desired force (N), control rate (Hz; None: unknown), gait cycles, and the values taken from the
+    columns."""
 
     peak_n: float | None
     rate_hz: float | None

@@ -1,6 +1,6 @@
-"""A trial as one HTML page: who and what, figures, force, motion, timing, bus, events, what it carried.
+"""A trial as one HTML page: identity, figures, force, motion, timing, bus, events, attachments.
 
-The rule of this file: the report says what was recorded and judges by `metrics` alone; what is missing is named.
+The report shows recorded data and computes its figures by `metrics` alone; missing data are named.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ def write(
     trial: Trial, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
     bound_percent: float | None = None, overwrite: bool = False, progress: Callable[[float], None] = lambda share: None,
 ) -> int:
-    """Write the report of `trial` as one HTML file; returns its bytes.  Raises `InputError`.
+    """Write the report of `trial` as one HTML file; returns its bytes. Raises `InputError`.
 
-    `published` are others' figures by name, to stand beside; `bound_percent` is the bus load computed beforehand;
-    `progress` is told the share done, 0 … 1.
+    `published` are published figures by name, shown for comparison; `bound_percent` is the bus load computed
+    beforehand; `progress` receives the share done, 0 … 1.
     """
     page = build(trial, frame_bits, published or {}, bound_percent, progress)
     return page.write(path, overwrite=overwrite)
