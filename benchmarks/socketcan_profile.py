@@ -32,7 +32,7 @@ WHOLE: Final = "the whole, without being watched"
 WATCHED: Final[tuple[tuple[Any, str, str], ...]] = (
     (kernel_frames, "cycle", KERNEL), (KernelCycles, "run", LINK), (Exchange, "advance", EXCHANGE),
     (Reception, "takes_all", SAFETY), (Guard, "check", SAFETY), (gait, "run", GAIT), (PaperController, "step", GAIT),
-    (Exchange, "_row", ROW), (Log, "take", RECORDER), (Log, "row", RECORDER), (Recorder, "event", RECORDER),
+    (Exchange, "row_of", ROW), (Log, "take", RECORDER), (Log, "row", RECORDER), (Recorder, "event", RECORDER),
 )
 """Functions of a cycle and the stage that each is charged to, with what it calls that is not watched."""
 REHEARSED: Final = 2000

@@ -17,7 +17,7 @@ from importlib import resources
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from eds import cia402
 from eds.device_mapping import DeviceMapping, EncoderMapping, KneeMapping, SensorMapping, ServoMapping
@@ -27,8 +27,10 @@ from parameters.plugins import load
 T = TypeVar("T")
 TABLES: Final = ("device", "joint", "force_path")
 """Arrays of tables that declare a bench; a file has all of them or none."""
-RUNNING: Final = ("bench", "bench_start_only", "bench_no_knee_drive")
-"""Packaged declarations whose shape commands run; of the others the wire is planned."""
+SHAPES: Final = ("bench", "bench_start_only", "bench_no_knee_drive", "bench_antagonists", "bench_two_legs")
+"""Packaged declarations; `bowden init --shape` writes them."""
+FLEXES, EXTENDS = "flexes", "extends"
+"""Values of `acts`: a rope that shortens when the joint flexes, or its antagonist."""
 LAST_NODE_ID: Final = 126
 """Largest node id of a device; 127 is the master's."""
 
@@ -111,13 +113,36 @@ class Joint:
 
 @dataclass(frozen=True)
 class ForcePath:
-    """One rope: names of its actuator, its joint and its load cells; an empty name means no such load cell."""
+    """One rope: names of its actuator, its joint and its load cells; an empty name means no such load cell.
+
+    `acts` is `flexes`, or `extends` for an antagonist: its rope has the joint's angle mirrored, see `mirrored_rad`.
+    """
 
     name: str
     actuator: str
     joint: str
     start: str = ""
     end: str = ""
+    acts: str = FLEXES
+
+
+MIRROR_RAD: Final = -1.1345
+"""Sum of a joint's angle and of the angle by which an antagonist's path counts it, rad: -65 degrees, the flexion of the
+paper's gait.  A rope that extends the joint is so a path like the paper's, taut where the flexor's rope is slack."""
+
+
+def mirrored_rad(path: ForcePath, angle_rad: float) -> float:
+    """Return a joint's angle as a path counts it, or the joint's angle of a path's: the two directions are alike."""
+    return MIRROR_RAD - angle_rad if path.acts == EXTENDS else angle_rad
+
+
+class PathNodes(NamedTuple):
+    """Node ids of the devices of one force path; 0 where it has no such load cell."""
+
+    servo: int
+    knee: int
+    start: int
+    end: int
 
 
 @dataclass(frozen=True)
@@ -163,11 +188,49 @@ class DeclaredBench:
         """The devices that are recorded and move nothing."""
         return tuple(device for device in self.devices if device.type.observed)
 
-    @property
-    def runs(self) -> bool:
-        """Whether commands run this bench: `RUNNING` has its shape."""
-        acting = dataclasses.replace(self, devices=tuple(d for d in self.devices if not d.type.observed))
-        return acting.shape in [packaged(name).shape for name in RUNNING]
+    def nodes_of(self, path: ForcePath) -> PathNodes:
+        """Return the node ids of a force path's devices."""
+        joint = next(joint for joint in self.joints if joint.name == path.joint)
+        return PathNodes(*(self.named(name).node_id if name else 0
+                           for name in (path.actuator, joint.device, path.start, path.end)))
+
+    def path(self, name: str) -> DeclaredBench:
+        """Return the bench of one force path: its devices with their node ids, its joint, and no other.
+
+        The devices have the names of the packaged bench, so that what is recorded of them reads like its trials.
+        Observers belong to the first path.  Raises `InputError` for a path that is not declared.
+        """
+        path = next((path for path in self.force_paths if path.name == name), None)
+        if path is None:
+            raise InputError(f"path {name}: not declared; expected one of "
+                             f"{', '.join(path.name for path in self.force_paths)}.")
+        joint = next(joint for joint in self.joints if joint.name == path.joint)
+        own = {path.actuator: "servo", joint.device: "knee", path.start: "start", path.end: "end"}
+        devices = [dataclasses.replace(self.named(old), name=new) for old, new in own.items() if old]
+        observers = self.observers if path is self.force_paths[0] else ()
+        moved = {"driven_by" if joint.driven_by else "measured_by": "knee"}
+        return DeclaredBench(
+            (*devices, *observers), (Joint("knee", **moved),),
+            (dataclasses.replace(path, actuator="servo", joint="knee", start="start" if path.start else "",
+                                 end="end" if path.end else "", acts=FLEXES),))
+
+    def refusal(self) -> str | None:
+        """Return why no command can run this bench, in half a sentence; None where commands run it."""
+        for path in self.force_paths:
+            driven = next(joint.driven_by for joint in self.joints if joint.name == path.joint)
+            if not path.start:
+                return f"force_path {path.name} has no start, by which its force is controlled"
+            if not (path.end or driven):
+                return (f"force_path {path.name} has no end, and no drive moves its joint: nothing contradicts the "
+                        "encoder of the joint")
+            if not driven and len(self.force_paths) > 1:
+                return f"joint {path.joint} has no drive, on a bench of several force paths"
+        for joint in self.joints:
+            acts = [path.acts for path in self.force_paths if path.joint == joint.name]
+            if acts not in ([FLEXES], [FLEXES, EXTENDS]):
+                return (f"joint {joint.name}: its force paths act as {', '.join(acts) or 'none'}; commands run one "
+                        f"that {FLEXES}, and behind it at most one that {EXTENDS}")
+        return None
 
     @property
     def other_devices(self) -> dict[str, DeviceMapping]:
@@ -226,7 +289,7 @@ def as_tables(bench: DeclaredBench) -> dict[str, list[dict[str, Any]]]:
 
 
 def _named(one: Joint | ForcePath) -> dict[str, Any]:
-    return {key: name for key, name in dataclasses.asdict(one).items() if name}
+    return {key: name for key, name in dataclasses.asdict(one).items() if name and (key, name) != ("acts", FLEXES)}
 
 
 def _given(mapping: DeviceMapping) -> dict[str, Any]:
@@ -305,6 +368,9 @@ def _check(bench: DeclaredBench, where: str) -> None:
         if not cells:
             raise InputError(f"{where}: force_path {path.name} has neither start nor end; name a load cell.")
         used += _of(bench, where, f"force_path {path.name}", LOAD_CELL, cells)
+        if path.acts not in (FLEXES, EXTENDS):
+            raise InputError(f"{where}: force_path {path.name} has acts = {path.acts!r}; expected {FLEXES} or "
+                             f"{EXTENDS}.")
         if path.joint not in [joint.name for joint in bench.joints]:
             raise InputError(f"{where}: force_path {path.name} has joint = {path.joint!r}, which no [[joint]] "
                              "declares; name a declared joint.")

@@ -26,6 +26,9 @@ class Gait:
                                 source="assumed: none; three at a bench that has not run before")
     controller: str = parameter("paper", "", "none, friction, impedance, paper, extended, or a plug-in",
                                 source="the paper; docs/controllers.md")
+    co_contraction: float = parameter(
+        0.5, "", "desired force of an antagonist, by that of the rope that flexes the joint", low=0.05, high=1.0,
+        source="assumed: half; benches of two ropes on one joint only")
     idle_slack_m: float = parameter(3e-3, "m", "rope paid out while no force is desired", low=0.0, high=20e-3,
                                     source="assumed: keeps END below 1 N through the swing, rope on its drum")
 

@@ -50,6 +50,15 @@ class Reference:
         self.peak_n = float(np.max(force[0]))
         self.departs_from_eq1_rad = float(np.max(np.abs(angle[0] - laws.knee_angle(_PERCENT))))
 
+    def mirrored(self, sum_rad: float, share: float) -> Reference:
+        """Return this motion as an antagonist counts it, `sum_rad` less the angle, with `share` of the force."""
+        made = object.__new__(Reference)
+        made.period_s, made._rate, made.peak_n = self.period_s, self._rate, share * self.peak_n
+        made._angle = tuple((sum_rad - a, -b, -c, -d) for a, b, c, d in self._angle)
+        made._force = tuple((share * a, share * b, share * c, share * d) for a, b, c, d in self._force)
+        made.departs_from_eq1_rad = self.departs_from_eq1_rad
+        return made
+
     def knee_angle(self, phase: float) -> float:
         """Return the knee angle, rad, at `phase` (cycles)."""
         a, b, c, d, u = self._cell(self._angle, phase)

@@ -77,11 +77,30 @@ def with_observers(bench: DeclaredBench) -> tuple[Signal, ...]:
     return (*SIGNALS[:-len(TRACE)], *observed, *TRACE)
 
 
+COMMON: frozenset[str] = frozenset({"time_s", "missed_outputs", "sync_jitter_ns", "step_duration_ns"})
+"""Columns that a bench of several force paths has once; each of the others it has for each path, `<path>.<name>`."""
+
+
+def of_bench(bench: DeclaredBench, own: Sequence[Signal] = ()) -> tuple[Signal, ...]:
+    """Return the columns of `/cycle` on a bench, with the controller's `own` ones.
+
+    One force path: `with_observers`.  Several: `COMMON`, the observers' columns, then those of each path.
+    """
+    if len(bench.force_paths) == 1:
+        return (*with_observers(bench), *own)
+    observed = with_observers(bench)[len(SIGNALS) - len(TRACE):-len(TRACE)]
+    each = [signal for signal in (*SIGNALS, *own) if signal.name not in COMMON]
+    return (*(signal for signal in SIGNALS if signal.name in COMMON), *observed,
+            *(signal._replace(name=f"{path.name}.{signal.name}") for path in bench.force_paths for signal in each))
+
+
 SIGNALS: tuple[Signal, ...] = (*MOTION_AND_FORCE, *PDO_TIMING, *STATUS, *TRACE)
 COLUMNS: tuple[str, ...] = tuple(signal.name for signal in SIGNALS)
 INDEX: dict[str, int] = {name: position for position, name in enumerate(COLUMNS)}
 UNITS: dict[str, str] = {signal.name: signal.unit for signal in SIGNALS}
 _FIRST_TRACE = len(SIGNALS) - len(TRACE)
+_COMMON_PLACES = tuple(i for i, signal in enumerate(SIGNALS) if signal.name in COMMON)
+_PATH_PLACES = tuple(i for i, signal in enumerate(SIGNALS) if signal.name not in COMMON)
 
 
 class CycleRow(NamedTuple):
@@ -133,3 +152,16 @@ class CycleRow(NamedTuple):
         if not observed:
             return (*self, *own) if own else self
         return (*self[:_FIRST_TRACE], *observed, *self[_FIRST_TRACE:], *own)
+
+
+def joined(rows: Sequence[CycleRow], observed: Sequence[float], own: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    """Return the row of several force paths in the order of `of_bench`; `own` are the controllers' columns by path."""
+    common = (rows[0][i] for i in _COMMON_PLACES)
+    each = (value for row, more in zip(rows, own, strict=True) for value in (*(row[i] for i in _PATH_PLACES), *more))
+    return (*common, *observed, *each)
+
+
+def of_path(name: str, path: str) -> str | None:
+    """Return the name that a column of several paths has in the table of one of them; None for another path's."""
+    prefix, dot, rest = name.partition(".")
+    return rest if dot and prefix == path else None if dot else name

@@ -8,12 +8,22 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Final, NamedTuple, cast
 
 import eds
 import nodes
-from eds.bench.bench_network import SERVO, Network
-from eds.declaration import JOINT_ENCODER, DeclaredBench, packaged, read
+from eds.bench.bench_network import Network
+from eds.declaration import (
+    EXTENDS,
+    JOINT_ENCODER,
+    LOAD_CELL,
+    DeclaredBench,
+    ForcePath,
+    PathNodes,
+    mirrored_rad,
+    packaged,
+    read,
+)
 from eds.dictionary import key
 from parameters import InputError, from_table, parameter
 from parameters.plugins import load
@@ -30,6 +40,7 @@ from virtual_bus.machine.machine import (
     Feeling,
     Gauge,
     Machine,
+    Machines,
     MountedDrive,
     Observer,
     Tension,
@@ -38,7 +49,7 @@ from virtual_bus.machine.machine import (
 from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
 from virtual_bus.machine.scatter import DAY, Tables, scattered, stream
 from virtual_bus.machine.truth import Truth
-from virtual_bus.wire.faults import OF_A_DRIVE, Fault, declared
+from virtual_bus.wire.faults import OF_A_DRIVE, OF_A_SENSOR, Fault, declared
 from virtual_bus.wire.node_station import NodeStation
 from virtual_bus.wire.outages import wired
 
@@ -62,44 +73,42 @@ GROUPS: Mapping[str, type[Any]] = {
     "plant": PlantParameters, "start_sensor": SensorParameters, "end_sensor": SensorParameters, "servo_drive": Trim,
 }
 
+PATH_SERIALS: Final = 1000
+"""Step between the serial numbers, and noise seeds, of a bench's force paths."""
+Built = Mapping[int, tuple[nodes.Device, nodes.Application]]
+"""Simulated devices, and the applications behind them, by node id."""
 Factory = Callable[[dict[str, float], int], Plant]
 
 
 def build(options: Options, channel: str) -> Bench:
     """Make the bench that `options` describe, switched on at 0 ns of its own time; raises `InputError`."""
-    model = plant_model.read(options.plant_model)
-    faults = (*(declared(options.faults) if options.faults else ()), *model.faults)
-    tables = model.at_work(scattered(
-        nominal(model.tables, model.where), options.serial, options.day, steady(options.steady)))
-    plant = made_plant(options.plant, tables["plant"], options.seed)
-    declaration = _declared(options)
-    _refuse_no_drive(faults, declaration)
-    network = Network(bitrate=options.bitrate, rate_hz=options.rate_hz, bench=declaration)
-    wire = trimmed(eds.wire(network), tables["servo_drive"])
+    declaration = packaged() if options.declaration is None else read(options.declaration, where="declaration")
+    wire = eds.wire(Network(bitrate=options.bitrate, rate_hz=options.rate_hz, bench=declaration))
+    made = [_made(options, wire, number) for number in range(len(declaration.force_paths))]
+    faults = (*(declared(options.faults) if options.faults else ()), *(fault for one in made for fault in one.faults))
+    _refuse_misplaced(faults, declaration)
+    for one in made:
+        wire = trimmed(wire, one.nodes.servo, one.tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
 
-    def machine(bench: Bench) -> Machine:
-        (path,), (joint,) = declaration.force_paths, declaration.joints
-        cells = {end: declaration.named(name).node_id for end in GAUGES if (name := getattr(path, end))}
-
-        def mounted(name: str) -> MountedDrive:
-            node = declaration.named(name).node_id
-            return MountedDrive(bench.nodes[node], cast(TickedDrive, built[node][1]))
-
-        knee = mounted(joint.driven_by) if joint.driven_by else Hand(wire, 1e-3 * options.hand_lag_ms)
-        gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), tables, options.seed)
-                  for end, n in cells.items()]
-        observers = [Observer(bench.nodes[device.node_id], cast(Feeling, built[device.node_id][1]))
-                     for device in (*declaration.followed, *declaration.observers)
-                     if device.type is JOINT_ENCODER or device.type.application is not None]
-        made = Machine(bench.kernel, plant, mounted(path.actuator), knee, gauges, observers)
-        if isinstance(knee, Hand):
-            bench.wire.attach(knee)
-        wired(bench.kernel, faults, made.trouble)
+    def machine(bench: Bench) -> Machine | Machines:
+        machines: list[Machine] = []
+        for one in made:
+            leads = (machine for machine, other in zip(machines, made, strict=False)
+                     if other.path.joint == one.path.joint)
+            lead = next(leads, None)
+            machines.append(_machine(one, options, wire, bench, built, lead))
+        truth = None
         if options.truth is not None:
-            made.truth = Truth(options.truth, plant, _metadata(options, tables))
-            bench.wire.attach(made.truth)
-        return made
+            truth = Truth(options.truth, {"" if len(made) == 1 else f"{one.path.name}.": one.plant for one in made},
+                          _metadata(options, {f"{one.path.name}." * (len(made) > 1) + group: table
+                                              for one in made for group, table in one.tables.items()}))
+            bench.wire.attach(truth)
+        if len(machines) == 1:
+            machines[0].truth = truth
+        for each in machines:
+            wired(bench.kernel, [f for f in faults if len(machines) == 1 or f.node in each.felt], each.trouble)
+        return machines[0] if len(machines) == 1 else Machines(machines, truth)
 
     return Bench(
         [device for device, _ in built.values()], channel=channel, bitrate=options.bitrate, faults=faults,
@@ -109,24 +118,67 @@ def build(options: Options, channel: str) -> Bench:
     )
 
 
-def _declared(options: Options) -> DeclaredBench:
-    """Return the declared bench; raises `InputError` for one that is not of one force path and one joint."""
-    if options.declaration is None:
-        return packaged()
-    bench = read(options.declaration, where="declaration")
-    if len(bench.force_paths) != 1 or len(bench.joints) != 1:
-        raise InputError(f"declaration: {len(bench.force_paths)} force paths and {len(bench.joints)} joints are "
-                         "declared; the simulated bench has one of each.")
-    return bench
+class SimulatedPath(NamedTuple):
+    """One force path of the simulated bench: its parameters, faults of its plant model, nodes, plant and noise seed."""
+
+    path: ForcePath
+    tables: Tables
+    faults: tuple[Fault, ...]
+    nodes: PathNodes
+    plant: Plant
+    seed: int
 
 
-def _refuse_no_drive(faults: Sequence[Fault], bench: DeclaredBench) -> None:
-    """Raise `InputError` for an emergency stop of a node that is no drive of the declared bench."""
+def _made(options: Options, wire: eds.WireLayout, number: int) -> SimulatedPath:
+    """Make a force path's plant; that of path `number` is drawn as the only path of bench `serial` + 1000 `number`."""
+    path, own = wire.network.bench.force_paths[number], PATH_SERIALS * number
+    model = plant_model.read(options.plant_model, wire.paths[number],
+                             path.name if len(wire.paths) > 1 else "")
+    tables = model.at_work(scattered(
+        nominal(model.tables, model.where), options.serial and options.serial + own, options.day,
+        steady(options.steady)))
+    if path.acts == EXTENDS:
+        if options.plant not in OWN:
+            raise InputError(f"plant {options.plant}: an antagonist's joint is another path's, which a plug-in's plant "
+                             f"cannot follow; leave out force_path {path.name}, or the plant.")
+        tables["plant"]["start_knee_rad"] = mirrored_rad(path, tables["plant"]["start_knee_rad"])
+    seed = options.seed + own
+    plant = made_plant(options.plant, tables["plant"], seed)
+    return SimulatedPath(path, tables, model.faults, wire.paths[number], plant, seed)
+
+
+def _machine(one: SimulatedPath, options: Options, wire: eds.WireLayout, bench: Bench, built: Built,
+             lead: Machine | None) -> Machine:
+    """Join a path's plant with its devices; the joint of an antagonist is that of the machine `lead`."""
+    def mounted(node: int) -> MountedDrive:
+        return MountedDrive(bench.nodes[node], cast(TickedDrive, built[node][1]))
+
+    declaration = wire.network.bench
+    joint = next(joint for joint in declaration.joints if joint.name == one.path.joint)
+    knee: MountedDrive | Hand | Machine | None = lead
+    if knee is None:
+        knee = mounted(one.nodes.knee) if joint.driven_by else Hand(wire, 1e-3 * options.hand_lag_ms)
+    gauges = [_gauge(end, bench.nodes[n], cast(Tension, built[n][1]), one.tables, one.seed)
+              for end, n in (("start", one.nodes.start), ("end", one.nodes.end)) if n]
+    observers = [Observer(bench.nodes[device.node_id], cast(Feeling, built[device.node_id][1]))
+                 for device in (*declaration.followed, *declaration.observers)
+                 if device.type is JOINT_ENCODER or device.type.application is not None]
+    first = one.path is declaration.force_paths[0]
+    made = Machine(bench.kernel, one.plant, mounted(one.nodes.servo), knee, gauges, observers if first else ())
+    if isinstance(knee, Hand):
+        bench.wire.attach(knee)
+    return made
+
+
+def _refuse_misplaced(faults: Sequence[Fault], bench: DeclaredBench) -> None:
+    """Raise `InputError` for a fault of a drive, or of a load cell, at a node that is none of the declared bench."""
     drives = [device.node_id for device in bench.devices if device.type.taken]
+    cells = [device.node_id for device in bench.devices if device.type is LOAD_CELL]
     for place, fault in enumerate(faults, start=1):
-        if fault.kind in OF_A_DRIVE and fault.node not in drives:
-            raise InputError(f"[[fault]] {place}: {fault.kind} at node = {fault.node}, which is no drive of the "
-                             f"declared bench; expected one of {drives}.")
+        for kinds, fit, what in ((OF_A_DRIVE, drives, "drive"), (OF_A_SENSOR, cells, "load cell")):
+            if fault.kind in kinds and fault.node not in fit:
+                raise InputError(f"[[fault]] {place}: {fault.kind} at node = {fault.node}, which is no {what} of the "
+                                 f"declared bench; expected one of {fit}.")
 
 
 def factory(name: str) -> Factory:
@@ -172,16 +224,16 @@ def steady(given: str | Sequence[str]) -> frozenset[str]:
     return names
 
 
-def trimmed(wire: eds.WireLayout, gains: Mapping[str, float]) -> eds.WireLayout:
-    """Return the wire with the servo as its maker trimmed it: the loop's gains in its dictionary scaled alike."""
-    servo = wire.nodes[SERVO]
+def trimmed(wire: eds.WireLayout, node_id: int, gains: Mapping[str, float]) -> eds.WireLayout:
+    """Return the wire with a servo as its maker trimmed it: the loop's gains in its dictionary scaled alike."""
+    servo = wire.nodes[node_id]
     ratio = gains["position_gain"] / SERVO_GAINS.position_gain
     entries = dict(servo.dictionary.entries)
     for place in GAINS.values():
         entry = entries[place]
         entries[place] = dataclasses.replace(entry, default=round(cast(int, entry.initial) * ratio))
     dictionary = dataclasses.replace(servo.dictionary, entries=entries)
-    return eds.WireLayout(wire.network, {**wire.nodes, SERVO: servo._replace(dictionary=dictionary)})
+    return eds.WireLayout(wire.network, {**wire.nodes, node_id: servo._replace(dictionary=dictionary)})
 
 
 def _gauge(end: str, station: NodeStation, sensor: Tension, tables: Tables, seed: int) -> Gauge:

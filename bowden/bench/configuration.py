@@ -9,6 +9,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import json
+import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -73,15 +75,11 @@ def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | 
         if not same or name in bench.other_devices:
             raise InputError(f"{path}: [{name}] stands beside [[device]]; move its keys into the [[device]] of "
                              f"{name}.")
-    if not bench.runs and not any_shape:
-        raise InputError(f"{path}: the declared bench is neither the packaged one ({_named(paper)}), nor that without "
-                         "end, nor that without a knee drive; this version plans the wire of other benches (bowden "
-                         "check config) and does not run them: leave [[device]], [[joint]] and [[force_path]] out.")
+    refused = bench.refusal()
+    if refused is not None and not any_shape:
+        raise InputError(f"{path}: {refused}; bowden check config plans the wire of such a bench, and no command "
+                         "runs it: declare another one.")
     return bench.mapped({bench.named(name).node_id: mapping for name, mapping in mappings.items()})
-
-
-def _named(bench: Any) -> str:
-    return ", ".join(f"{device.name} {device.node_id}" for device in bench.devices)
 
 
 def homing(section: Any, least_n: float | None) -> Any:
@@ -150,11 +148,15 @@ def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> 
 
     `told` fills `[record]`.  Raises `InputError` for a shape that commands do not run.
     """
-    from eds.declaration import RUNNING, text_of
+    from eds.declaration import SHAPES, text_of
 
-    if shape not in RUNNING:
-        raise InputError(f"--shape {shape}: expected one of {', '.join(RUNNING)}; choose the shape of the bench.")
-    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), text_of(shape)))
+    if shape not in SHAPES:
+        raise InputError(f"--shape {shape}: expected one of {', '.join(SHAPES)}; choose the shape of the bench.")
+    arrays = text_of(shape)
+    text = "\n".join((*(template(declaration(name), name) for name in SECTIONS), arrays))
+    for line in tomllib.loads(arrays).get("network", {}).items():
+        text = text.replace("[network]\n{} = {}\n\n".format(*line), "")
+        text = re.sub(rf"^{line[0]} = .*$", "{} = {}".format(*line), text, flags=re.MULTILINE)
     for field, said in (told or {}).items():
         text = text.replace(f'\n{field} = ""', f"\n{field} = {_quoted(said)}")
     return text

@@ -13,10 +13,11 @@ from bowden.bench import buses, configuration
 from bowden.bench.buses import BusSettings, opened
 from bowden.model_files import BenchModel, Model
 from bowden.progress import SILENT, Progress
-from bowden.trials import provenance, recorded, session
+from bowden.trials import force_paths, provenance, recorded, session
 from bowden.trials.recorded_trial import TemporaryFolder, Trial
 from parameters import InputError
-from trial.signals import with_observers
+from trial.paths import PATHS
+from trial.signals import of_bench
 
 if TYPE_CHECKING:
     from master.identification.calibration_fit import Segment
@@ -28,49 +29,64 @@ class StoppedError(Exception):
 
 
 class Identified(NamedTuple):
-    """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to."""
+    """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to.
+
+    `path` is the force path that was identified, "" on a bench of a single one.
+    """
 
     reason: str | None
     calibration: Calibration | None
     segments: Sequence[Segment]
+    path: str = ""
 
 
 def perform(
     what: str, sections: Mapping[str, Any], guess: Path | Calibration | None, chosen: BusSettings, recording: Path, *,
     date: str, overwrite: bool = False, progress: Progress = SILENT,
-) -> Identified:
-    """Run the experiments of `what` on a bus, recorded in `recording`."""
+) -> list[Identified]:
+    """Run the experiments of `what` on a bus, recorded in `recording`; what each force path was identified to be.
+
+    On a bench of several paths a file `guess` stands for one file of each path (`force_paths.file_of`).
+    """
     from master.identification import identify
     from master.network.link import Link
-    from physics.calibration import nominal
+    from physics.calibration import nominal, write
     from trial.record import Recorder, RecordingError
 
     network = sections["network"]
+    paths = [path.name for path in network.bench.force_paths] if force_paths.several(network.bench) else [""]
+    guesses = {path: _calibration(force_paths.file_of(guess, path) if path and isinstance(guess, Path) else guess)
+               or nominal() for path in paths}
     wanted = identify.Identification(
-        what=what, guess=_calibration(guess) or nominal(), network=network, limits=sections["limits"],
+        what=what, guess=guesses[paths[0]], guesses=guesses, network=network, limits=sections["limits"],
         homing=sections["homing"])
     session.compile_laws(simulated=chosen.simulated, progress=progress)
     with opened(chosen, network) as bus:
         recorder = Recorder(
             recording, metadata={"experiment": f"identify {what}", "bench": chosen.bench,
                                  "rate_hz": str(network.rate_hz), "bitrate": str(network.bitrate),
-                                 "commit": provenance.commit()},
-            attachments=provenance.attachments(wanted.guess, sections), threaded=not chosen.simulated,
-            overwrite=overwrite, signals=with_observers(network.bench))
+                                 "commit": provenance.commit(), **({PATHS: " ".join(paths)} if paths[0] else {}),
+                                 **{f"{path}.bench": force_paths.bench_of(chosen.bench, path)
+                                    for path in paths if path}},
+            attachments={**provenance.attachments(wanted.guess, sections),
+                         **{f"{path}.calibration.toml": write(guesses[path]).encode() for path in paths if path}},
+            threaded=not chosen.simulated, overwrite=overwrite, signals=of_bench(network.bench))
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
             outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
                                              lambda _part, share: update(share))
         try:
             recorder.close(dataclasses.asdict(outcome))
         except RecordingError as error:
-            return Identified(outcome.reason or f"recording failed: {error}", None, segments)
+            outcome = dataclasses.replace(outcome, reason=outcome.reason or f"recording failed: {error}")
+    found = list(zip(paths, segments.values(), strict=True))
     if outcome.reason is not None:
         if session.never_ran(recording):
             recording.unlink(missing_ok=True)
-        return Identified(outcome.reason, None, segments)
+        return [Identified(outcome.reason, None, own, path) for path, own in found]
     with progress.waiting("fitting"):
-        return Identified(None, identify.calibrate(
-            what, segments, wanted.guess, bench=chosen.bench, date=date, trial=recording.name), segments)
+        return [Identified(None, identify.calibrate(
+            what, own, guesses[path], bench=force_paths.bench_of(chosen.bench, path) if path else chosen.bench,
+            date=date, trial=recording.name), own, path) for path, own in found]
 
 
 def again(
@@ -125,9 +141,11 @@ def identify(
         return _model(again(what, paths, guess, date=date, progress=progress))
     folder = TemporaryFolder()
     recording = folder.path / "identification.mcap" if output is None else Path(output)
-    found = perform(what, configuration.read(None if config is None else Path(config)), guess,
+    found, *others = perform(what, configuration.read(None if config is None else Path(config)), guess,
                     bus or buses.simulated(), recording, date=date, overwrite=overwrite, progress=progress)
     folder.remove()
+    if others:
+        raise InputError("identify: the bench has several force paths, and a model has one; say bowden identify.")
     return _model(found)
 
 

@@ -6,7 +6,9 @@ The rule of this file: what was not recorded has no figure; a disk that was full
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from eds.bench import bus_load
 from eds.bench.bench_network import wire
 from parameters import InputError
 from trial import metrics, read
+from trial.paths import one_path
 from trial.signals import COLUMNS
 from trial.truth_file import open_truth
 
@@ -29,13 +32,18 @@ TRUE_END = "true_end_n"
 def figures(
     experiment: ExperimentSetup, result: Result, output: Path, truth: Path | None, wall_s: float, *,
     serial: int | None, simulated: bool, kept: bool = True, progress: Progress = SILENT,
+    paths: Mapping[str, ExperimentSetup] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Every key that the design names for `trial --json`, in its order.
 
+    `paths`: the experiments of a bench of several force paths; the figures of force are then under `paths`, by path.
     `serial`: of the simulated bench, None on hardware; not `kept`: the disk did not take the whole trial.
     """
     gait, network = experiment.gait, experiment.network
     recorded = read.open(output) if kept else None
+    if paths:
+        return _of_paths(experiment, result, output, truth, wall_s, paths, recorded, serial=serial, simulated=simulated,
+                         progress=progress)
     columns = {name: np.empty(0) for name in COLUMNS} if recorded is None else recorded.columns
     found = metrics.figures(
         columns, peak_n=gait.peak_n, rate_hz=network.rate_hz, cycles=gait.cycles, settle=gait.settle,
@@ -61,6 +69,26 @@ def figures(
     }
 
 
+def _of_paths(
+    experiment: ExperimentSetup, result: Result, output: Path, truth: Path | None, wall_s: float,
+    paths: Mapping[str, ExperimentSetup], recorded: read.Trial | None, *, serial: int | None, simulated: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Return the figures of a trial of several force paths: those of force by path."""
+    found = refused(experiment, result, wall_s, serial=serial, simulated=simulated) | {"trial": str(output)}
+    found["paths"] = {}
+    for name, setup in paths.items():
+        one = None if recorded is None else one_path(recorded, name)
+        true = None if truth is None or one is None else _true_end(truth, one, progress, f"{name}.")
+        figures = metrics.figures(
+            {name: np.empty(0) for name in COLUMNS} if one is None else one.columns, peak_n=setup.reference.peak_n,
+            rate_hz=setup.network.rate_hz, cycles=setup.gait.cycles, settle=setup.gait.settle, true_end_n=true)
+        found["paths"][name] = {"peak_n": setup.reference.peak_n, "calibration": setup.calibration.label, **figures}
+    if recorded is not None:
+        found["bus_load_percent"] = load.measured_percent(recorded, experiment.network.bitrate)
+    return found
+
+
 def refused(
     experiment: ExperimentSetup, result: Result, wall_s: float, *, serial: int | None, simulated: bool
 ) -> dict[str, Any]:
@@ -80,22 +108,22 @@ def refused(
 
 
 def _true_end(
-    truth: Path, recorded: read.Trial, progress: Progress
+    truth: Path, recorded: read.Trial, progress: Progress, prefix: str = ""
 ) -> np.ndarray[Any, np.dtype[np.float64]] | None:
     """True END as `true_end`; None, and a remark, where the side file was not closed."""
     try:
-        return true_end(truth, recorded)
+        return true_end(truth, recorded, prefix)
     except InputError as error:
         progress.remark(str(error))
         return None
 
 
-def true_end(truth: Path, recorded: read.Trial) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """True END, N, at the SYNCs that latched the recorded rows; NaN at a row without one."""
+def true_end(truth: Path, recorded: read.Trial, prefix: str = "") -> np.ndarray[Any, np.dtype[np.float64]]:
+    """True END, N, at the SYNCs that latched the recorded rows; NaN at a row without one; `prefix`: the path's."""
     side = open_truth(truth)
     places = np.searchsorted(side.time_ns, recorded.time_ns).clip(0, len(side.time_ns) - 1)
     hit = side.time_ns[places] == recorded.time_ns
-    return np.where(hit, side.columns[TRUE_END][places], np.nan)
+    return np.where(hit, side.columns[prefix + TRUE_END][places], np.nan)
 
 
 def picture(output: Path, path: Path, experiment: ExperimentSetup) -> None:

@@ -55,7 +55,7 @@ def identify(bench: Row) -> tuple[str | None, str]:
     sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
     with tempfile.TemporaryDirectory() as folder:
         try:
-            found = identification.perform(
+            found, *_ = identification.perform(
                 "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
                 date=datetime.date.today().isoformat())
         except InputError as error:

@@ -7,24 +7,32 @@ from typing import TYPE_CHECKING, Any
 
 from bowden.bench.buses import BusSettings, opened
 from bowden.trials import session
+from parameters import InputError
 
 if TYPE_CHECKING:
     from master.cycle.run_safely import Outcome
     from master.motion.commission import Procedure
 
 
-def perform(chosen: BusSettings, sections: Mapping[str, Any], procedure: Procedure) -> tuple[Outcome, dict[str, Any]]:
+def perform(
+    chosen: BusSettings, sections: Mapping[str, Any], procedure: Procedure, path: str | None = None,
+) -> tuple[Outcome, dict[str, Any]]:
     """Run a procedure of `master.motion.commission` on a bus; returns how it ended and the figures it found, SI.
 
-    `sections` are those of a configuration.  Raises `InputError` for a bus that cannot be opened.
+    `sections` are those of a configuration; `path` is the force path that it is for, None on a bench of a single one.
+    Raises `InputError` for a bus that cannot be opened, and for a path that is missing or not declared.
     """
     from master.cycle.run_safely import run_safely
     from master.network.link import Link
 
     network = sections["network"]
+    names = [one.name for one in network.bench.force_paths]
+    if path not in (names if len(names) > 1 else [None, *names]):
+        raise InputError(f"--path {path or 'is missing'}: the bench has the force paths {', '.join(names)}; name one.")
+    place = names.index(path or names[0])
     found: dict[str, Any] = {}
     session.compile_laws(simulated=chosen.simulated)
     with opened(chosen, network) as bus, bus.host():
         outcome = run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, sections["limits"],
-                             lambda exchange: found.update(procedure(exchange)))
+                             lambda exchange: found.update(procedure(exchange.paths[place])))
     return outcome, found

@@ -29,7 +29,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
     `scripts` also takes those that ran in place of the gait (see `script`).  `allowed`: the controller "module:Class"
     that may be imported because the trial names it; a received file must not decide which code runs.
     """
-    from bowden.trials import provenance, session
+    from bowden.trials import force_paths, provenance, session
     from master.motion.experiment_run import ExperimentSetup
     from physics.calibration import read
 
@@ -45,6 +45,8 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
         knee, desired = (folder / f"{part}.csv" if f"{part}.csv" in recorded.attachments else None for part in CURVES)
         reference, chosen["gait"], _ = session.reference(
             chosen["gait"], knee, desired, period_given=True, peak_given=False)
+        reference = force_paths.reference_of(
+            reference, recorded.metadata.get("acts", ""), chosen["gait"].co_contraction)
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),

@@ -18,13 +18,15 @@ from bowden import output_files
 from bowden.bench.buses import BusSettings, opened
 from bowden.bench.configuration import override
 from bowden.progress import SILENT, Progress
+from bowden.trials import force_paths
 from parameters import InputError, read_toml
-from trial.signals import INDEX, Signal, with_observers
+from trial.signals import Signal, of_bench
 
 if TYPE_CHECKING:
     from master.control.effect_correction import Effects
     from master.cycle.log import CycleSink
     from master.motion.experiment_run import ExperimentSetup, Planned, Result
+    from master.motion.paths_run import PlannedPaths
     from master.motion.scripted_experiments import Scripted
     from master.settings import Gait
     from physics.bench_model import BenchModel
@@ -42,7 +44,6 @@ class Watch(Protocol):
         """Take how the trial ended."""
 
 
-CYCLE, GAIT_PERCENT = INDEX["cycle"], INDEX["gait_percent"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class Prepared:
     """A checked experiment, the bus it will run on, and the sections and other files it came from.
 
     `script` names the experiment of the catalogue that is run in place of the gait; "" for the gait.
-    `own_signals` are the controller's own columns, behind those of every trial.
+    `own_signals` are the controller's own columns, behind those of every trial.  `paths` has the experiment of each
+    force path, on a bench of several.
     """
 
     experiment: ExperimentSetup
@@ -59,6 +61,7 @@ class Prepared:
     files: Mapping[str, bytes] = field(default_factory=dict)
     script: str = ""
     own_signals: tuple[Signal, ...] = ()
+    paths: Mapping[str, ExperimentSetup] = field(default_factory=dict)
 
     @property
     def laps(self) -> int:
@@ -68,11 +71,15 @@ class Prepared:
         cycles = self.experiment.gait.cycles
         return laps(self.script, cycles) if self.script else cycles
 
-    def planned(self) -> Planned | Scripted:
+    def planned(self) -> Planned | Scripted | PlannedPaths:
         """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
         from master.motion.experiment_run import Planned
         from master.motion.scripted_experiments import Scripted
 
+        if self.paths:
+            from master.motion.paths_run import PlannedPaths
+
+            return PlannedPaths(self.paths, self.experiment.network)
         return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 
@@ -151,6 +158,8 @@ def prepare(
             raise InputError(f"--dry-run moves nothing, so --experiment {script} would tell nothing; leave one out.")
     if gait.settle >= gait.cycles:
         raise InputError(f"--settle {gait.settle} leaves none of {gait.cycles} cycles; give more cycles.")
+    if force_paths.several(sections["network"].bench):
+        return _several_paths(sections, reference, calibration, controller_model, chosen, dry_run, script, files or {})
     bench = _bench(chosen)
     model, told = _read(calibration, bench), _read(controller_model, bench)
     measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
@@ -160,6 +169,35 @@ def prepare(
     attached = controller_model or (model if known_effects(model) else None)
     return Prepared(experiment, sections, chosen, {**(files or {}), **provenance.controller_model(attached)},
                     script or "", controller.signals(kind))
+
+
+def _several_paths(
+    sections: Mapping[str, Any], reference: Reference, calibration: Path | BenchModel | None,
+    controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,
+    files: Mapping[str, bytes],
+) -> Prepared:
+    """Join sections to an experiment of several force paths; each path has a calibration file of its own."""
+    from master.control import controller
+    from master.motion.experiment_run import ExperimentSetup
+    from physics.bench_model import nominal
+    from physics.calibration import refuse_beyond_validity
+
+    if script is not None:
+        raise InputError(f"--experiment {script}: runs on a bench of one force path; leave it out.")
+    whole = ExperimentSetup(reference=reference, dry_run=dry_run, **sections)
+    setups = {}
+    for path in sections["network"].bench.force_paths:
+        bench = force_paths.bench_of(_bench(chosen), path.name)
+        given = [force_paths.file_of(each, path.name) if isinstance(each, Path) else each
+                 for each in (calibration, controller_model)]
+        model, told = (_read(each, bench) for each in given)
+        measured = next((known for known in (model, told) if known is not None and known.values), nominal()).calibration
+        setups[path.name] = force_paths.setup_of(
+            whole, path, calibration=measured, known={**known_effects(model), **known_effects(told)})
+        refuse_beyond_validity(measured, setups[path.name].reference.peak_n)
+    kind = controller.find(sections["gait"].controller, where="--controller")
+    return Prepared(whole, sections, chosen, files, "",
+                    controller.signals(kind), setups)
 
 
 def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None:
@@ -206,16 +244,18 @@ def perform(
     planned = prepared.planned()
     with opened(prepared.chosen, network, truth=truth) as bus:
         recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
-                                              **provenance.metadata(prepared.experiment, prepared.script)},
+                                              **provenance.metadata(prepared.experiment, prepared.script),
+                                              **_metadata(prepared)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
+                                         **force_paths.attachments(prepared.paths, prepared.sections),
                                          **prepared.files},
                             threaded=not simulated, overwrite=overwrite,
-                            signals=(*with_observers(network.bench), *prepared.own_signals))
+                            signals=(signals := of_bench(network.bench, prepared.own_signals)))
         began = time.perf_counter()
         if announce:
             progress.remark(f"{announce} {planned.pulls}")
         with progress.running("trial") as update, bus.host() as refused:
-            sink: CycleSink = Watched(recorder, update, prepared.laps)
+            sink: CycleSink = Watched(recorder, update, prepared.laps, signals)
             sink = sink if watch is None else watch.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
@@ -235,10 +275,14 @@ def perform(
         return report.refused(prepared.experiment, result, wall_s, serial=prepared.chosen.serial, simulated=simulated)
     kept = recorder.failure is None
     figures = report.figures(prepared.experiment, result, output, truth, wall_s, serial=prepared.chosen.serial,
-                             simulated=simulated, kept=kept, progress=progress)
+                             simulated=simulated, kept=kept, progress=progress, paths=prepared.paths)
     if picture is not None and kept:
         report.picture(output, picture, prepared.experiment)
     return figures
+
+
+def _metadata(prepared: Prepared) -> dict[str, str]:
+    return force_paths.metadata(prepared.paths, prepared.experiment.network) if prepared.paths else {}
 
 
 def never_ran(output: Path) -> bool:
@@ -297,7 +341,11 @@ class Watched:
 
     EVERY = 200
 
-    def __init__(self, recorder: Recorder, update: Callable[[float], None], cycles: int) -> None:
+    def __init__(
+        self, recorder: Recorder, update: Callable[[float], None], cycles: int, signals: Sequence[Signal]
+    ) -> None:
+        ends = [signal.name.rpartition(".")[2] for signal in signals]
+        self._cycle, self._percent = ends.index("cycle"), ends.index("gait_percent")
         self.frame, self.frames, self.event = recorder.frame, recorder.frames, recorder.event
         self._record, self._update, self._cycles, self._count = recorder.cycle, update, cycles, 0
         self._width = recorder.width
@@ -308,6 +356,6 @@ class Watched:
             values = (*values, *(math.nan,) * (self._width - len(values)))
         self._record(time_ns, values)
         self._count += 1
-        if not self._count % self.EVERY and values[CYCLE] >= 0:
-            percent = values[GAIT_PERCENT]
-            self._update((values[CYCLE] + (percent / 100 if math.isfinite(percent) else 0)) / self._cycles)
+        if not self._count % self.EVERY and values[self._cycle] >= 0:
+            percent = values[self._percent]
+            self._update((values[self._cycle] + (percent / 100 if math.isfinite(percent) else 0)) / self._cycles)

@@ -6,6 +6,7 @@ paper's bench is 590 bit times at worst: SYNC, four TPDOs, one frame of targets 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from eds import cia301, cia402, dictionary
 from eds.bench.network import Network as Network
 from eds.bench.setup import RPDO, TPDO, Pdo, Write, interpolation_period, pdo_writes
 from eds.datatype import DataType
-from eds.declaration import LOAD_CELL, DeclaredDevice, packaged
+from eds.declaration import LOAD_CELL, DeclaredDevice, PathNodes, packaged
 from eds.device_mapping import DeviceMapping, MappedPart, ServoMapping, part
 from eds.dictionary import Dictionary, key
 from eds.pdo_plan import Field, PdoPlan, compile_plan, overlay
@@ -88,6 +89,23 @@ class WireLayout:
         self.followed = tuple(device.node_id for device in network.bench.followed)
         self.target_frames = self._frames("target", cia301.RPDO_BASE)
         self.controlword_frames = self._frames("controlword", cia301.RPDO_BASE + 0x100)
+
+    @functools.cached_property
+    def paths(self) -> tuple[PathNodes, ...]:
+        """Node ids of each force path's devices, in declared order."""
+        return tuple(self.network.bench.nodes_of(path) for path in self.network.bench.force_paths)
+
+    @property
+    def path(self) -> PathNodes:
+        """Node ids of the only force path."""
+        (path,) = self.paths
+        return path
+
+    def of_path(self, name: str) -> WireLayout:
+        """Return the wire of one force path: its devices where they are on this wire."""
+        bench = self.network.bench.path(name)
+        return WireLayout(dataclasses.replace(self.network, bench=bench),
+                          {device.node_id: self.nodes[device.node_id] for device in bench.devices})
 
     @functools.cached_property
     def targets(self) -> PdoPlan:

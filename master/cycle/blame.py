@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from eds.bench.bench_network import END, KNEE, SERVO, START
+from eds.declaration import PathNodes
+from master.cycle.inputs import END, SERVO, START
 from master.cycle.plausibility import (
     BY_END,
     BY_START,
@@ -24,7 +25,7 @@ from master.cycle.plausibility import (
     STILL_START,
     Implausibility,
 )
-from master.cycle.safety import Condition, StopError
+from master.cycle.safety import NOBODY, Condition, StopError
 
 _TENSIONS: Final = (RATIO, FORCE, BY_START, BY_END)
 
@@ -32,7 +33,7 @@ _TENSIONS: Final = (RATIO, FORCE, BY_START, BY_END)
 class Suspect(NamedTuple):
     """Who it is, in words, and which of the four tension relations it disturbs."""
 
-    node: int
+    place: int
     words: str
     disturbed: frozenset[int]
 
@@ -41,9 +42,9 @@ SUSPECTS: Final = (
     Suspect(START, "START", frozenset({RATIO, FORCE, BY_START})),
     Suspect(END, "END, or a rope that slipped or snapped", frozenset({RATIO, BY_END})),
     Suspect(SERVO, "the servo's torque, or START with its path", frozenset({FORCE})),
-    Suspect(0, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
+    Suspect(NOBODY, "servo position, knee angle, a rope that slipped or snapped, or the calibration's swing_k",
             frozenset({BY_START, BY_END})),
-    Suspect(0, "START or END, or a path between them that is jammed", frozenset({RATIO})),
+    Suspect(NOBODY, "START or END, or a path between them that is jammed", frozenset({RATIO})),
     Suspect(START, "START, or a path that is jammed", frozenset({RATIO, BY_START})),
     Suspect(START, "START, servo position, knee angle, or the calibration's swing_k", frozenset({BY_START})),
     Suspect(END, "END, servo position, knee angle, or the calibration's swing_k", frozenset({BY_END})),
@@ -61,36 +62,37 @@ _AGED: Final = 0.75
 """Normalised residual from which on a relation counts as disturbed while another one is broken."""
 
 
-def blamed(finding: Implausibility) -> StopError:
-    """The stop that a finding calls for, with the suspect's name, what was seen and what was expected."""
+def blamed(finding: Implausibility, path: PathNodes) -> StopError:
+    """Return the stop that a finding on a force path calls for, with the suspect, what was seen, what was expected."""
     seen, expected, relation = finding.seen, finding.expected, finding.relation
     if relation in _TENSIONS and finding.frozen:
         return StopError(Condition.OFF_TARGET, "servo position repeats one value to the last bit while its target and "
-                                               f"{_TEXTS[relation][0]} change", SERVO)
+                                               f"{_TEXTS[relation][0]} change", path.servo)
     both = "targets that do not reach the drives, or both drives: " if _both_off(finding) else ""
     if relation == SERVO_TRACK:
         return StopError(Condition.OFF_TARGET, f"{both}servo position is {1e3 * seen:.2f} mm, by its targets it "
-                                               f"would be {1e3 * expected:.2f} mm", SERVO)
+                                               f"would be {1e3 * expected:.2f} mm", path.servo)
     if relation == KNEE_TRACK:
         return StopError(Condition.OFF_TARGET, f"{both}knee angle is {_degrees(seen):.1f}°, by its targets it would be "
-                                               f"{_degrees(expected):.1f}°", KNEE)
+                                               f"{_degrees(expected):.1f}°", path.knee)
     if relation in (STILL_START, STILL_END):
-        name, node, other = ("START", START, "END") if relation == STILL_START else ("END", END, "START")
+        name, node, other = ("START", path.start, "END") if relation == STILL_START else ("END", path.end, "START")
         return StopError(Condition.IMPLAUSIBLE, f"{name} repeats one value while {other} went from {expected:.1f} to "
                                                 f"{seen:.1f} N", node)
     if relation == STILL_SERVO:
         return StopError(Condition.OFF_TARGET, f"servo position repeats one value while its target went from "
-                                               f"{1e3 * expected:.2f} to {1e3 * seen:.2f} mm", SERVO)
+                                               f"{1e3 * expected:.2f} to {1e3 * seen:.2f} mm", path.servo)
     if relation == STILL_KNEE:
         return StopError(Condition.OFF_TARGET, f"knee angle repeats one value while its target went from "
-                                               f"{_degrees(expected):.1f}° to {_degrees(seen):.1f}°", KNEE)
+                                               f"{_degrees(expected):.1f}° to {_degrees(seen):.1f}°", path.knee)
     suspect = suspected(finding)
     what, scale, unit = _TEXTS[relation]
     swing = finding.swing_k_fits - finding.swing_k
     fits = (f" (swing_k = {finding.swing_k:.4f} m/rad, {finding.swing_k_fits:.4f} would fit)"
             if abs(swing) > 0.1 * finding.swing_k else "")
     return StopError(Condition.IMPLAUSIBLE, f"{suspect.words}: {what} is {scale * seen:.1f} {unit}, "
-                                            f"expected about {scale * expected:.1f} {unit}{fits}", suspect.node)
+                                            f"expected about {scale * expected:.1f} {unit}{fits}",
+                     0 if suspect.place == NOBODY else path[suspect.place])
 
 
 def _both_off(finding: Implausibility) -> bool:

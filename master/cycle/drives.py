@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import struct
 
-from eds.bench.bench_network import KNEE, SERVO
 from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlword, state_of
 from eds.dictionary import key
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
+from master.cycle.shared_exchange import Running
 from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 
@@ -24,25 +24,34 @@ RELEASE = 0x2020
 """A drive of this bench that had an emergency stop (statusword bit 8) takes the operator's release here."""
 
 
-def enable(exchange: Exchange) -> Inputs:
+def enable(exchange: Running) -> None:
     """Bring every drive to OPERATION ENABLED where it stands; raises `BringUpError` with drive and error code."""
-    inputs = _drive_to(exchange, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
-    exchange.plausibility.restart()
-    exchange.guard.enabled = True
-    return inputs
+    for path in exchange.paths:
+        _drive_to(path, (State.OPERATION_ENABLED, State.OPERATION_ENABLED))
+        path.plausibility.restart()
+    for path in exchange.paths:
+        path.guard.enabled = True
 
 
 def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
     """Bring one drive to OPERATION ENABLED, the other one to SWITCH ON DISABLED; whoever moves it watches it."""
     exchange.guard.enabled = False
-    goals = [State.OPERATION_ENABLED if node == node_id else State.SWITCH_ON_DISABLED for node in (SERVO, KNEE)]
+    goals = [State.OPERATION_ENABLED if node == node_id else State.SWITCH_ON_DISABLED for node in exchange.path[:2]]
     return _drive_to(exchange, (goals[0], goals[1]))
 
 
-def disable(exchange: Exchange, patience_ns: int = PATIENCE_NS) -> Inputs:
-    """Take both drives to SWITCH ON DISABLED; raises `BringUpError` where one does not follow."""
-    exchange.guard.enabled = False
-    return _drive_to(exchange, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED), patience_ns)
+def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
+    """Take every drive to SWITCH ON DISABLED; raises `BringUpError` where one does not follow."""
+    for guard in exchange.guards:
+        guard.enabled = False
+    failed: BringUpError | None = None
+    for path in exchange.paths:
+        try:
+            _drive_to(path, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED), patience_ns)
+        except BringUpError as error:
+            failed = failed or error
+    if failed is not None:
+        raise failed
 
 
 def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int = PATIENCE_NS) -> Inputs:
@@ -90,11 +99,11 @@ def _where(exchange: Exchange, states: tuple[State | None, State | None]) -> tup
 def _not_there(exchange: Exchange, inputs: Inputs, goals: tuple[State, State]) -> str:
     texts, remedies = [], []
     words = (inputs.servo_status, inputs.knee_status)
-    for node, word, state, goal in zip((SERVO, KNEE), words, _states(exchange, inputs), goals, strict=True):
+    for node, word, state, goal in zip(exchange.path[:2], words, _states(exchange, inputs), goals, strict=True):
         if state is goal or node not in exchange.wire.drives:
             continue
         name = exchange.wire.nodes[node].name
-        if inputs.missing & 1 << (SERVO, KNEE).index(node):
+        if inputs.missing & 1 << exchange.path.index(node):
             texts.append(f"{name} says nothing, so that its state is not known")
             continue
         texts.append(f"{name} is in {state.title if state else 'no known state'} "
@@ -127,17 +136,17 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
 
     Raises `BringUpError` where the drive does not report homing attained.
     """
-    link, before_m = exchange.link, exchange.inputs.servo_position_m
+    link, servo, before_m = exchange.link, exchange.path.servo, exchange.inputs.servo_position_m
     exchange.rehoming = True
-    link.sdo_write(SERVO, _HOME_OFFSET, 0, struct.pack("<i", position_um))
-    link.sdo_write(SERVO, _HOMING_METHOD, 0, struct.pack("<b", HomingMethod.CURRENT_POSITION_37))
+    link.sdo_write(servo, _HOME_OFFSET, 0, struct.pack("<i", position_um))
+    link.sdo_write(servo, _HOMING_METHOD, 0, struct.pack("<b", HomingMethod.CURRENT_POSITION_37))
     _set_mode(exchange, Mode.HOMING)
     exchange.command(_OPERATE | Control.HOMING_START, _OPERATE)
     deadline = exchange.inputs.sync_ns + PATIENCE_NS
     while not exchange.inputs.servo_status & Status.HOMING_ATTAINED:
         exchange.hold()
         if exchange.inputs.sync_ns >= deadline or exchange.inputs.servo_status & Status.HOMING_ERROR:
-            raise BringUpError(f"{exchange.wire.nodes[SERVO].name} did not attain home "
+            raise BringUpError(f"{exchange.wire.nodes[servo].name} did not attain home "
                           f"(statusword 0x{exchange.inputs.servo_status:04X}).")
     inputs = exchange.hold()
     exchange.advance(inputs.servo_position_m, exchange.targets[1])
@@ -148,9 +157,9 @@ def set_home(exchange: Exchange, position_um: int) -> Inputs:
 
 
 def _set_mode(exchange: Exchange, mode: Mode) -> None:
-    link = exchange.link
-    link.sdo_write(SERVO, _MODE, 0, bytes([mode]))
+    link, servo = exchange.link, exchange.path.servo
+    link.sdo_write(servo, _MODE, 0, bytes([mode]))
     deadline = exchange.inputs.sync_ns + PATIENCE_NS
-    while link.sdo_read(SERVO, _MODE_SHOWN) != bytes([mode]):
+    while link.sdo_read(servo, _MODE_SHOWN) != bytes([mode]):
         if exchange.inputs.sync_ns >= deadline:
-            raise BringUpError(f"{exchange.wire.nodes[SERVO].name} does not show mode {mode.name} (0x6061).")
+            raise BringUpError(f"{exchange.wire.nodes[servo].name} does not show mode {mode.name} (0x6061).")

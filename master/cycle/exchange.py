@@ -13,13 +13,13 @@ from typing import Any
 
 import can
 
-from eds.bench.bench_network import END, KNEE, SERVO, WireLayout, tpdo_cob_id
+from eds.bench.bench_network import WireLayout, tpdo_cob_id
 from eds.bench.complete_cycle import CompleteCycle, CompleteCycles
 from eds.cia301 import SYNC_COB_ID
 from eds.pdo_plan import Joined
 from eds.scale_factors import drum_radius_m
 from master.cycle.guard import Guard
-from master.cycle.inputs import NOTHING, ORDER, CycleAnnotations, Inputs, KeptCycle, observer_slots, places
+from master.cycle.inputs import END, KNEE, NOTHING, CycleAnnotations, Inputs, KeptCycle, observer_slots, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import Reception
@@ -32,8 +32,9 @@ FIRST_SENSOR = 2
 NO_VALUE = -32767.5
 """Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
+NO_SYNC = "none for {:.0f} ms"
 UNHEARD = (NAN, NAN, NAN, NAN)
-KNEE_BIT = 1 << ORDER.index(KNEE)
+KNEE_BIT = 1 << KNEE
 NEEDED = 0b0111
 """Without these a cycle holds its targets; END is verification only and moves nothing."""
 
@@ -43,38 +44,48 @@ class Exchange:
 
     `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
     a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
+    `name` is the source of this path's events: the force path's where there are several.
+    `own` is how many columns the controller has of its own, `told` whether this cycle's row is recorded.
     `annotations` is what a row says of whoever steps, where `advance` is not told.
     `kept`, where it is a list, gets each complete cycle.
+    `paths` are the force paths that the cycle runs, each with this interface; here itself alone.
     `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
     """
+
+    alone = True
+    """Whether no other force path is on the bus, so that the bus may run complete cycles by itself."""
 
     def __init__(self, link: Link, wire: WireLayout, log: Log, guard: Guard, budget_ns: int) -> None:
         self.link, self.wire, self.log, self.guard = link, wire, log, guard
         self.missed_cycles = self.stale_inputs = 0
+        self.paths: tuple[Exchange, ...] = (self,)
         self.inputs = Inputs(-1, 0, NAN, NAN, 0, NAN, NAN, NAN, (1 << len(places(wire))) - 1)
         self.targets = (0.0, 0.0)
         self.annotations = NOTHING
         self.kept: list[KeptCycle] | None = None
         self._budget_ns = budget_ns
+        self.path = wire.path
         self._order = places(wire)
-        self._all = (1 << len(self._order)) - 1
+        self.all = (1 << len(self._order)) - 1
         self._none_late = [0] * len(self._order)
         plans = [wire.tpdo[tpdo_cob_id(node)] for node in self._order]
         self._slots = {plan.cob_id: (i, plan.size) for i, plan in enumerate(plans)}
-        self.knee_driven = KNEE in wire.drives
-        self._unpack = [plan.unpack_si if self.knee_driven or node != KNEE else _without_status(plan.unpack_si)
-                        for node, plan in zip(self._order, plans, strict=True)]
+        self.knee_driven = self.path.knee in wire.drives
+        self._unpack = [plan.unpack_si for plan in plans]
+        if not self.knee_driven:
+            self._unpack[KNEE] = _without_status(plans[KNEE].unpack_si)
         self._unpack_all = Joined(plans).unpack_si
         self._no_value = [-math.inf, -math.inf, *(NO_VALUE * plan.fields[0].scale for plan in plans[FIRST_SENSOR:])]
-        self._newtons = 1.0 / drum_radius_m(wire.nodes[SERVO].dictionary)
+        self._newtons = 1.0 / drum_radius_m(wire.nodes[self.path.servo].dictionary)
         self._pack_targets = wire.targets.pack_si
         self._values: Sequence[tuple[float, ...]] = ((0.0, NAN, NAN), (0.0, NAN), (NAN,), (NAN,))
-        self._latched_ns: Sequence[float] = [0 if node in self._order else NAN for node in ORDER]
+        self._latched_ns: Sequence[float] = [0 if node else NAN for node in self.path]
         self._arrival_ns: Sequence[float] = UNHEARD
         self._late_in_row = self._none_late
-        self._first_ns = self._velocity_ns = self._early_ns = -1
+        self.first_ns = self._velocity_ns = self._early_ns = -1
         self._count = 0
-        self._told = self._doubled_sync = False
+        self.told = self._doubled_sync = False
+        self.own, self.name = 0, "master"
         self._answered_ns = self._step_ns = 0
         # What is late: SYNC by a time, inputs by a count.  A busy computer makes up for it, which is no repetition.
         self._overdue_ns, self._overdue_inputs = 0, [0, 0, 0, 0]
@@ -82,7 +93,7 @@ class Exchange:
         self._miss_text = ""
         self._lengths: set[int] = set()
         self.rehoming = False
-        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=END in self._order,
+        self.plausibility = guard.plausibility = Plausibility(wire.period_ns * 1e-9, with_end=self.path[END] > 0,
                                                             with_knee=self.knee_driven)
         self._reception = Reception(wire.period_ns * 1e-9, guard.limits)
         self._velocity = self._position = NAN
@@ -90,8 +101,8 @@ class Exchange:
         offer: Callable[..., CompleteCycles | None] | None = getattr(link.bus, "cycles", None)
         self._observers = observer_slots(wire)
         self._unknown = (NAN,) * sum(len(slots.places) for slots in self._observers.values())
-        self._observed = self._unknown
-        whole = len(plans) == len(wire.nodes) == len(ORDER) and self.knee_driven
+        self.observed = self._unknown
+        whole = self.alone and len(plans) == len(wire.nodes) == len(self.path) and self.knee_driven
         self._complete_cycles = None if offer is None or not whole else offer(
             log.tap, (wire.targets.cob_id, wire.targets.size), [(plan.cob_id, plan.size) for plan in plans],
             wire.period_ns, budget_ns, link.heartbeat)
@@ -103,7 +114,7 @@ class Exchange:
             self.link.sync_pace(self.wire.period_ns)
             self.log.event(self.link.clock(), "warning", "master", UNSEEN)
             sync_ns = self._await_sync()
-        self._first_ns = sync_ns
+        self.first_ns = sync_ns
         self.log.drain()
         self.link.pump = lambda _deadline_ns: self.hold()
         inputs = self._latch(sync_ns)
@@ -111,6 +122,20 @@ class Exchange:
             self.targets = (self.targets[0], inputs.knee_angle_rad)
         self._overdue_ns = 0
         return inputs
+
+    @property
+    def guards(self) -> tuple[Guard, ...]:
+        """The guard, as of each force path."""
+        return (self.guard,)
+
+    @property
+    def heard(self) -> tuple[int, ...]:
+        """COB-IDs that this path receives: its inputs and its observers."""
+        return (*self._slots, *self._observers)
+
+    def forget_misses(self) -> None:
+        """Count misses from here on."""
+        self.missed_cycles = self.stale_inputs = 0
 
     def end(self) -> None:
         """Leave the cycle: SDOs wait by receiving again."""
@@ -137,13 +162,7 @@ class Exchange:
         Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
         """
         link, inputs = self.link, self.inputs
-        if annotations is not None:
-            self.guard.check_gait(inputs, annotations)
-        self.targets = (servo_m, knee_rad)
-        self._step_ns = link.clock() - self._answered_ns
-        if self.kept is not None and not inputs.missing:
-            self.kept.append(KeptCycle(target=servo_m, position=inputs.servo_position_m, knee=inputs.knee_angle_rad,
-                                       start=inputs.start_n, end=inputs.end_n))
+        self.answer(servo_m, knee_rad, annotations)
         data = self._pack_targets(servo_m, knee_rad)
         if link.watch is not None:
             link.watch.sent(self.wire.targets.cob_id, data)
@@ -163,8 +182,19 @@ class Exchange:
         self._record(sync_ns, sent, annotations)
         if sync_ns < 0:
             self.guard.heed_strangers()
-            raise StopError(Condition.SYNC_LOST, f"none for {self._patience_ns / 1e6:.0f} ms")
+            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
         return self._latch(sync_ns)
+
+    def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
+        """Take the targets that answer `inputs`; nothing is sent."""
+        inputs = self.inputs
+        if annotations is not None:
+            self.guard.check_gait(inputs, annotations)
+        self.targets = (servo_m, knee_rad)
+        self._step_ns = self.link.clock() - self._answered_ns
+        if self.kept is not None and not inputs.missing:
+            self.kept.append(KeptCycle(target=servo_m, position=inputs.servo_position_m, knee=inputs.knee_angle_rad,
+                                       start=inputs.start_n, end=inputs.end_n))
 
     def _at_once(self, complete: CompleteCycle, annotations: CycleAnnotations | None) -> Inputs:
         """Record a complete cycle that the bus has run, and return its inputs."""
@@ -185,13 +215,18 @@ class Exchange:
         """Record the cycle that a SYNC has ended."""
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
+        self.note(sent)
+        if not self.told:
+            self.told = True
+            told = annotations or self.annotations
+            self.log.row(self.inputs.sync_ns, self.row_of(told, sent).values(self.observed, told.own))
+
+    def note(self, sent: bool) -> None:
+        """Count what a cycle missed; `sent`: its targets left in time."""
         if not sent or self.inputs.missing:
             self._note_miss(sent)
         elif self._misses:
             self._end_misses()
-        if not self._told:
-            self._told = True
-            self.log.row(self.inputs.sync_ns, self._row(annotations or self.annotations, sent))
 
     def _await_sync(self) -> int:
         """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
@@ -203,26 +238,44 @@ class Exchange:
         while (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
             if can_id == SYNC_COB_ID:
-                if not self._repeats(stamp_ns(message)):
+                if not self.repeats(stamp_ns(message)):
                     return stamp_ns(message)
-            elif can_id in slots:
-                if self.inputs.missing >> slots[can_id][0] & 1:
-                    self._take(message, self.inputs.sync_ns)
-                    self._overdue_inputs[slots[can_id][0]] = 0
-                else:
-                    self._note_doubled(message, slots[can_id][0])
-            elif can_id in self._observers:
-                self._observe(message)
+            elif can_id in slots or can_id in self._observers:
+                self.hear_late(message)
         return -1
 
-    def _repeats(self, sync_ns: int) -> bool:
+    def hear_late(self, message: can.Message) -> None:
+        """Take a TPDO that comes after the deadline of its cycle."""
+        can_id = message.arbitration_id
+        if can_id in self._observers:
+            self._observe(message)
+            return
+        i = self._slots[can_id][0]
+        if self.inputs.missing >> i & 1:
+            self._take(message, self.inputs.sync_ns)
+            self._overdue_inputs[i] = 0
+        else:
+            self._note_doubled(message, i)
+
+    def hear(self, message: can.Message, sync_ns: int, missing: int) -> int:
+        """Take a TPDO that a SYNC has latched; the bits of `missing` that are missing after it."""
+        can_id = message.arbitration_id
+        if can_id in self._observers:
+            self._observe(message)
+            return missing
+        if missing >> self._slots[can_id][0] & 1:
+            return missing & ~self._take(message, sync_ns)
+        self._note_doubled(message, self._slots[can_id][0])
+        return missing
+
+    def repeats(self, sync_ns: int) -> bool:
         """Whether a SYNC comes within half a period of the last one: that one is doubled, and no new cycle."""
         if self.inputs.sync_ns < 0 or sync_ns - self.inputs.sync_ns > self.wire.period_ns // 2:
             return False
-        self._note_repeated(sync_ns)
+        self.note_repeated(sync_ns)
         return True
 
-    def _note_repeated(self, sync_ns: int) -> None:
+    def note_repeated(self, sync_ns: int) -> None:
         """Note a SYNC that comes too soon, unless one is overdue: a busy computer sends it late, then the next."""
         self._doubled_sync = True
         if self._overdue_ns > self.wire.period_ns // 2:
@@ -235,7 +288,8 @@ class Exchange:
         if self._overdue_inputs[i]:
             self._overdue_inputs[i] -= 1
         elif self.link.watch is not None and not (self._doubled_sync or self.guard.beginning):
-            self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {self.wire.nodes[ORDER[i]].name}")
+            name = self.wire.nodes[self._order[i]].name
+            self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {name}")
 
     def _take(self, message: can.Message, sync_ns: int) -> int:
         """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
@@ -254,7 +308,7 @@ class Exchange:
         return 1 << i
 
     def _keep_all(self, sync_ns: int, frames: Any) -> int:
-        """Keep the TPDOs of `ORDER`, as `eds.pdo_plan.Joined` takes them; the bits of those that are not taken."""
+        """Keep the TPDOs of all places, as `eds.pdo_plan.Joined` takes them; the bits of those that are not taken."""
         ends, values = self._unpack_all(frames)
         servo, knee, start, end = values
         if (start[0] > self._no_value[2] and end[0] > self._no_value[3] and not self.rehoming
@@ -279,7 +333,7 @@ class Exchange:
         return missing
 
     def _keep(self, i: int, values: tuple[float, ...], sync_ns: int, stamp: int) -> None:
-        """Values of `ORDER[i]`, latched by `sync_ns`."""
+        """Keep the values of place i, latched by `sync_ns`."""
         kept, latched, arrival = list(self._values), list(self._latched_ns), list(self._arrival_ns)
         kept[i], latched[i], arrival[i] = values, sync_ns, stamp - sync_ns
         self._values, self._latched_ns, self._arrival_ns = kept, latched, arrival
@@ -288,25 +342,34 @@ class Exchange:
         """Say once of a node that its PDO has another length than was mapped."""
         if i not in self._lengths:
             self._lengths.add(i)
-            name = self.wire.nodes[ORDER[i]].name
+            name = self.wire.nodes[self._order[i]].name
             self.log.event(stamp, "miss", "master", f"{name}: a PDO of {length} bytes, mapped are {size}.")
 
     def _tell_refused(self, i: int, stamp: int) -> None:
         self.log.event(stamp, "miss", "master",
-                       f"{self.wire.nodes[ORDER[i]].name}: {self._reception.refusal(i)}; not taken.")
+                       f"{self.wire.nodes[self._order[i]].name}: {self._reception.refusal(i)}; not taken.")
 
     def _latch(self, sync_ns: int, frames: Any = None) -> Inputs:
         """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check safety.
 
         `frames`, as `eds.pdo_plan.Joined` takes them, where all of them are there already.
         """
-        self._arrival_ns, self._observed = UNHEARD, self._unknown
-        self._told = self._doubled_sync = False
-        overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
-        self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
+        self.begin_latch(sync_ns)
         missing = self._collect(sync_ns) if frames is None else self._keep_all(sync_ns, frames)
         if missing and frames is not None:
             missing = self._collect(sync_ns, missing)
+        self.latched(sync_ns, missing)
+        return self.checked()
+
+    def begin_latch(self, sync_ns: int) -> None:
+        """Begin a cycle: nothing of this SYNC has been heard."""
+        self._arrival_ns, self.observed = UNHEARD, self._unknown
+        self.told = self._doubled_sync = False
+        overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
+        self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
+
+    def latched(self, sync_ns: int, missing: int) -> None:
+        """Make the inputs of a SYNC of what was heard; `missing` has the bits of those that did not come."""
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns=sync_ns, servo_status=int(servo[0]), servo_position_m=servo[1],
@@ -317,42 +380,45 @@ class Exchange:
         if missing or late != self._none_late:
             self._late_in_row = [count + 1 if missing >> i & 1 else 0 for i, count in enumerate(late)]
             self._overdue_inputs = [n + (missing >> i & 1) for i, n in enumerate(self._overdue_inputs)]
-        self.guard.check(inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
+
+    def checked(self) -> Inputs:
+        """Check the inputs of this cycle against safety's table, and return them."""
+        self.guard.check(self.inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         self._answered_ns = self.link.clock()
-        return inputs
+        return self.inputs
 
     def _collect(self, sync_ns: int, missing: int = 0) -> int:
         """Receive the missing PDOs (0: all) of one SYNC until its deadline; the bits of those that have not come."""
-        missing = missing or self._all
+        missing = missing or self.all
         deadline = sync_ns + self._budget_ns
         receive, slots = self.link.receive, self._slots
-        if missing == self._all:
+        if missing == self.all:
             self._reception.begin()
         while missing and (message := receive(deadline)) is not None:
             can_id = message.arbitration_id
-            if can_id in slots:
-                if missing >> slots[can_id][0] & 1:
-                    missing &= ~self._take(message, sync_ns)
-                else:
-                    self._note_doubled(message, slots[can_id][0])
+            if can_id in slots or can_id in self._observers:
+                missing = self.hear(message, sync_ns, missing)
             elif can_id == SYNC_COB_ID and (stamp := stamp_ns(message)) - sync_ns > self.wire.period_ns // 2:
                 self._early_ns = stamp
                 break
             elif can_id == SYNC_COB_ID:
-                self._note_repeated(stamp_ns(message))
-            elif can_id in self._observers:
-                self._observe(message)
+                self.note_repeated(stamp_ns(message))
         return missing
+
+    def expect(self) -> int:
+        """Begin to receive another SYNC's inputs; the bits of all of them."""
+        self._reception.begin()
+        return self.all
 
     def _observe(self, message: can.Message) -> None:
         """Keep what an observer's TPDO carries for the row of this cycle."""
         plan, places = self._observers[message.arbitration_id]
         if len(message.data) < plan.size:
             return
-        values, row = plan.unpack_si(bytes(message.data)), list(self._observed)
+        values, row = plan.unpack_si(bytes(message.data)), list(self.observed)
         for field, column in places:
             row[column] = values[field]
-        self._observed = tuple(row)
+        self.observed = tuple(row)
 
     def _derive(self, inputs: Inputs) -> None:
         if inputs.missing & 1:
@@ -367,7 +433,7 @@ class Exchange:
         self.missed_cycles += 1
         if not inputs.missing & NEEDED:
             self.stale_inputs += inputs.missing.bit_count()
-        names = [self.wire.nodes[ORDER[i]].name for i in range(4) if inputs.missing >> i & 1]
+        names = [self.wire.nodes[node].name for i, node in enumerate(self._order) if inputs.missing >> i & 1]
         text = " and ".join([*(f"no inputs of {name}" for name in names), *([] if sent else ["targets too late"])])
         if text == self._miss_text:
             self._misses += 1
@@ -383,14 +449,14 @@ class Exchange:
             self.log.event(self.inputs.sync_ns, "miss", "master", f"{self._miss_text}, {self._misses} cycles in a row.")
         self._misses, self._miss_text = 0, ""
 
-    def _row(self, annotations: CycleAnnotations, sent: bool) -> tuple[float, ...]:
-        """Return the values of this cycle's row, in the order of the recorder's signals."""
+    def row_of(self, annotations: CycleAnnotations, sent: bool) -> CycleRow:
+        """Return this cycle's row."""
         inputs, latched, told = self.inputs, self._latched_ns, annotations
         sync_ns = inputs.sync_ns
         servo_heard, knee_heard, start_heard, end_heard = self._arrival_ns
         count, self._count = self._count, self._count + 1
         return CycleRow(
-            time_s=(sync_ns - self._first_ns) * 1e-9, gait_percent=told.gait_percent, cycle=told.cycle, held=told.held,
+            time_s=(sync_ns - self.first_ns) * 1e-9, gait_percent=told.gait_percent, cycle=told.cycle, held=told.held,
             servo_target_m=self.targets[0], servo_position_m=inputs.servo_position_m, servo_velocity_m_s=self._velocity,
             servo_force_n=inputs.servo_force_n, knee_target_rad=self.targets[1], knee_angle_rad=inputs.knee_angle_rad,
             tension_start_n=inputs.start_n, tension_end_n=inputs.end_n,
@@ -400,13 +466,13 @@ class Exchange:
             start_pdo_arrival_ns=start_heard, end_pdo_arrival_ns=end_heard,
             servo_statusword=inputs.servo_status, knee_statusword=inputs.knee_status if self.knee_driven else NAN,
             missed_inputs=inputs.missing.bit_count(), missed_outputs=0.0 if sent else 1.0,
-            sync_jitter_ns=sync_ns - self._first_ns - count * self.wire.period_ns,
+            sync_jitter_ns=sync_ns - self.first_ns - count * self.wire.period_ns,
             step_duration_ns=self._step_ns or NAN,
             desired_force_n=told.desired_force_n, estimated_end_force_n=told.estimated_end_force_n,
             estimated_end_half_n=told.estimated_end_half_n, feedforward_m=told.feedforward_m,
             impedance_dx_m=told.impedance_dx_m, friction_ratio=told.friction_ratio,
             rope_direction=told.rope_direction, strain_direction=told.strain_direction,
-        ).values(self._observed, told.own)
+        )
 
 
 def _without_status(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:

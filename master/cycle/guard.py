@@ -7,15 +7,17 @@ and the number that says so, the cause before its consequences, and decides noth
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import TypeVar
 
-from eds.bench.bench_network import END, KNEE, SERVO, START, WireLayout
+from eds.bench.bench_network import WireLayout
 from eds.cia301 import Emcy, NmtState
 from eds.cia402 import State, Status
 from eds.emcy_codes import emcy_text
 from master.cycle import repetition
 from master.cycle.blame import blamed
-from master.cycle.inputs import ORDER, CycleAnnotations, Inputs, places
+from master.cycle.inputs import END, KNEE, SERVO, START, CycleAnnotations, Inputs, places
 from master.cycle.log import Log
 from master.cycle.plausibility import Plausibility
 from master.cycle.reception import ENOUGH, Reception
@@ -23,6 +25,8 @@ from master.cycle.repetition import Repetition
 from master.cycle.safety import Condition, StopError
 from master.network.link import EmcyMessage, Link
 from master.settings import Limits
+
+T = TypeVar("T")
 
 _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
 _REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
@@ -44,12 +48,13 @@ class Guard:
 
     `active` False lets everything pass: during bring-up, and once a stop is under way.  `beginning` says that the
     exchange is not established yet, drives off: what a drive says of missed cycles is told and waited through.
-    `interrupted` gives the number of the signal that asked for an end, 0 for none.
+    `interrupted` gives the number of the signal that asked for an end, 0 for none.  `others` are nodes that the guard
+    of another force path watches.
     """
 
     def __init__(
         self, link: Link, wire: WireLayout, log: Log, limits: Limits, timeout_ns: int,
-        interrupted: Callable[[], int] = lambda: 0,
+        interrupted: Callable[[], int] = lambda: 0, others: Collection[int] = (),
     ) -> None:
         self.limits = limits
         self.active = True
@@ -58,13 +63,15 @@ class Guard:
         self.repetition: Repetition | None = None
         self._link, self._wire, self._log = link, wire, log
         self._timeout_ns = timeout_ns
+        self._others = others
         self._interrupted = interrupted
         self._watch_ns = 0
         self._limited_ns = [0, 0]
         self._order = places(wire)
-        self._knee_driven = KNEE in wire.drives
+        self._path = wire.path
+        self._knee_driven = self._path.knee in wire.drives
         self._missed = [(0, 0)] * len(self._order)
-        self._by_weight = tuple(node for node in (SERVO, START, KNEE, END) if node in self._order)
+        self._by_weight = tuple(node for place in (SERVO, START, KNEE, END) if (node := self._path[place]))
         self._watched = (*self._by_weight, *(node for node in wire.nodes if node not in self._order))
         self._period_ns = wire.period_ns
 
@@ -84,9 +91,10 @@ class Guard:
             return
         limits = self.limits
         if inputs.start_n > limits.start_n:
-            raise self._limit(Condition.START_LIMIT, f"{inputs.start_n:.1f} N of {limits.start_n:g} N", START)
+            raise self._limit(Condition.START_LIMIT, f"{inputs.start_n:.1f} N of {limits.start_n:g} N",
+                              self._path.start)
         if inputs.end_n > limits.end_n:
-            raise self._limit(Condition.END_LIMIT, f"{inputs.end_n:.1f} N of {limits.end_n:g} N", END)
+            raise self._limit(Condition.END_LIMIT, f"{inputs.end_n:.1f} N of {limits.end_n:g} N", self._path.end)
         if inputs.missing:
             self._refuse_strange(reception)
             self._refuse_stale(late_in_row)
@@ -115,7 +123,8 @@ class Guard:
         limits, knee = self.limits, inputs.knee_angle_rad
         if not limits.knee_low_rad <= knee <= limits.knee_high_rad:
             raise StopError(Condition.OUT_OF_LIMITS, f"knee at {57.2958 * knee:.1f}°, allowed are "
-                            f"{57.2958 * limits.knee_low_rad:.0f}° … {57.2958 * limits.knee_high_rad:.0f}°", KNEE)
+                            f"{57.2958 * limits.knee_low_rad:.0f}° … {57.2958 * limits.knee_high_rad:.0f}°",
+                            self._path.knee)
         plausibility = self.plausibility
         if plausibility is None or rehoming:
             return
@@ -126,11 +135,11 @@ class Guard:
         finding = plausibility.check(limited, targets, inputs.servo_position_m, inputs.servo_force_n, knee,
                                      inputs.start_n, inputs.end_n)
         if finding is not None:
-            raise blamed(finding)
+            raise blamed(finding, self._path)
 
     def _refuse_reported(self, inputs: Inputs, rehoming: bool) -> None:
         """Statusword bits 13 and 11 of both drives: bit 13 means a homing error while homing, and counts there too."""
-        for i, (node, word) in enumerate(((SERVO, inputs.servo_status), (KNEE, inputs.knee_status))):
+        for i, (node, word) in enumerate(zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False)):
             if word & Status.FOLLOWING_ERROR and not rehoming:
                 raise StopError(Condition.OFF_TARGET, f"{self._name(node)} reports a following error (statusword "
                                                       f"0x{word:04X}, bit 13)", node)
@@ -150,7 +159,7 @@ class Guard:
         doubt = self.plausibility.doubt()
         if doubt is None:
             return StopError(condition, text, node)
-        suspicion = blamed(doubt)
+        suspicion = blamed(doubt, self._path)
         return StopError(suspicion.condition, f"{suspicion.detail}; {condition.value}, {text}", suspicion.node_id)
 
     # ---- communication ----
@@ -173,7 +182,7 @@ class Guard:
                 raise StopError(Condition.STALE, f"{self._name(node)} missed {late} cycles in a row", node)
 
     def _refuse_disabled(self, inputs: Inputs) -> None:
-        for node, word in ((SERVO, inputs.servo_status), (KNEE, inputs.knee_status)):
+        for node, word in zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False):
             if word & _ENABLED_MASK != _ENABLED and node in self._wire.drives:
                 raise StopError(Condition.NOT_ENABLED, f"{self._name(node)}, statusword 0x{word:04X}", node)
 
@@ -192,14 +201,12 @@ class Guard:
     def heed(self, now_ns: int, reception: Reception | None = None) -> None:
         """Tell what strangers, emergencies and boot-ups there were; raises `StopError` for the first that matters."""
         link, first = self._link, self._strangers()
-        while link.emergencies:
-            emergency = link.emergencies.popleft()
+        for emergency in _taken(link.emergencies, lambda emergency: emergency.node_id in self._others):
             text = self._described(emergency)
             self._log.event(emergency.time_ns, "emcy", self._name(emergency.node_id), text)
             if emergency.code != Emcy.NO_ERROR and not (self.beginning and emergency.code in _CONSEQUENCES):
                 first = first or self._cause(emergency, text, now_ns, reception)
-        while link.boots:
-            node = link.boots.popleft()
+        for node in _taken(link.boots, self._others.__contains__):
             self._log.event(now_ns, "nmt", self._name(node), "boot-up.")
             first = first or StopError(Condition.BOOTED, self._name(node), node)
         if first is not None and self.active:
@@ -229,15 +236,16 @@ class Guard:
             if min(late) > 0:
                 return StopError(Condition.SYNC_LOST, f"no node has answered it for {min(late)} cycles ({text})")
             worst = max(range(len(late)), key=late.__getitem__)
-            if late[worst] and ORDER[worst] != emergency.node_id:
-                return StopError(Condition.STALE, f"{self._name(ORDER[worst])} missed {late[worst]} cycles in a row "
-                                                  f"({text})", ORDER[worst])
+            node = self._order[worst]
+            if late[worst] and node != emergency.node_id:
+                return StopError(
+                    Condition.STALE, f"{self._name(node)} missed {late[worst]} cycles in a row ({text})", node)
         if emergency.code == Emcy.TENSION_LIMIT:
-            start = ORDER.index(START)
-            if reception is not None and reception.refused[start]:
-                return StopError(Condition.IMPLAUSIBLE, f"{self._name(START)} says {reception.refusal(start)} ({text})",
-                                 START)
-            return self._limit(Condition.EMERGENCY, text, SERVO)
+            start = self._path.start
+            if reception is not None and reception.refused[START]:
+                return StopError(Condition.IMPLAUSIBLE, f"{self._name(start)} says {reception.refusal(START)} ({text})",
+                                 start)
+            return self._limit(Condition.EMERGENCY, text, self._path.servo)
         return StopError(Condition.EMERGENCY, text, emergency.node_id)
 
     def _described(self, emergency: EmcyMessage) -> str:
@@ -246,6 +254,16 @@ class Guard:
     def _name(self, node_id: int) -> str:
         entry = self._wire.nodes.get(node_id)
         return entry.name if entry else f"node {node_id}"
+
+
+def _taken(waiting: deque[T], another_s: Callable[[T], bool]) -> Iterator[T]:
+    """Yield what waits, taken off; what is another guard's goes on waiting."""
+    for _ in range(len(waiting)):
+        first = waiting.popleft()
+        if another_s(first):
+            waiting.append(first)
+        else:
+            yield first
 
 
 def _signal_name(number: int) -> str:

@@ -9,17 +9,17 @@ import itertools
 import math
 from typing import Final, NamedTuple
 
-from eds.bench.bench_network import END, KNEE, SERVO, START, WireLayout, tpdo_cob_id
+from eds.bench.bench_network import WireLayout, tpdo_cob_id
 from eds.pdo_plan import PdoPlan
 
 NAN: Final = math.nan
-ORDER: Final = (SERVO, KNEE, START, END)
-"""Bit i of `missing` and the PDO columns of a row stand for ORDER[i]."""
+SERVO, KNEE, START, END = range(4)
+"""Places of a force path's devices; bit i of `missing` and the PDO columns of a row are those of place i."""
 
 
 def places(wire: WireLayout) -> tuple[int, ...]:
-    """Return the nodes of `ORDER` that a bench has: all of them, or all but END."""
-    return tuple(node for node in ORDER if node in wire.nodes)
+    """Return the node ids of a force path's devices by their places; END's is left out where there is none."""
+    return tuple(node for node in wire.path if node)
 
 
 class ObserverSlots(NamedTuple):
@@ -42,7 +42,7 @@ def observer_slots(wire: WireLayout) -> dict[int, ObserverSlots]:
 
 
 class Inputs(NamedTuple):
-    """What one SYNC latched, SI; `missing` has a bit for each PDO of `ORDER` that is older than it.
+    """What one SYNC latched, SI; `missing` has a bit for each PDO, by its place, that is older than it.
 
     On a bench without END `end_n` is NaN and END's bit is never set; without a knee drive `knee_status` is 0.
     """

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import can
 
@@ -24,6 +24,7 @@ from master.cycle.guard import Guard
 from master.cycle.log import CycleSink, Log
 from master.cycle.safe_stop import let_go, safe_stop
 from master.cycle.safety import Condition, StopError
+from master.cycle.shared_exchange import Running, SharedExchange
 from master.cycle.stop_request import requested
 from master.network import bringup
 from master.network.bus_watch import BusWatch
@@ -57,20 +58,26 @@ class Outcome:
 
 def run_safely(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, network: Network, limits: Limits,
-    perform: Callable[[Exchange], None],
+    perform: Callable[[Any], None],
 ) -> Outcome:
     """Bring the bench up, run `perform` inside the cycle, end safely; the recorder hears the bus through `tap`.
+
+    `perform` gets the running cycle: an `Exchange`, or on a bench of several force paths a `SharedExchange`.
 
     Raises `InputError` for a network that cannot keep its deadline; what happens on the bus ends in the outcome.
     """
     described = wire(network)
     budget_ns = bus_load.refuse(described).deadline_ns - bus_load.frame_bits(0) * bus_load.bit_ns(described)
-    log = Log(tap, recorder, described.targets.cob_id)
+    log = Log(tap, recorder, described.target_frames[-1].cob_id)
     plausibility.prepare()
     repetition.prepare()
     with interruption() as interrupted, collector_frozen():
-        guard = Guard(link, described, log, limits, network.heartbeat_timeout_ms * 1_000_000, interrupted)
-        exchange = Exchange(link, described, log, guard, budget_ns)
+        def guard(of: WireLayout) -> Guard:
+            return Guard(link, of, log, limits, network.heartbeat_timeout_ms * 1_000_000, interrupted,
+                         described.nodes.keys() - of.nodes.keys())
+
+        exchange: Running = (Exchange(link, described, log, guard(described), budget_ns)
+                             if len(described.paths) == 1 else SharedExchange(link, described, log, guard, budget_ns))
         started_ns = link.clock()
         stop = _prepare(exchange, described)
         if stop is None:
@@ -85,7 +92,7 @@ def run_safely(
                    "" if stop is None else stop.condition.name)
 
 
-def _prepare(exchange: Exchange, described: WireLayout) -> StopError | None:
+def _prepare(exchange: Running, described: WireLayout) -> StopError | None:
     """Bring the nodes up; where that fails no drive was enabled, and the bench of another master is let be."""
     link = exchange.link
     try:
@@ -103,7 +110,7 @@ def _prepare(exchange: Exchange, described: WireLayout) -> StopError | None:
     return None
 
 
-def _attempt(exchange: Exchange, described: WireLayout, perform: Callable[[Exchange], None]) -> StopError | None:
+def _attempt(exchange: Running, described: WireLayout, perform: Callable[[Any], None]) -> StopError | None:
     """Run the cycle with `perform` in it, and stop safely whatever ends it: an error of the program does so, too."""
     try:
         _cycle(exchange, described, perform)
@@ -146,7 +153,7 @@ def _tell_strangers(link: Link, log: Log) -> None:
         log.event(link.clock(), "bus", "master", f"{sentence}.")
 
 
-def _cycle(exchange: Exchange, described: WireLayout, perform: Callable[[Exchange], None]) -> None:
+def _cycle(exchange: Running, described: WireLayout, perform: Callable[[Any], None]) -> None:
     link = exchange.link
     link.sync_start(described.period_ns)
     exchange.begin()
@@ -158,18 +165,20 @@ def _cycle(exchange: Exchange, described: WireLayout, perform: Callable[[Exchang
     bringup.leave(link)
 
 
-def _establish(exchange: Exchange) -> None:
+def _establish(exchange: Running) -> None:
     """Hold, drives off, until the cycle has been whole `ESTABLISHED` times in a row; misses count from here on."""
     whole = 0
-    exchange.guard.beginning = True
+    for guard in exchange.guards:
+        guard.beginning = True
     for _ in range(PATIENCE):
         missed = exchange.missed_cycles
         exchange.hold()
         whole = whole + 1 if exchange.missed_cycles == missed else 0
         if whole == ESTABLISHED:
             break
-    exchange.guard.beginning = False
-    exchange.missed_cycles = exchange.stale_inputs = 0
+    for guard in exchange.guards:
+        guard.beginning = False
+    exchange.forget_misses()
 
 
 @contextmanager

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import math
 
-from eds.bench.bench_network import END, SERVO, START
 from eds.cia402 import State, state_of
 from master.cycle import drives
 from master.cycle.exchange import Exchange
-from master.cycle.inputs import ORDER, Inputs
+from master.cycle.inputs import END, SERVO, START, Inputs
 from master.cycle.safety import Reaction, StopError, reaction_to
+from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.network.bringup import BringUpError, leave
 from master.network.link import LinkError
 
-_START_BIT = 1 << ORDER.index(START)
-_SERVO_BIT = 1 << ORDER.index(SERVO)
-_END_BIT = 1 << ORDER.index(END)
+_START_BIT = 1 << START
+_SERVO_BIT = 1 << SERVO
+_END_BIT = 1 << END
 QUICK_STOP_NS = 80_000_000
 DISABLE_NS = 120_000_000
 SLACK_NS = 100_000_000
@@ -32,16 +32,21 @@ PROGRESS = 0.95
 """What an unwinding must have left of the tension after each span of `Limits.progress_ms`."""
 
 
-def safe_stop(exchange: Exchange, stop: StopError) -> None:
-    """React to `stop` by the table and leave the drives disabled, SYNC stopped, the nodes PRE-OPERATIONAL."""
-    exchange.guard.active = False
+def safe_stop(exchange: Running, stop: StopError) -> None:
+    """React to `stop` by the table and leave the drives disabled, SYNC stopped, the nodes PRE-OPERATIONAL.
+
+    Every force path reacts, whichever one the stop names.
+    """
+    for guard in exchange.guards:
+        guard.active = False
     exchange.log.quiet = True
-    reaction = reaction_to(stop)
+    reaction = reaction_to(stop, exchange.wire.paths)
     exchange.log.event(exchange.link.clock(), "safety", "master", f"{stop}: {reaction.value}.")
     try:
         if reaction is not Reaction.UNWIND or not _unwind(exchange):
-            drives.release(exchange, knee_too=reaction is Reaction.RELEASE_BOTH)
-            _await_slack(exchange)
+            for path in exchange.paths:
+                drives.release(path, knee_too=reaction is Reaction.RELEASE_BOTH and stop.node_id in path.path)
+            together(exchange, [_slackening(path) for path in exchange.paths])
         _finish(exchange)
     except (StopError, BringUpError, LinkError) as error:
         exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop was cut short: {error}.")
@@ -56,8 +61,18 @@ def _greatest(exchange: Exchange, inputs: Inputs) -> float:
     return max(start + hidden, end)
 
 
-def _unwind(exchange: Exchange) -> bool:
-    """Pay the rope out until nothing says that it is taut, then quick stop; False where that cannot be done."""
+def _unwind(exchange: Running) -> bool:
+    """Pay every rope out until nothing says that it is taut, then quick stop; False where that cannot be done."""
+    if not all(together(exchange, [_unwinding(path) for path in exchange.paths])):
+        return False
+    for path in exchange.paths:
+        drives.quick_stop(path)
+    together(exchange, [_stopping(path) for path in exchange.paths])
+    return True
+
+
+def _unwinding(exchange: Exchange) -> Work[bool]:
+    """Pay one rope out until nothing says that it is taut; False where that cannot be done."""
     limits, inputs = exchange.guard.limits, exchange.inputs
     servo, knee = exchange.targets
     servo = min(servo, inputs.servo_position_m)
@@ -77,10 +92,9 @@ def _unwind(exchange: Exchange) -> bool:
                 return _not_unwound(exchange, f"tension stays at {tension:.1f} N while unwinding")
             judged, last = judged + round(limits.progress_ms * 1e6), tension
         servo -= step
-        inputs = exchange.advance(servo, knee)
+        yield Answer(servo, knee)
+        inputs = exchange.inputs
         exchange.plausibility.follow(exchange.targets, inputs)
-    drives.quick_stop(exchange)
-    _await_stopped(exchange)
     return True
 
 
@@ -89,17 +103,18 @@ def _not_unwound(exchange: Exchange, why: str) -> bool:
     return False
 
 
-def _await_stopped(exchange: Exchange) -> None:
+def _stopping(exchange: Exchange) -> Work[None]:
     """Wait until the servo has stopped and left OPERATION ENABLED by itself (0x605A = 2)."""
     deadline = exchange.inputs.sync_ns + QUICK_STOP_NS
     while exchange.inputs.sync_ns < deadline:
-        inputs = exchange.hold()
+        yield Answer(*exchange.targets)
+        inputs = exchange.inputs
         silent = inputs.missing & _SERVO_BIT
         if not silent and state_of(inputs.servo_status) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             return
 
 
-def _await_slack(exchange: Exchange) -> None:
+def _slackening(exchange: Exchange) -> Work[None]:
     """See the rope go slack after the torque was taken off; a stage that does not let go needs the operator's hand."""
     inputs = exchange.inputs
     deadline = inputs.sync_ns + SLACK_NS
@@ -110,7 +125,8 @@ def _await_slack(exchange: Exchange) -> None:
                 f"{_readings(inputs)} with the servo's torque off: "
                 "press the emergency stop (STO).")
             return
-        inputs = exchange.hold()
+        yield Answer(*exchange.targets)
+        inputs = exchange.inputs
 
 
 def _readings(inputs: Inputs) -> str:
@@ -118,22 +134,27 @@ def _readings(inputs: Inputs) -> str:
     return f"START says {inputs.start_n:.1f} N{end}"
 
 
-def _finish(exchange: Exchange) -> None:
+def _finish(exchange: Running) -> None:
     drives.disable(exchange, DISABLE_NS)
     exchange.end()
     exchange.link.sync_stop()
     leave(exchange.link)
 
 
-def let_go(exchange: Exchange) -> None:
+def let_go(exchange: Running) -> None:
     """Without a cycle: voltage off by the event-driven controlwords, as long as the bus takes them."""
     link = exchange.link
     link.pump = link.receive
     try:
-        exchange.command(0x0000, 0x0000)
+        _voltage_off(exchange)
         link.wait(GRACE_NS)
-        exchange.command(0x0000, 0x0000)
+        _voltage_off(exchange)
         leave(link)
         link.sync_stop()
     except (LinkError, OSError):
         return
+
+
+def _voltage_off(exchange: Running) -> None:
+    for path in exchange.paths:
+        path.command(0x0000, 0x0000)

@@ -7,11 +7,13 @@ its limit, a motion is not the commanded one or somebody else commands, the serv
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import Final
 
-from eds.bench.bench_network import END, KNEE, SERVO, START
+from eds.declaration import PathNodes
+from master.cycle.inputs import END, KNEE, SERVO, START
 
 
 class Condition(Enum):
@@ -58,36 +60,46 @@ class StopError(Exception):
 
 
 _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
-_BY_NODE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
+NOBODY: Final = -1
+"""In place of a place: the condition names no device."""
+_BY_PLACE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
 """Without START nothing says when the rope is slack; without the servo nothing can unwind it; a knee that nobody holds
 loads the rope faster than it is paid out."""
 
 REACTIONS: Final = MappingProxyType({
-    **{(Condition.NODE_LOST, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.LEFT, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.EMERGENCY, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.BOOTED, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.STALE, node): reaction for node, reaction in _BY_NODE.items()},
-    **{(Condition.IMPLAUSIBLE, node): _RELEASE for node in (0, SERVO, START, END)},
+    **{(Condition.NODE_LOST, place): reaction for place, reaction in _BY_PLACE.items()},
+    **{(Condition.LEFT, place): reaction for place, reaction in _BY_PLACE.items()},
+    **{(Condition.EMERGENCY, place): reaction for place, reaction in _BY_PLACE.items()},
+    **{(Condition.BOOTED, place): reaction for place, reaction in _BY_PLACE.items()},
+    **{(Condition.STALE, place): reaction for place, reaction in _BY_PLACE.items()},
+    **{(Condition.IMPLAUSIBLE, place): _RELEASE for place in (NOBODY, SERVO, START, END)},
     (Condition.OFF_TARGET, SERVO): _RELEASE,
     **{(condition, KNEE): Reaction.RELEASE_BOTH
        for condition in (Condition.IMPLAUSIBLE, Condition.OFF_TARGET, Condition.OUT_OF_LIMITS)},
-    (Condition.FOREIGN, 0): _RELEASE,
+    (Condition.FOREIGN, NOBODY): _RELEASE,
     (Condition.NOT_ENABLED, SERVO): _RELEASE,
     (Condition.NOT_ENABLED, KNEE): _RELEASE,
     (Condition.START_LIMIT, START): _UNWIND,
     (Condition.END_LIMIT, END): _RELEASE,
-    (Condition.SYNC_LOST, 0): _RELEASE,
-    (Condition.BUS_LOST, 0): Reaction.ABANDON,
-    (Condition.RECORDING, 0): _UNWIND,
-    (Condition.CONTROLLER, 0): _UNWIND,
-    (Condition.INTERRUPTED, 0): _UNWIND,
-    (Condition.REFUSED, 0): _UNWIND,
-    (Condition.FAILED, 0): _UNWIND,
+    (Condition.SYNC_LOST, NOBODY): _RELEASE,
+    (Condition.BUS_LOST, NOBODY): Reaction.ABANDON,
+    (Condition.RECORDING, NOBODY): _UNWIND,
+    (Condition.CONTROLLER, NOBODY): _UNWIND,
+    (Condition.INTERRUPTED, NOBODY): _UNWIND,
+    (Condition.REFUSED, NOBODY): _UNWIND,
+    (Condition.FAILED, NOBODY): _UNWIND,
 })
-"""(condition, node) → reaction.  A node that is not of the bench unwinds."""
+"""(condition, place of the named device) → reaction.  A node that is not of the bench unwinds."""
 
 
-def reaction_to(stop: StopError) -> Reaction:
-    """The reaction of the table; an unknown node unwinds."""
-    return REACTIONS.get((stop.condition, stop.node_id), _UNWIND)
+def place_of(node_id: int, paths: Sequence[PathNodes]) -> int | None:
+    """Return the place that a node has in its force path, `NOBODY` for node 0, None for a node of no path."""
+    if not node_id:
+        return NOBODY
+    return next((path.index(node_id) for path in paths if node_id in path), None)
+
+
+def reaction_to(stop: StopError, paths: Sequence[PathNodes]) -> Reaction:
+    """Return the reaction of the table; an unknown node unwinds."""
+    place = place_of(stop.node_id, paths)
+    return _UNWIND if place is None else REACTIONS.get((stop.condition, place), _UNWIND)

@@ -22,7 +22,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import can
 import numpy as np
@@ -33,11 +33,13 @@ from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
+from master.cycle.shared_exchange import Running
 from master.identification import calibration_fit
 from master.identification.calibration_fit import Segment
 from master.identification.jackknife import LineFit
 from master.motion import moves
 from master.motion.home import home, swing_held, swing_to
+from master.motion.paths_run import rest
 from master.network.link import Link
 from master.settings import Homing, Limits
 from parameters import InputError
@@ -70,9 +72,13 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Identification:
-    """What is to be identified: a procedure's name, the calibration to start from, and the bench."""
+    """What is to be identified: a procedure's name, the calibration to start from, and the bench.
+
+    `guesses`: other calibrations to start from, by force path.
+    """
 
     what: str = "all"
+    guesses: Mapping[str, Calibration] = field(default_factory=dict)
     guess: Calibration = field(default_factory=nominal)
     network: Network = field(default_factory=Network)
     limits: Limits = field(default_factory=Limits)
@@ -82,13 +88,35 @@ class Identification:
 def run(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     progress: Progress = lambda what, share: None,
-) -> tuple[Outcome, list[Segment]]:
-    """Run the experiments of a procedure; returns how it ended and what was recorded."""
+) -> tuple[Outcome, dict[str, list[Segment]]]:
+    """Run the experiments of a procedure on each force path in turn; returns how it ended and what was recorded.
+
+    The segments are by path.
+    """
     procedure(identification.what)
     inverse.prepare()
-    bench = _Experiments(identification, progress)
-    outcome = run_safely(link, tap, recorder, identification.network, identification.limits, bench.perform)
-    return outcome, bench.segments
+    names = [path.name for path in identification.network.bench.force_paths]
+    paths = {name: _Experiments(
+        replace(identification, guess=identification.guesses.get(name, identification.guess)),
+        functools.partial(_shared, progress, place / len(names), 1.0 / len(names)))
+        for place, name in enumerate(names)}
+
+    def perform(exchange: Running) -> None:
+        several = len(names) > 1
+        drives.enable(exchange)
+        for path in exchange.paths if several else ():
+            rest(path, identification.homing)
+        for name, path in zip(names, exchange.paths, strict=True):
+            paths[name].perform(path)
+            if several:
+                rest(path, identification.homing)
+
+    outcome = run_safely(link, tap, recorder, identification.network, identification.limits, perform)
+    return outcome, {name: path.segments for name, path in paths.items()}
+
+
+def _shared(progress: Progress, done: float, part: float, what: str, share: float) -> None:
+    progress(what, done + part * share)
 
 
 def procedure(what: str) -> tuple[str, ...]:
@@ -180,9 +208,8 @@ class _Experiments:
         self._steps = {"rest": self._rest, "stiffness": self._stiffness, "swing": self._swing, "ramp": self._ramp}
 
     def perform(self, exchange: Exchange) -> None:
-        """Enable, home, and run what the procedure asks for."""
+        """Home, and run what the procedure asks for; the drives are enabled."""
         given = self.identification
-        drives.enable(exchange)
         home(exchange, given.guess, given.homing, SLACK_M, guessed=True)
         kinds = PROCEDURES[given.what]
         for i, kind in enumerate(kinds):
@@ -194,12 +221,12 @@ class _Experiments:
     def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:
         kept: list[KeptCycle] = []
         exchange.kept = kept
-        exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"begin {kind}")
+        exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"begin {kind}")
         try:
             motion()
         finally:
             exchange.kept = None
-            exchange.log.event(exchange.inputs.sync_ns, "identify", "master", f"end {kind}")
+            exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"end {kind}")
         columns = dict(zip(KeptCycle._fields, np.array(kept).T, strict=True))
         self.segments.append(Segment(kind=kind, period_s=exchange.wire.period_ns * 1e-9, **columns))
 

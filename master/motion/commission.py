@@ -13,13 +13,12 @@ from typing import Final
 
 import numpy as np
 
-from eds.bench.bench_network import END, KNEE, SERVO, START
 from eds.cia301 import SIGNATURE_ZERO
 from eds.cia402 import State, state_of
 from eds.dictionary import key
 from master.cycle import drives
 from master.cycle.exchange import Exchange
-from master.cycle.inputs import ORDER, Inputs
+from master.cycle.inputs import END, KNEE, SERVO, START, Inputs
 from master.motion import moves
 from master.motion.home import home as find_home
 from master.motion.home import within
@@ -56,18 +55,19 @@ def home(calibration: Calibration, homing: Homing, slack_m: float) -> Procedure:
 
 def tare(sensor: str) -> Procedure:
     """Zero one sensor where it stands; no drive is enabled.  Raises `InputError` for an unknown sensor."""
-    node = _one_of(sensor, SENSORS, "sensor")
+    place = _one_of(sensor, SENSORS, "sensor")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
-        if node not in exchange.wire.nodes:
+        node = exchange.path[place]
+        if not node:
             raise BringUpError(f"the declared bench has no load cell {sensor}; tare one that it has")
-        before = _mean(exchange, node)
+        before = _mean(exchange, place)
         name = exchange.wire.nodes[node].name
         if not abs(before) < TARE_LIMIT_N:
             raise BringUpError(f"{name} reads {before:.2f} N; zeroing would hide a tension: release the rope, or check "
                                "the sensor")
         _zero(exchange, node, before)
-        return {"before_n": before, "after_n": _mean(exchange, node)}
+        return {"before_n": before, "after_n": _mean(exchange, place)}
 
     return procedure
 
@@ -90,43 +90,43 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
     No drive is enabled for a target beyond the knee's limits.  Raises `InputError` for an unknown axis, a speed that is
     none or above the limit, and a way that no axis has.
     """
-    node = _one_of(axis, AXES, "axis")
+    place = _one_of(axis, AXES, "axis")
     limits = limits or Limits()
-    fastest = limits.rope_m_s if node == SERVO else limits.knee_rad_s
+    fastest = limits.rope_m_s if place == SERVO else limits.knee_rad_s
     if speed > fastest:
-        name = "rope_m_s" if node == SERVO else "knee_rad_s"
-        raise InputError(f"jog {axis} --speed {_shown(node, speed)}/s: is above limits.{name}, "
-                         f"{_shown(node, fastest)}/s; give a slower speed.")
+        name = "rope_m_s" if place == SERVO else "knee_rad_s"
+        raise InputError(f"jog {axis} --speed {_shown(place, speed)}/s: is above limits.{name}, "
+                         f"{_shown(place, fastest)}/s; give a slower speed.")
     if not (speed > 0.0 and math.isfinite(distance)):
         raise InputError(f"jog {axis}: {distance:g} at {speed:g} a second is no motion; give a distance and a speed "
                          "above 0.")
-    if abs(distance) > FURTHEST[node]:
-        raise InputError(f"jog {axis} --by {_shown(node, distance)}: is further than the axis can go, "
-                         f"{_shown(node, FURTHEST[node])}; give a shorter way.")
+    if abs(distance) > FURTHEST[place]:
+        raise InputError(f"jog {axis} --by {_shown(place, distance)}: is further than the axis can go, "
+                         f"{_shown(place, FURTHEST[place])}; give a shorter way.")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
-        if node not in exchange.wire.drives:
+        if exchange.path[place] not in exchange.wire.drives:
             raise BringUpError(f"the declared bench has no drive of the {axis}; move it by hand")
-        begun = _position(exchange.inputs, node)
-        _refuse_beyond_limits(begun, begun + distance, node, axis, limits)
+        begun = _position(exchange.inputs, place)
+        _refuse_beyond_limits(begun, begun + distance, place, axis, limits)
         begun_n = exchange.inputs.start_n
-        drives.enable_alone(exchange, node)
-        start = exchange.targets[ORDER.index(node)]
+        drives.enable_alone(exchange, exchange.path[place])
+        start = exchange.targets[place]
         stop_n = min(begun_n + JOG_START_N, 0.5 * limits.start_n)
         steps = max(1, round(moves.PEAK_TO_MEAN * abs(distance) / speed * 1e9 / exchange.wire.period_ns))
         for step in range(1, steps + 1):
-            _lead(exchange, node, start + distance * moves.smooth(step / steps))
-            _refuse_beyond_limits(begun, _position(exchange.inputs, node), node, axis, limits, moved=True)
+            _lead(exchange, place, start + distance * moves.smooth(step / steps))
+            _refuse_beyond_limits(begun, _position(exchange.inputs, place), place, axis, limits, moved=True)
             if exchange.inputs.start_n > max(stop_n, begun_n + 1.0):
                 raise BringUpError(f"START reached {exchange.inputs.start_n:.1f} N with {axis} at "
-                                   f"{_shown(node, _position(exchange.inputs, node))}, "
-                                   f"{_shown(node, abs(distance * moves.smooth(step / steps)))} of "
-                                   f"{_shown(node, abs(distance))} done; release the rope, or go the other way")
+                                   f"{_shown(place, _position(exchange.inputs, place))}, "
+                                   f"{_shown(place, abs(distance * moves.smooth(step / steps)))} of "
+                                   f"{_shown(place, abs(distance))} done; release the rope, or go the other way")
         moves.settle(exchange, REST_S)
         inputs = exchange.inputs
-        if abs(_position(inputs, node) - exchange.targets[ORDER.index(node)]) > BEHIND[node]:
-            raise BringUpError(f"{axis} stopped at {_shown(node, _position(inputs, node))} and not at "
-                               f"{_shown(node, start + distance)}: START {inputs.start_n:.1f} N; its drive held a "
+        if abs(_position(inputs, place) - exchange.targets[place]) > BEHIND[place]:
+            raise BringUpError(f"{axis} stopped at {_shown(place, _position(inputs, place))} and not at "
+                               f"{_shown(place, start + distance)}: START {inputs.start_n:.1f} N; its drive held a "
                                "limit")
         return {"servo_position_m": inputs.servo_position_m, "knee_angle_rad": inputs.knee_angle_rad,
                 "tension_start_n": inputs.start_n, "tension_end_n": inputs.end_n}
@@ -134,37 +134,37 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
     return procedure
 
 
-def _position(inputs: Inputs, node: int) -> float:
-    return inputs.servo_position_m if node == SERVO else inputs.knee_angle_rad
+def _position(inputs: Inputs, place: int) -> float:
+    return inputs.servo_position_m if place == SERVO else inputs.knee_angle_rad
 
 
-def _shown(node: int, value: float) -> str:
-    return f"{value * 1e3:.1f} mm" if node == SERVO else f"{math.degrees(value):.1f} degrees"
+def _shown(place: int, value: float) -> str:
+    return f"{value * 1e3:.1f} mm" if place == SERVO else f"{math.degrees(value):.1f} degrees"
 
 
 def _refuse_beyond_limits(
-    begun: float, at: float, node: int, axis: str, limits: Limits, *, moved: bool = False
+    begun: float, at: float, place: int, axis: str, limits: Limits, *, moved: bool = False
 ) -> None:
     """Raise `BringUpError` where the knee is, or would go, beyond its limits and further out than where it began.
 
     A knee that stands outside may be moved back.  The rope has no limits of position until it is homed.
     """
-    if node != KNEE:
+    if place != KNEE:
         return
     low, high = limits.knee_low_rad, limits.knee_high_rad
     if min(low, begun) - TOLERANCE_RAD <= at <= max(high, begun) + TOLERANCE_RAD:
         return
-    allowed = f"limits.knee_low_rad and knee_high_rad allow {_shown(node, low)} to {_shown(node, high)}"
+    allowed = f"limits.knee_low_rad and knee_high_rad allow {_shown(place, low)} to {_shown(place, high)}"
     if moved:
-        raise BringUpError(f"{axis} is at {_shown(node, at)}; {allowed}")
-    raise BringUpError(f"{axis} would go to {_shown(node, at)}; {allowed}; nothing was moved, give a shorter way")
+        raise BringUpError(f"{axis} is at {_shown(place, at)}; {allowed}")
+    raise BringUpError(f"{axis} would go to {_shown(place, at)}; {allowed}; nothing was moved, give a shorter way")
 
 
 def release(homing: Homing, limits: Limits) -> Procedure:
     """Pay the rope out, the servo alone, until START is below its unwound limit."""
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
-        inputs = drives.enable_alone(exchange, SERVO)
+        inputs = drives.enable_alone(exchange, exchange.path.servo)
         before, at = inputs.start_n, exchange.targets[0]
         step = homing.rope_m_s * exchange.wire.period_ns * 1e-9
         while exchange.inputs.start_n >= limits.unwound_n:
@@ -193,21 +193,22 @@ def _one_of(name: str, known: Mapping[str, int], what: str) -> int:
     return known[name]
 
 
-def _mean(exchange: Exchange, node: int) -> float:
+def _mean(exchange: Exchange, place: int) -> float:
     """Mean reading, N, of a sensor over a rest."""
-    bit, readings = 1 << ORDER.index(node), []
+    bit, readings = 1 << place, []
     for _ in range(max(1, round(REST_S * 1e9 / exchange.wire.period_ns))):
         inputs = exchange.hold()
         if not inputs.missing & bit:
-            readings.append(inputs.start_n if node == START else inputs.end_n)
+            readings.append(inputs.start_n if place == START else inputs.end_n)
     return float(np.mean(readings)) if readings else math.nan
 
 
-def _lead(exchange: Exchange, node: int, target: float) -> Inputs:
+def _lead(exchange: Exchange, place: int, target: float) -> Inputs:
     """One cycle with one axis led; the other one's target stays.  Raises `BringUpError` where its drive went off."""
     servo, knee = exchange.targets
-    inputs = exchange.advance(*((target, knee) if node == SERVO else (servo, target)))
-    status = inputs.servo_status if node == SERVO else inputs.knee_status
+    inputs = exchange.advance(*((target, knee) if place == SERVO else (servo, target)))
+    status = inputs.servo_status if place == SERVO else inputs.knee_status
     if state_of(status) is not State.OPERATION_ENABLED:
-        raise BringUpError(f"{exchange.wire.nodes[node].name} left OPERATION ENABLED, statusword 0x{status:04X}")
+        name = exchange.wire.nodes[exchange.path[place]].name
+        raise BringUpError(f"{name} left OPERATION ENABLED, statusword 0x{status:04X}")
     return inputs

@@ -26,6 +26,7 @@ from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
 from master.cycle.repetition import Repetition
 from master.cycle.run_safely import Outcome, run_safely
+from master.cycle.shared_exchange import Work
 from master.motion import gait, moves
 from master.motion.home import Homed, home, reached_n, within
 from master.network.link import Link
@@ -190,18 +191,26 @@ class Planned:
     def perform(self, exchange: Exchange) -> None:
         """Enable, home and walk; with `dry_run` only the walk, on drives that are off."""
         experiment, table = self.experiment, self.table
-        if self.warning is not None:
-            exchange.log.event(exchange.inputs.sync_ns, "warning", "master", self.warning)
+        self.warn(exchange)
         if not experiment.dry_run:
             drives.enable(exchange)
-            undone = self.undone[id(table)]
-            self.homed = home(exchange, self.calibration, self.homing, experiment.gait.idle_slack_m,
-                              1.0 if undone is None else undone.home_gain)
+            self.home(exchange)
             gait.approach(exchange, table, self.first, experiment.homing, self.calibration.swing_k)
         elif not exchange.knee_driven:
             moves.follow_joint(exchange, table.knee[self.first], 0.0, experiment.homing.knee_rad_s)
         self.watch(exchange)
         self.walk(exchange)
+
+    def warn(self, exchange: Exchange) -> None:
+        """Record where the experiment is run otherwise than asked for."""
+        if self.warning is not None:
+            exchange.log.event(exchange.inputs.sync_ns, "warning", exchange.name, self.warning)
+
+    def home(self, exchange: Exchange) -> None:
+        """Home the servo; its drives are enabled."""
+        undone = self.undone[id(self.table)]
+        self.homed = home(exchange, self.calibration, self.homing, self.experiment.gait.idle_slack_m,
+                          1.0 if undone is None else undone.home_gain)
 
     def watch(self, exchange: Exchange) -> None:
         """Have the gait that comes next held against the desired force and against its own first cycles."""
@@ -209,7 +218,11 @@ class Planned:
                                                with_rope=exchange.knee_driven)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
-        """Run in, start softly, walk and run out: every step that the controller makes in a trial.
+        """Run in, start softly, walk and run out; `before` cycles were walked."""
+        gait.run(exchange, self.steps(exchange, before))
+
+    def steps(self, exchange: gait.Cycle, before: int = 0) -> Work[None]:
+        """Yield every step that the controller makes in a trial.
 
         `before` cycles were walked.  Cycles of the soft start are numbered −1, as the run-in is.
         """
@@ -221,19 +234,20 @@ class Planned:
             return float(before + sample // samples) if sample >= 0 else -1.0
 
         for i, table in enumerate(self.rising, 1 - len(self.rising)):
-            self._walked(exchange, table, begin, i * samples, number, self._led())
+            yield from self._walked(exchange, table, begin, i * samples, number, self._led())
             begin = i * samples
-        self._walked(exchange, self.table, begin, last, number, self._led())
-        self._walked(exchange, self.idle, last, last + self.rest, lambda sample: -1.0)
+        yield from self._walked(exchange, self.table, begin, last, number, self._led())
+        yield from self._walked(exchange, self.idle, last, last + self.rest, lambda sample: -1.0)
 
     def _walked(
         self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
         knee_at: Callable[[int], float] | None = None,
-    ) -> None:
+    ) -> Work[None]:
         name = self.experiment.gait.controller
         with gait.naming(name):
             control = self.control(table)
-        gait.run(exchange, control, table, first, last, number, knee_at, name=name, own=len(self.kind.columns))
+        yield from gait.steps(exchange, control, table, first, last, number, knee_at, name=name,
+                              own=len(self.kind.columns))
 
     def _led(self) -> Callable[[int], float] | None:
         """The knee's target by sample where its motion departs from the reference, eased in over the run-in."""

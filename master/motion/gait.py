@@ -16,8 +16,9 @@ from master.control.controller import Controller, ControllerInput
 from master.control.controller_io import Trace
 from master.control.gait_table import GaitTable, tabulate
 from master.cycle.exchange import NEEDED, Exchange
-from master.cycle.inputs import CycleAnnotations, Inputs
+from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
 from master.cycle.safety import Condition, StopError
+from master.cycle.shared_exchange import Answer, Work
 from master.motion import moves
 from master.settings import Homing
 from physics.calibration import Calibration
@@ -85,25 +86,32 @@ def naming(name: str) -> Iterator[None]:
         raise StopError(Condition.CONTROLLER, f"{name} {raised(error)}") from error
 
 
-def run(
+def run(exchange: Cycle, work: Work[None]) -> None:
+    """Run the steps of one path in the cycles of its exchange."""
+    for answer in work:
+        exchange.advance(answer.servo_m, answer.knee_rad, answer.annotations or NOTHING)
+
+
+def steps(
     exchange: Cycle, control: Controller[Any], table: GaitTable, first: int, last: int,
     number: Callable[[int], float], knee_at: Callable[[int], float] | None = None, *, name: str = "", own: int = 0,
-) -> None:
-    """Run samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
+) -> Work[None]:
+    """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
     `knee_at` gives the knee's target by sample where it does not follow the reference that the controller expects.
     `own` is how many columns the controller `name` has of its own.  A controller that raises, or whose targets are not
     finite, raises `StopError`.
     """
-    samples, advance, desired = table.samples, exchange.advance, table.desired
+    samples, desired = table.samples, table.desired
     with naming(name):
         step, state = control.step, control.initial()
     inputs = exchange.inputs
     for sample in range(first, last):
         i = sample % samples
         if inputs.missing & NEEDED:
-            inputs = advance(*exchange.targets, CycleAnnotations(
+            yield Answer(*exchange.targets, CycleAnnotations(
                 100.0 * i / samples, desired[i], cycle=number(sample), held=1.0))
+            inputs = exchange.inputs
             continue
         seen = ControllerInput(
             sample, inputs.servo_position_m, inputs.servo_force_n, inputs.knee_angle_rad, inputs.start_n)
@@ -117,12 +125,13 @@ def run(
         if not whole:
             raise StopError(Condition.CONTROLLER, f"{name} {_wrong(servo, knee, trace, own)}, "
                                                   f"{_place(i, samples, number(sample))}")
-        inputs = advance(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
+        yield Answer(servo, knee if knee_at is None else knee_at(sample), CycleAnnotations(
             gait_percent=100.0 * i / samples, cycle=number(sample), desired_force_n=trace.desired_force_n,
             estimated_end_force_n=trace.estimated_end_force_n, estimated_end_half_n=trace.estimated_end_half_n,
             feedforward_m=trace.feedforward_m, impedance_dx_m=trace.impedance_dx_m,
             friction_ratio=trace.friction_ratio, rope_direction=trace.rope_direction,
             strain_direction=trace.strain_direction, own=trace.own))
+        inputs = exchange.inputs
 
 
 def _wrong(servo: float, knee: float, trace: Trace, own: int) -> str:

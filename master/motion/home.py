@@ -14,7 +14,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from eds.bench.bench_network import START
 from master.control.homing_fit import HomingFit, adapt
 from master.cycle import drives
 from master.cycle.exchange import NEEDED, Exchange
@@ -137,7 +136,7 @@ def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
     proof = calibration.evidence.get("start_lag")
     if proof is not None and math.isfinite(proof.low):
         return 0.0
-    declared = declared_lag(exchange, START)
+    declared = declared_lag(exchange, exchange.path.start)
     return 0.0 if declared is None else declared - calibration.start_lag
 
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Generator
 from typing import Final, TypeVar
 
-from eds.bench.bench_network import SERVO
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
 from master.network.bringup import BringUpError
@@ -101,7 +100,7 @@ def reel(
     inputs = exchange.inputs
     while not until(inputs):
         if abs(servo - start) >= reach_m:
-            name = exchange.wire.nodes[SERVO].name
+            name = exchange.wire.nodes[exchange.path.servo].name
             raise BringUpError(f"{name}: {reach_m * 1e3:.0f} mm of rope and START is at {inputs.start_n:.1f} N: {why}.")
         servo += step
         inputs = exchange.advance(servo, knee)

@@ -63,7 +63,9 @@ class BusWatch:
     def __init__(self, wire: WireLayout, returned: bool = False) -> None:
         self._returned: deque[tuple[int, bytes]] | None = deque(maxlen=RETURNED) if returned else None
         self.found: deque[Stranger] = deque()
-        self.own: dict[int, bytes] = {wire.targets.cob_id: b"", wire.controlwords.cob_id: b""}
+        self._targets = frozenset(plan.cob_id for plan in wire.target_frames)
+        self.own: dict[int, bytes] = dict.fromkeys(
+            [plan.cob_id for plan in (*wire.target_frames, *wire.controlword_frames)], b"")
         self.flooded = False
         self._marked = False  # a SYNC came back marked as the master's own: an unmarked one is somebody else's
         self.counts: dict[int, int] = {}
@@ -126,7 +128,7 @@ class BusWatch:
         if data == self.own[can_id]:
             self._tell(time_ns, can_id, f"{can_id:X}h, as the master sent it, a second time", moves=False)
         else:
-            what = "targets" if can_id == next(iter(self.own)) else "controlwords"
+            what = "targets" if can_id in self._targets else "controlwords"
             self._tell(time_ns, can_id, f"{what} ({can_id:X}h) from another master", moves=True)
 
     def _described(self, can_id: int, data: bytes) -> tuple[str, bool]:

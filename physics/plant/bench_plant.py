@@ -7,7 +7,7 @@ nanoseconds; anything that keeps `Plant` can stand behind the same nodes (entry-
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite
+from math import cos, isfinite
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -16,10 +16,11 @@ from parameters import from_table
 from physics.laws import Array
 from physics.plant import step, truth_row
 from physics.plant.derived import derive, settle
-from physics.plant.state_layout import SIZE, SLOT, PlantParameters
+from physics.plant.leg import GRAVITY
+from physics.plant.state_layout import NODES, SIZE, SLOT, PlantParameters
 from physics.plant.step import STEP_NS
 
-__all__ = ["STEP_NS", "BowdenPlant", "Outputs", "Plant", "PlantParameters", "create", "prepare"]
+__all__ = ["STEP_NS", "BowdenPlant", "JointState", "Outputs", "Plant", "PlantParameters", "create", "prepare"]
 
 
 class Outputs(NamedTuple):
@@ -32,6 +33,14 @@ class Outputs(NamedTuple):
     knee_angle_rad: float
     start_n: float
     end_n: float
+
+
+class JointState(NamedTuple):
+    """Angle, rad, speed, rad/s, and acceleration, rad/s², of the joint."""
+
+    angle_rad: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
 
 
 class Plant(Protocol):
@@ -77,6 +86,22 @@ class BowdenPlant:
             raise ValueError(f"torque demands {servo_torque_nm} and {knee_torque_nm} N·m are not finite numbers")
         self._now_ns += steps * STEP_NS
         step.advance(self._memory, steps, servo_torque_nm, knee_torque_nm)
+        return Outputs._make(self._out.tolist())
+
+    @property
+    def joint(self) -> JointState:
+        """State of the leg at the knee."""
+        memory = self._memory
+        return JointState(float(memory[SLOT.leg_q]), float(memory[SLOT.leg_w]), float(memory[SLOT.leg_a]))
+
+    def advance_led(self, until_ns: int, servo_torque_nm: float, joint: JointState) -> Outputs:
+        """Run to `until_ns` with a joint that another plant moves; at the end the leg is where `joint` says."""
+        self.advance(until_ns, servo_torque_nm, 0.0)
+        memory = self._memory
+        memory[SLOT.leg_q] = memory[SLOT.motor_q] = memory[SLOT.out_leg_q] = joint.angle_rad
+        memory[SLOT.leg_w] = memory[SLOT.motor_w] = joint.speed_rad_s
+        carried = GRAVITY * cos(joint.angle_rad) + memory[SLOT.end_mass_arm_m] * joint.acceleration_rad_s2
+        memory[SLOT.out_end] = memory[SLOT.tension + NODES] + memory[SLOT.end_mass_kg] * carried
         return Outputs._make(self._out.tolist())
 
     def truth(self) -> Mapping[str, float]:

@@ -124,8 +124,8 @@ def test_a_bench_that_does_not_fit_is_refused(here: Path, bowden: Callable[..., 
     assert "lower rate_hz to 500" in err
 
 
-def test_another_bench_does_not_run_yet(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
-    (here / "two.toml").write_text(text_of("bench_two_legs"))
+def test_ropes_that_act_alike_on_one_joint_are_refused(here: Path, bowden: Callable[..., tuple[int, str, str]]) -> None:
+    (here / "two.toml").write_text(text_of("bench_antagonists").replace('acts = "extends"\n', ""))
     status, out, err = bowden("trial", "--config", "two.toml", "-o", "trial.mcap")
     assert (status, out, list(here.glob("*.mcap"))) == (2, "", [])
-    assert "neither the packaged one" in err
+    assert "its force paths act as flexes, flexes" in err

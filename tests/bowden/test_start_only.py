@@ -84,10 +84,10 @@ def test_end_cannot_be_tared(here: Path, bowden: Command) -> None:
     assert "the declared bench has no load cell end" in out + err
 
 
-def test_init_writes_the_shape_and_refuses_one_that_does_not_run(here: Path, bowden: Command) -> None:
+def test_init_writes_the_shape_and_refuses_an_unknown_one(here: Path, bowden: Command) -> None:
     assert bowden("init", "--shape", "bench_start_only", "-o", "one.toml")[0] == 0
     assert configuration.read(here / "one.toml")["network"].bench == packaged("bench_start_only")
-    status, out, err = bowden("init", "--shape", "bench_two_legs", "-o", "two.toml")
+    status, out, err = bowden("init", "--shape", "bench_three_legs", "-o", "two.toml")
     assert (status, out, (here / "two.toml").exists()) == (2, "", False)
     assert "expected one of bench, bench_start_only" in err
 

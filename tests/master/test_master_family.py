@@ -22,7 +22,8 @@ def test_a_bench_of_another_make_is_controlled_on_another_day(composer: Composer
     from tests.plants.draws import draw
 
     link, tap = composer.link(serial=0, plant=f"tests.plants:bench_{SERIAL}_day_0")
-    outcome, segments = identify.run(link, tap, None, identify.Identification("all"))
+    outcome, found = identify.run(link, tap, None, identify.Identification("all"))
+    segments = found["leg"]
     composer.close()
     assert outcome.reason is None
     found = identify.calibrate("all", segments, nominal(), bench="", date="", trial="test")
@@ -49,7 +50,8 @@ def test_a_bench_that_is_refused_the_packaged_calibration_can_be_identified(comp
     ran = composer.run(**bench)
     assert "identify this bench" in (ran.result.stop_reason or "")
     link, tap = composer.link(**bench)
-    outcome, segments = identify.run(link, tap, None, identify.Identification("stiffness"))
+    outcome, found = identify.run(link, tap, None, identify.Identification("stiffness"))
+    segments = found["leg"]
     composer.close()
     assert outcome.reason is None
     found = identify.calibrate("stiffness", segments, nominal(), bench="", date="", trial="test")

@@ -128,7 +128,8 @@ def test_an_unknown_procedure_is_refused(composer: Composer) -> None:
 
 def identified(composer: Composer, what: str, serial: int) -> Calibration:
     link, tap = composer.link(serial=serial)
-    outcome, segments = identify.run(link, tap, None, identify.Identification(what))
+    outcome, found = identify.run(link, tap, None, identify.Identification(what))
+    segments = found["leg"]
     composer.close()
     assert outcome.reason is None
     return identify.calibrate(what, segments, nominal(), bench=str(serial), date="", trial="test")

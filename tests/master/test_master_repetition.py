@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
+from eds.bench.bench_network import Network, wire
 from master.cycle import repetition
 from master.cycle.inputs import CycleAnnotations, Inputs
 from master.cycle.repetition import CycleDeparture, Repetition
@@ -74,7 +75,7 @@ def test_a_slow_change_is_found_and_named_by_which_signals_moved(
     assert stop.condition is Condition.IMPLAUSIBLE
     assert stop.detail.startswith(named)
     assert "gait cycle at" in stop.detail
-    assert reaction_to(stop) is Reaction.RELEASE
+    assert reaction_to(stop, wire(Network()).paths) is Reaction.RELEASE
 
 
 def test_an_end_far_from_what_is_desired_is_found_in_the_first_cycle() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from eds.bench.bench_network import END, KNEE, SERVO, START
+from eds.bench.bench_network import Network, wire
+from master.cycle.inputs import END, KNEE, SERVO, START
 from master.cycle.safety import REACTIONS, Condition, Reaction, StopError, reaction_to
 
 
@@ -15,12 +16,12 @@ def test_every_condition_has_a_row() -> None:
 @pytest.mark.parametrize(
     "condition", [Condition.NODE_LOST, Condition.LEFT, Condition.EMERGENCY, Condition.STALE, Condition.BOOTED])
 def test_the_rope_is_unwound_only_while_start_servo_and_knee_are_there(condition: Condition) -> None:
-    by_node = {node: REACTIONS[condition, node] for node in (SERVO, KNEE, START, END)}
-    assert by_node == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE, START: Reaction.RELEASE, END: Reaction.UNWIND}
+    by_place = {place: REACTIONS[condition, place] for place in (SERVO, KNEE, START, END)}
+    assert by_place == {SERVO: Reaction.RELEASE, KNEE: Reaction.RELEASE, START: Reaction.RELEASE, END: Reaction.UNWIND}
 
 
 def test_a_node_that_is_not_of_the_bench_unwinds() -> None:
-    assert reaction_to(StopError(Condition.EMERGENCY, "node 9", 9)) is Reaction.UNWIND
+    assert reaction_to(StopError(Condition.EMERGENCY, "node 9", 9), wire(Network()).paths) is Reaction.UNWIND
 
 
 def test_the_text_says_what_and_how_much() -> None:

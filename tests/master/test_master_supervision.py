@@ -46,6 +46,8 @@ def ratios(**broken: float) -> tuple[float, ...]:
 
 # ---- signals against each other ----
 
+PATH = wire(Network()).path
+
 
 @pytest.mark.parametrize(("broken", "node", "words"), [
     ({"ratio": 2.0, "force": -1.5, "start": 1.2}, START, "START"),
@@ -57,8 +59,8 @@ def ratios(**broken: float) -> tuple[float, ...]:
 def test_the_pattern_of_relations_names_the_suspect(broken: dict[str, float], node: int, words: str) -> None:
     relation = ("servo", "knee", "ratio", "force", "start", "end").index(next(iter(broken)))
     finding = Implausibility(relation, 5.0, 40.0, ratios(**broken))
-    assert suspected(finding).node == node
-    stop = blamed(finding)
+    stop = blamed(finding, PATH)
+    assert (suspected(finding).words, stop.node_id) == (stop.detail.split(":")[0], node)
     assert stop.condition is Condition.IMPLAUSIBLE
     assert words in str(stop)
     assert "expected about" in str(stop)
@@ -67,12 +69,13 @@ def test_the_pattern_of_relations_names_the_suspect(broken: dict[str, float], no
 def test_a_motion_that_is_not_the_commanded_one_names_its_axis() -> None:
     for relation, node in ((plausibility.SERVO_TRACK, SERVO), (plausibility.KNEE_TRACK, KNEE),
                            (plausibility.STILL_SERVO, SERVO), (plausibility.STILL_KNEE, KNEE)):
-        stop = blamed(Implausibility(relation, 0.1, 0.2, ratios()))
+        stop = blamed(Implausibility(relation, 0.1, 0.2, ratios()), PATH)
         assert (stop.condition, stop.node_id) == (Condition.OFF_TARGET, node)
 
 
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
-    stop = blamed(Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405))
+    finding = Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405)
+    stop = blamed(finding, PATH)
     assert "swing_k = 0.0809 m/rad, 0.0405 would fit" in str(stop)
 
 

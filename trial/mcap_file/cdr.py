@@ -71,19 +71,46 @@ EVENT_SCHEMA = f"builtin_interfaces/Time stamp\nstring kind\nstring source\nstri
 
 
 def cycle_schema(names: Sequence[str]) -> str:
-    """Return the `ros2msg` schema of a table: a stamp, then one float64 a column."""
-    return "builtin_interfaces/Time stamp\n" + "".join(f"float64 {name}\n" for name in names) + _TIME
+    """Return the `ros2msg` schema of a table: a stamp, then one float64 a column.
+
+    Columns `<part>.<name>`, those of a part side by side, are fields of a message `part`: readers show the same name,
+    and float64 stay where they are.
+    """
+    fields: list[str] = []
+    parts: dict[str, list[str]] = {}
+    for name in names:
+        part, dot, rest = name.partition(".")
+        if not dot:
+            fields.append(f"float64 {name}\n")
+        elif part not in parts:
+            fields.append(f"{_part_type(part)} {part}\n")
+        if dot:
+            parts.setdefault(part, []).append(f"float64 {rest}\n")
+    nested = "".join(f"{'=' * 80}\nMSG: {_part_type(part)}\n{''.join(lines)}" for part, lines in parts.items())
+    return "builtin_interfaces/Time stamp\n" + "".join(fields) + _TIME + nested
+
+
+def _part_type(part: str) -> str:
+    return f"bowden_msgs/{''.join(word.capitalize() for word in part.split('_'))}Cycle"
 
 
 def cycle_columns(schema: str) -> tuple[str, ...] | None:
     """Return the columns of a table's schema, or None where it is not a stamp and then only float64."""
-    lines = [line.split("#")[0].split() for line in schema.split("=" * 80)[0].splitlines()]
-    fields = [line for line in lines if line]
-    if not fields or fields[0] != ["builtin_interfaces/Time", "stamp"]:
+    first, *rest = ([line for text in block.splitlines() if (line := text.split("#")[0].split())]
+                    for block in schema.split("=" * 80))
+    nested = {block[0][1]: block[1:] for block in rest if block and block[0][:1] == ["MSG:"] and len(block[0]) == 2}
+    if not first or first[0] != ["builtin_interfaces/Time", "stamp"]:
         return None
-    if any(len(field) != 2 or field[0] != "float64" for field in fields[1:]):
-        return None
-    return tuple(field[1] for field in fields[1:])
+    columns: list[str] = []
+    for field in first[1:]:
+        if len(field) != 2:
+            return None
+        kind, name = field
+        inner = [[kind, ""]] if kind == "float64" else nested.get(kind)
+        if inner is None or any(len(each) != 2 or each[0] != "float64" for each in inner):
+            return None
+        columns += [f"{name}.{each[1]}" if each[1] else name for each in inner]
+    return tuple(columns)
 
 
 def cycle_record(columns: int) -> np.dtype[np.void]:

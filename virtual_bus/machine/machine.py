@@ -7,10 +7,11 @@ then devices are told what they can feel.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
+from eds.declaration import MIRROR_RAD
 from physics.drive_loops import DRIVE_TICK_NS
-from physics.plant.bench_plant import Outputs, Plant
+from physics.plant.bench_plant import BowdenPlant, JointState, Outputs, Plant
 from virtual_bus.kernel import TICK, Kernel
 from virtual_bus.machine.hand import Hand
 from virtual_bus.machine.truth import Truth
@@ -94,15 +95,16 @@ END_FEELS = Outputs._fields.index("end_n")
 class Machine:
     """Plant, servo, knee and sensors; drives tick every `DRIVE_TICK_NS`, sensors at their own interval.
 
-    A knee without a drive is moved by a hand.
+    A knee without a drive is moved by a hand; that of an antagonist by the machine whose joint it is, mirrored.
     """
 
-    def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive | Hand,
+    def __init__(self, kernel: Kernel, plant: Plant, servo: MountedDrive, knee: MountedDrive | Hand | Machine,
                  gauges: Sequence[Gauge], observers: Sequence[Observer] = ()) -> None:
         self.plant = plant
         self._kernel = kernel
         self._servo = servo
         self._knee = knee
+        self._leader = knee if isinstance(knee, Machine) else None
         self._gauges, self._observers = tuple(gauges), tuple(observers)
         self._servo_nm = 0.0
         self._knee_nm = 0.0
@@ -150,7 +152,14 @@ class Machine:
     @property
     def axes(self) -> tuple[MountedDrive, ...]:
         """Servo and knee, or the servo alone."""
-        return (self._servo,) if isinstance(self._knee, Hand) else (self._servo, self._knee)
+        return (self._servo, self._knee) if isinstance(self._knee, MountedDrive) else (self._servo,)
+
+    @property
+    def felt(self) -> frozenset[int | None]:
+        """Nodes whose devices act on this machine, or measure it."""
+        stations = [*(axis.station for axis in self.axes), *(gauge.station for gauge in self._gauges),
+                    *(observer.station for observer in self._observers)]
+        return frozenset(station.node for station in stations)
 
     @property
     def gauges(self) -> tuple[Gauge, ...]:
@@ -164,7 +173,7 @@ class Machine:
 
     def _act(self) -> None:
         now_ns = self._kernel.now_ns
-        felt = self.plant.advance(now_ns, self._servo_nm, self._knee_nm)
+        felt = self._felt(now_ns)
         if self._tick_ns == now_ns:
             self._tick(now_ns, felt)
             self._tick_ns = now_ns + DRIVE_TICK_NS
@@ -176,6 +185,20 @@ class Machine:
                 next_ns = due_ns
         self._kernel.at(next_ns, TICK, self._act)
 
+    def _felt(self, now_ns: int) -> Outputs:
+        """Bring the plant up to now, and return what devices feel."""
+        if self._leader is None:
+            return self.plant.advance(now_ns, self._servo_nm, self._knee_nm)
+        angle, speed, acceleration = self._leader.joint_at(now_ns)
+        plant = cast(BowdenPlant, self.plant)
+        return plant.advance_led(now_ns, self._servo_nm, JointState(MIRROR_RAD - angle, -speed, -acceleration))
+
+    def joint_at(self, now_ns: int) -> JointState:
+        """Return the state of the joint now."""
+        plant = cast(BowdenPlant, self.plant)
+        plant.advance(now_ns, self._servo_nm, self._knee_nm)
+        return plant.joint
+
     def _tick(self, now_ns: int, felt: Outputs) -> None:
         servo_m, servo_m_s, knee_rad, knee_rad_s, _, _, _ = felt
         station, drive = self._servo
@@ -183,7 +206,7 @@ class Machine:
         station.settle(now_ns)
         if isinstance(self._knee, Hand):
             self._knee_nm = self._knee.push(knee_rad, knee_rad_s)
-        else:
+        elif isinstance(self._knee, MountedDrive):
             station, drive = self._knee
             self._knee_nm = drive.tick(now_ns, knee_rad, knee_rad_s) if station.on else 0.0
             station.settle(now_ns)
@@ -203,3 +226,20 @@ class Machine:
             sensor.sample(now_ns, counts)
         station.settle(now_ns)
         return sensor.interval_ns
+
+
+class Machines:
+    """Machines of the force paths of one bench, and their truth; each acts at its own times."""
+
+    def __init__(self, machines: Sequence[Machine], truth: Truth | None) -> None:
+        self.machines, self._truth = tuple(machines), truth
+
+    def start(self) -> None:
+        """Put every machine's first tick on the heap."""
+        for machine in self.machines:
+            machine.start()
+
+    def close(self) -> None:
+        """Finish the truth file."""
+        if self._truth is not None:
+            self._truth.close()

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from eds.bench.bench_network import KNEE, SENSORS, SERVO, tpdo_cob_id
+from eds.bench.bench_network import tpdo_cob_id
+from eds.declaration import PathNodes
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.effects import catalogue as effects
@@ -22,7 +23,8 @@ from virtual_bus.wire.faults import Fault
 
 WIRE: Final = "bus"
 NAMES: Final = (effects_table.TABLE, WIRE)
-INPUTS: Final = tuple(tpdo_cob_id(node) for node in (SERVO, KNEE, *SENSORS))
+PATHS: Final = "path"
+"""Table of tables that hold for one force path, [path.NAME.…]; the other tables hold for each path."""
 
 
 class PlantModel(NamedTuple):
@@ -38,11 +40,16 @@ class PlantModel(NamedTuple):
         return {group: values | self.effects.get(group, {}) for group, values in tables.items()}
 
 
-def read(given: str | Path | Mapping[str, Any] | None) -> PlantModel:
-    """Read a plant model from a TOML file or from its tables; raises `InputError`."""
+def read(given: str | Path | Mapping[str, Any] | None, nodes: PathNodes, path: str = "") -> PlantModel:
+    """Read the plant model of a force path from a TOML file or from its tables; raises `InputError`.
+
+    `nodes`: the path's, whose PDOs faults of the wire delay; `path`: its name where a bench has several.
+    """
     where, tables = "plant_model", dict(given) if isinstance(given, Mapping) else {}
     if isinstance(given, str | Path):
         where, tables = str(given), read_toml(Path(given))
+    if path:
+        tables = _of_path(tables, path, where)
     known = bench_model.from_tables(tables, where)
     stated = effects.apply(known.effects)
     wire = {**_numbers(tables.get(WIRE, {}), where), **stated.pop(WIRE, {})}
@@ -50,7 +57,19 @@ def read(given: str | Path | Mapping[str, Any] | None) -> PlantModel:
         stated[table] = {**values, **stated.get(table, {})}
     own = {name: current_names(table, f"{where} [{name}]") if isinstance(table, Mapping) else table
            for name, table in tables.items() if name not in (*NAMES, *bench_model.TABLES)}
-    return PlantModel(where, own, stated, faults(wire))
+    return PlantModel(where, own, stated, faults(wire, nodes))
+
+
+def _of_path(tables: Mapping[str, Any], path: str, where: str) -> dict[str, Any]:
+    """Return the tables of one path: those of [path.NAME] in place of, or merged into, those of every path."""
+    found = {name: table for name, table in tables.items() if name != PATHS}
+    own = tables.get(PATHS, {})
+    if not isinstance(own, Mapping) or not all(isinstance(table, Mapping) for table in own.values()):
+        raise InputError(f"{where}: {PATHS} is no table of tables; write [{PATHS}.{path}.plant] or the like.")
+    for name, table in own.get(path, {}).items():
+        both = isinstance(table, Mapping) and isinstance(found.get(name), Mapping)
+        found[name] = {**found[name], **table} if both else table
+    return found
 
 
 def _numbers(table: Any, where: str) -> dict[str, float]:
@@ -65,12 +84,13 @@ def _numbers(table: Any, where: str) -> dict[str, float]:
     return {name: float(value) for name, value in table.items()}
 
 
-def faults(wire: Mapping[str, float]) -> tuple[Fault, ...]:
+def faults(wire: Mapping[str, float], nodes: PathNodes) -> tuple[Fault, ...]:
     """Return the faults that make the PDOs of every input late or lost: `late_s`, `late_share`, `lost_share`."""
     made: list[Fault] = []
+    inputs = [tpdo_cob_id(node) for node in nodes if node]
     if wire.get("late_s", 0.0) > 0.0:
         made += [Fault("delay", cob_id=cob_id, probability=wire.get("late_share", 1.0), delay_us=1e6 * wire["late_s"])
-                 for cob_id in INPUTS]
+                 for cob_id in inputs]
     if wire.get("lost_share", 0.0) > 0.0:
-        made += [Fault("drop", cob_id=cob_id, probability=wire["lost_share"]) for cob_id in INPUTS]
+        made += [Fault("drop", cob_id=cob_id, probability=wire["lost_share"]) for cob_id in inputs]
     return tuple(made)

@@ -29,17 +29,17 @@ UNITS: Final = {
 class Truth(Station):
     """Listens for SYNC and writes a row of `plant.truth()` at each, to table `/truth` of the file at `path`."""
 
-    def __init__(self, path: str, plant: Plant, metadata: Mapping[str, str]) -> None:
+    def __init__(self, path: str, plants: Mapping[str, Plant], metadata: Mapping[str, str]) -> None:
         super().__init__("truth", self._latch, filters=frozenset({SYNC}), listen_only=True)
-        self._plant = plant
+        self._plants = tuple(plants.values())
         self._recorder = Recorder(
             path, metadata=metadata, attachments={}, threaded=False, overwrite=True,
-            signals=signals_of(plant), table=TABLE,
+            signals=signals_of(plants), table=TABLE,
         )
 
     def _latch(self, frame: Frame, now_ns: int) -> None:
         with suppress(RecordingError):
-            self._recorder.cycle(now_ns, tuple(self._plant.truth().values()))
+            self._recorder.cycle(now_ns, [value for plant in self._plants for value in plant.truth().values()])
 
     def rows(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Write rows of SYNCs that were computed elsewhere: n times, (n, columns) values."""
@@ -52,9 +52,10 @@ class Truth(Station):
             self._recorder.close({})
 
 
-def signals_of(plant: Plant) -> tuple[Signal, ...]:
-    """Return the truth's columns, their unit read from the name's ending."""
-    return tuple(Signal(name, _unit(name), "true value, from the plant") for name in plant.truth())
+def signals_of(plants: Mapping[str, Plant]) -> tuple[Signal, ...]:
+    """Return the truth's columns, each behind its plant's prefix, their unit read from the name's ending."""
+    return tuple(Signal(prefix + name, _unit(name), "true value, from the plant")
+                 for prefix, plant in plants.items() for name in plant.truth())
 
 
 def _unit(name: str) -> str:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from eds.bench.bench_network import KNEE, SENSORS, SERVO
 from eds.cia301 import Frame
 from parameters import InputError, checked, from_table, parameter, read_toml
 from virtual_bus.kernel import NEVER
@@ -99,9 +98,6 @@ def _row(row: Fault | Mapping[str, Any], where: str) -> Fault:
         raise InputError(f"{where}: kind = {fault.kind!r} is unknown; expected one of {', '.join(KINDS)}.")
     if fault.kind in OF_A_NODE and fault.node == ANY:
         raise InputError(f"{where}: {fault.kind} concerns one node; give node = 1 … 127.")
-    for kinds, nodes in ((OF_A_SENSOR, SENSORS), (OF_A_DRIVE, (SERVO, KNEE))):
-        if fault.kind in kinds and fault.node not in nodes:
-            raise InputError(f"{where}: {fault.kind} at node = {fault.node}; expected one of {sorted(nodes)}.")
     if fault.kind == "babble" and fault.cob_id == ANY:
         raise InputError(f"{where}: babble sends one COB-ID; give cob_id = 0 … 0x7FF.")
     if fault.stop_s <= fault.start_s:

@@ -28,6 +28,7 @@ REMEDY = "free the emergency stop (STO) first, then say this again"
 def home(
     calibration: options.Calibration = None,
     rate: options.Rate = None,
+    path: options.ForcePath = None,
     homing_n: options.HomingForce = None,
     *,
     reached: Bus,
@@ -44,7 +45,7 @@ def home(
     from master.motion import commission
     from physics.calibration import nominal, read
 
-    bench = _Bench(reached, rate, config)
+    bench = _Bench(reached, rate, config, path)
     measured = nominal() if calibration is None else read(calibration)
     homing = configuration.homing(bench.sections["homing"], homing_n)
     return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json)
@@ -55,6 +56,7 @@ def home(
 def tare(
     sensor: Sensor,
     rate: options.Rate = None,
+    path: options.ForcePath = None,
     *,
     reached: Bus,
     config: options.Config = None,
@@ -69,7 +71,7 @@ def tare(
     from master.motion import commission
 
     procedure = commission.tare(sensor)
-    return _Bench(reached, rate, config).perform(f"tare {sensor}", procedure, json=json)
+    return _Bench(reached, rate, config, path).perform(f"tare {sensor}", procedure, json=json)
 
 
 @app.command()
@@ -79,6 +81,7 @@ def jog(
     by: By,
     speed: Speed = None,
     rate: options.Rate = None,
+    path: options.ForcePath = None,
     *,
     reached: Bus,
     config: options.Config = None,
@@ -91,7 +94,7 @@ def jog(
     from master.motion import commission
 
     unit = math.radians(1.0) if axis == "knee" else 1e-3
-    bench = _Bench(reached, rate, config)
+    bench = _Bench(reached, rate, config, path)
     procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, bench.sections["limits"])
     return bench.perform(f"jog {axis}", procedure, json=json)
 
@@ -100,6 +103,7 @@ def jog(
 @grouped
 def release(
     rate: options.Rate = None,
+    path: options.ForcePath = None,
     *,
     reached: Bus,
     config: options.Config = None,
@@ -113,23 +117,23 @@ def release(
     """
     from master.motion import commission
 
-    bench = _Bench(reached, rate, config)
+    bench = _Bench(reached, rate, config, path)
     return bench.perform("release", commission.release(bench.sections["homing"], bench.sections["limits"]), json=json)
 
 
 class _Bench:
-    """The bench that the options name: its bus and its configuration."""
+    """The bench that the options name: its bus, its configuration and a force path."""
 
-    def __init__(self, reached: Bus, rate: int | None, config: Path | None) -> None:
+    def __init__(self, reached: Bus, rate: int | None, config: Path | None, path: str | None) -> None:
         self.sections = reached.sections(config, rate)
-        self.chosen = reached.chosen()
+        self.chosen, self.path = reached.chosen(), path
 
     def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
         """Run one procedure and say what it found."""
         from bowden.trials import commissioning
 
         with terminal.waiting(what, shown=not json):
-            outcome, found = commissioning.perform(self.chosen, self.sections, procedure)
+            outcome, found = commissioning.perform(self.chosen, self.sections, procedure, self.path)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",
                   "stop_reason": outcome.reason, "missed_cycles": outcome.missed_cycles, **found}
         if json:

@@ -23,7 +23,8 @@ ConfigFile = Annotated[Path, typer.Argument(metavar="FILE", help="bench.toml.", 
 def init(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="File to write.")] = Path("bench.toml"),
     shape: Annotated[str, typer.Option(
-        metavar="NAME", help="Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive.",
+        metavar="NAME", help="Packaged declaration: bench, bench_start_only (no END load cell), bench_no_knee_drive, "
+        "bench_antagonists (two ropes on a joint), bench_two_legs.",
     )] = "bench",
     overwrite: options.Overwrite = False,
 ) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,6 +53,7 @@ def identify(
     from bowden import output_files
     from bowden.models import identification
     from bowden.trials import session
+    from bowden.trials.force_paths import file_of
 
     session.refuse_no_logbook(logbook)
     _drawable(what, picture)
@@ -63,9 +64,9 @@ def identify(
     if recorded:
         _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
         output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
-        found = identification.again(what, recorded, calibration, date=today, progress=progress)
-        status = _ended(found, output, ", ".join(map(str, recorded)), picture, json)
-        _enter(logbook, found, output)
+        again = identification.again(what, recorded, calibration, date=today, progress=progress)
+        status = _ended([again], output, ", ".join(map(str, recorded)), picture, json)
+        _enter(logbook, again, output)
         return status
     sections = reached.sections(config, rate)
     logbook = session.entered(sections, logbook, config)
@@ -73,10 +74,14 @@ def identify(
     recording = output.with_suffix(".mcap")
     output_files.refuse([output, recording, picture], overwrite=overwrite, inputs=[
         calibration, config, simulated.plant_model])
+    paths = [path.name for path in sections["network"].bench.force_paths]
+    if len(paths) > 1:
+        output_files.refuse([file_of(output, path) for path in paths], overwrite=overwrite)
     found = identification.perform(
         what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
     status = _ended(found, output, str(recording), picture, json)
-    _enter(logbook, found, output)
+    for one in found:
+        _enter(logbook, one, _file(output, one))
     if not json:
         print(f"Bench: {chosen.told}")
     return status
@@ -102,19 +107,33 @@ def _no_bench(given: Mapping[str, object]) -> None:
             raise InputError(f"--{name.replace('_', '-')} belongs to measuring a bench; leave it out with --from.")
 
 
-def _ended(found: Identified, output: Path, source: str, picture: Path | None, json: bool) -> int:
-    if found.calibration is not None:
-        from physics.calibration import write
+def _file(output: Path, found: Identified) -> Path:
+    """The calibration's file: `output`, or on a bench of several force paths that of its path."""
+    from bowden.trials.force_paths import file_of
 
-        write_whole(output, write(found.calibration), overwrite=True)
-        if picture is not None:
-            from bowden.pages import loops_picture
+    return file_of(output, found.path) if found.path else output
 
-            loops_picture.draw(found.segments, f"{output.name}, measured in {source}", picture)
-    terminal.emit(_object(found, output, source)) if json else _tell(found, output, source)
+
+def _ended(found: Sequence[Identified], output: Path, source: str, picture: Path | None, json: bool) -> int:
     from bowden.cli import ending
 
-    return ending.status_of("completed" if found.reason is None else "stopped", found.reason)
+    for one in found:
+        if one.calibration is not None:
+            from physics.calibration import write
+
+            write_whole(_file(output, one), write(one.calibration), overwrite=True)
+            if picture is not None:
+                from bowden.pages import loops_picture
+
+                title = f"{_file(output, one).name}, measured in {source}"
+                loops_picture.draw(one.segments, title, _file(picture, one))
+    objects = {one.path: _object(one, _file(output, one), source) for one in found}
+    if json:
+        terminal.emit(objects.get("") or {"paths": objects})
+    else:
+        for one in found:
+            _tell(one, _file(output, one), source)
+    return ending.status_of("completed" if found[0].reason is None else "stopped", found[0].reason)
 
 
 def _rows(found: Calibration) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,100 @@
+"""Force paths of a bench of several: what each is run with, what a trial carries of each, and its figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bowden.bench.configuration import as_text
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from eds.bench.bench_network import Network
+    from eds.declaration import DeclaredBench, ForcePath
+    from master.motion.experiment_run import ExperimentSetup
+    from physics.reference import Reference
+
+
+def several(bench: DeclaredBench) -> bool:
+    """Return whether a bench has more than one force path."""
+    return len(bench.force_paths) > 1
+
+
+def file_of(given: Path, path: str) -> Path:
+    """Return the file of one path beside a file that a command names: own.toml and left make own.left.toml."""
+    return given.with_name(f"{given.stem}.{path}{given.suffix}")
+
+
+def bench_of(bench: str, path: str) -> str:
+    """Return the bench name that a path's calibration carries; "" where nobody told the bench's."""
+    return f"{bench} {path}" if bench else ""
+
+
+def reference_of(reference: Reference, acts: str, co_contraction: float) -> Reference:
+    """Return the reference of a path: that of an antagonist is mirrored, with its share of the force."""
+    from eds.declaration import EXTENDS, MIRROR_RAD
+
+    return reference.mirrored(MIRROR_RAD, co_contraction) if acts == EXTENDS else reference
+
+
+def setup_of(whole: ExperimentSetup, path: ForcePath, **changed: Any) -> ExperimentSetup:
+    """Return the experiment of one path."""
+    network = dataclasses.replace(whole.network, bench=whole.network.bench.path(path.name))
+    reference = reference_of(whole.reference, path.acts, whole.gait.co_contraction)
+    return dataclasses.replace(whole, network=network, reference=reference, **changed)
+
+
+def metadata(setups: Mapping[str, ExperimentSetup], network: Network) -> dict[str, str]:
+    """Return what identifies each path in a trial, as text."""
+    from bowden.trials import provenance
+    from trial.paths import ALONE, PATHS
+
+    found = {PATHS: " ".join(setups)}
+    for path in network.bench.force_paths:
+        setup = setups[path.name]
+        joints = [other.joint for other in network.bench.force_paths]
+        own = {**provenance.metadata(setup), "peak_n": repr(setup.reference.peak_n), "acts": path.acts,
+               ALONE: str(joints.count(path.joint) == 1).lower()}
+        found |= {f"{path.name}.{key}": own[key] for key in ("calibration", "peak_n", "course", "acts", ALONE)}
+    return found
+
+
+def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return configuration and calibration of each path, as files of a trial of a single one."""
+    from physics.calibration import write
+
+    found: dict[str, bytes] = {}
+    for name, setup in setups.items():
+        found[f"{name}.bench.toml"] = as_text({**sections, "network": setup.network}).encode()
+        found[f"{name}.calibration.toml"] = write(setup.calibration).encode()
+    return found
+
+
+@contextmanager
+def single_paths(trials: Sequence[Path], path: str | None) -> Iterator[list[Path]]:
+    """Yield trials of a single path: the files themselves, or with `path` that path of each, in a temporary folder.
+
+    Raises `InputError` for a trial of several paths where no path is named, and for a path that a trial has not.
+    """
+    from trial import read
+    from trial.paths import names, write_path
+
+    with tempfile.TemporaryDirectory(prefix="bowden-") as folder:
+        found = []
+        for file in trials:
+            opened = read.open(file) if file.suffix.lower() == ".mcap" else None
+            if opened is None or path is None:
+                if opened is not None and names(opened):
+                    known = ", ".join(names(opened))
+                    raise InputError(f"{file}: records the force paths {known}; name one with --path.")
+                found.append(file)
+                continue
+            target = Path(folder) / str(len(found)) / file_of(file, path).name
+            target.parent.mkdir()
+            write_path(opened, path, target)
+            found.append(target)
+        yield found

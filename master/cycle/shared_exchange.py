@@ -1,0 +1,272 @@
+"""One control cycle of several force paths over one bus.
+
+Each path has an `Exchange` of its own, with its guard, plausibility and targets; the bus, SYNC, the frames of targets
+and the row of `/cycle` are shared.  A procedure of one path runs unchanged on that path's exchange: meanwhile the other
+paths hold, and a rope goes along with a joint that the other path of that joint moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import can
+
+from eds.bench.bench_network import WireLayout
+from eds.cia301 import SYNC_COB_ID
+from eds.declaration import EXTENDS, MIRROR_RAD, ForcePath
+from master.cycle.exchange import NAN, NO_SYNC, UNSEEN, Exchange
+from master.cycle.guard import Guard
+from master.cycle.inputs import KNEE, CycleAnnotations, Inputs
+from master.cycle.log import Log
+from master.cycle.safety import Condition, StopError
+from master.network.link import Link, stamp_ns
+from physics.calibration import nominal
+from trial.signals import joined
+
+T = TypeVar("T")
+
+SWING_K: Final = nominal().swing_k
+"""Rope by angle, m/rad, by which the slack rope of a resting path goes along with its joint: the packaged lever."""
+
+
+class Answer(NamedTuple):
+    """What a path answers its inputs with: targets, m and rad, and what its row says of the step."""
+
+    servo_m: float
+    knee_rad: float
+    annotations: CycleAnnotations | None = None
+
+
+Work = Generator[Answer, None, T]
+"""Procedure of one path: yields what it answers each cycle, and reads the inputs from its exchange."""
+
+
+class PathExchange(Exchange):
+    """The running cycle as one of several force paths sees it; its knee angle is the joint's as the path counts it."""
+
+    alone = False
+
+    def __init__(self, shared: SharedExchange, path: ForcePath, guard: Guard, budget_ns: int) -> None:
+        super().__init__(shared.link, shared.wire.of_path(path.name), shared.log, guard, budget_ns)
+        self.name, self.joint, self.mirrors = path.name, path.joint, path.acts == EXTENDS
+        self._shared = shared
+        if self.mirrors:
+            self._unpack[KNEE] = _mirrored(self._unpack[KNEE])
+
+    def mirrored(self, angle_rad: float) -> float:
+        """Return the joint's angle of the path's, or the path's of the joint's."""
+        return MIRROR_RAD - angle_rad if self.mirrors else angle_rad
+
+    def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None = None) -> Inputs:
+        """Run one cycle in which this path goes on and the others hold."""
+        self._shared.advance({self.name: Answer(servo_m, knee_rad, annotations)})
+        return self.inputs
+
+    def command(self, servo_word: int, knee_word: int) -> None:
+        """Send the controlwords of this path's drives; those of the others stay."""
+        self._shared.command({self.path.servo: servo_word, self.path.knee: knee_word})
+
+
+class SharedExchange:
+    """The running cycle of all force paths; `paths` are their exchanges in declared order, `wire` the whole bench's.
+
+    Counters, `begin` and `end` are as in `Exchange`.  The first path of a joint leads its drive.
+    """
+
+    def __init__(self, link: Link, wire: WireLayout, log: Log, guard_of: Callable[[WireLayout], Guard],
+                 budget_ns: int) -> None:
+        self.link, self.wire, self.log = link, wire, log
+        self._budget_ns = budget_ns
+        self.paths = tuple(PathExchange(self, path, guard_of(wire.of_path(path.name)), budget_ns)
+                           for path in wire.network.bench.force_paths)
+        self._hearing: dict[int, list[PathExchange]] = {}
+        for path in self.paths:
+            for can_id in path.heard:
+                self._hearing.setdefault(can_id, []).append(path)
+        frames = list(wire.master_frames())
+        self._targets = [(plan, nodes) for name, plan, nodes in frames if name == "target"]
+        self._controlwords = [(plan, nodes) for name, plan, nodes in frames if name == "controlword"]
+        self._words = dict.fromkeys(wire.drives, 0)
+        self._early_ns = -1
+        self._patience_ns = self.paths[0].guard.limits.stale_cycles * wire.period_ns
+
+    @property
+    def guards(self) -> tuple[Guard, ...]:
+        """The guards of all paths."""
+        return tuple(path.guard for path in self.paths)
+
+    @property
+    def missed_cycles(self) -> int:
+        """Cycles whose inputs or targets came too late, of the path that missed most."""
+        return max(path.missed_cycles for path in self.paths)
+
+    @property
+    def stale_inputs(self) -> int:
+        """PDOs older than a cycle that a step saw, of all paths."""
+        return sum(path.stale_inputs for path in self.paths)
+
+    def forget_misses(self) -> None:
+        """Count misses from here on."""
+        for path in self.paths:
+            path.forget_misses()
+
+    def begin(self) -> None:
+        """Wait for a first SYNC and its inputs; an SDO's wait runs control cycles from here on."""
+        sync_ns = self._await_sync()
+        if sync_ns < 0:
+            self.link.sync_pace(self.wire.period_ns)
+            self.log.event(self.link.clock(), "warning", "master", UNSEEN)
+            sync_ns = self._await_sync()
+        self.log.drain()
+        self.link.pump = lambda _deadline_ns: self.hold()
+        for path in self.paths:
+            path.first_ns = sync_ns
+        self._latch(sync_ns)
+
+    def end(self) -> None:
+        """Leave the cycle: SDOs wait by receiving again."""
+        self.link.pump = self.link.receive
+        self.log.drain()
+
+    def hold(self) -> None:
+        """One cycle with the targets of the last one."""
+        self.advance({})
+
+    def command(self, words: Mapping[int, int]) -> None:
+        """Send the controlwords of some drives, by node; the others keep theirs."""
+        self._words.update({node: word for node, word in words.items() if node in self._words})
+        for plan, nodes in self._controlwords:
+            if any(node in words for node in nodes):
+                self.link.send(plan.cob_id, plan.pack(*(self._words[node] for node in nodes)))
+
+    def advance(self, answers: Mapping[str, Answer]) -> None:
+        """Send what the named paths answer, the others holding, and take the inputs of the next SYNC.
+
+        Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
+        """
+        led: dict[str, float] = {}
+        for path in self.paths:
+            if path.name in answers:
+                led.setdefault(path.joint, path.mirrored(answers[path.name].knee_rad))
+        told = []
+        for path in self.paths:
+            answer = self._answer(path, answers.get(path.name), led.get(path.joint))
+            path.answer(*answer)
+            told.append(answer.annotations or path.annotations)
+        sent = self._send()
+        sync_ns = self._await_sync()
+        self.log.drain()
+        self._record(told, sent and (not self.log.taps or self._sent_in_time(sync_ns)))
+        if sync_ns < 0:
+            self.paths[0].guard.heed_strangers()
+            raise StopError(Condition.SYNC_LOST, NO_SYNC.format(self._patience_ns / 1e6))
+        self._latch(sync_ns)
+
+    def _sent_in_time(self, sync_ns: int) -> bool:
+        return self.paths[0].inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
+
+    @staticmethod
+    def _answer(path: PathExchange, given: Answer | None, joint_rad: float | None) -> Answer:
+        """Return what a path answers when its joint is led to `joint_rad`, None: by nobody."""
+        servo, knee = path.targets
+        led = knee if joint_rad is None else path.mirrored(joint_rad)
+        if given is None:
+            return Answer(servo + SWING_K * (led - knee), led)
+        return given._replace(knee_rad=led)
+
+    def _send(self) -> bool:
+        """Send the frames of targets; whether the bus took all of them."""
+        targets: dict[int, float] = {}
+        for path in self.paths:
+            servo, knee = path.targets
+            targets[path.path.servo] = servo
+            targets.setdefault(path.path.knee, path.mirrored(knee))
+        sent = True
+        for plan, nodes in self._targets:
+            data = plan.pack_si(*(targets[node] for node in nodes))
+            if self.link.watch is not None:
+                self.link.watch.sent(plan.cob_id, data)
+            sent &= self.link.try_send(can.Message(arbitration_id=plan.cob_id, data=data, is_extended_id=False))
+        return sent
+
+    def _record(self, told: list[CycleAnnotations], sent: bool) -> None:
+        for path in self.paths:
+            path.note(sent)
+        if self.paths[0].told:
+            return
+        rows = [path.row_of(annotations, sent) for path, annotations in zip(self.paths, told, strict=True)]
+        own = [(*annotations.own, *(NAN,) * (path.own - len(annotations.own)))
+               for path, annotations in zip(self.paths, told, strict=True)]
+        self.log.row(self.paths[0].inputs.sync_ns, joined(rows, self.paths[0].observed, own))
+
+    def _await_sync(self) -> int:
+        """Time stamp of the next SYNC, or −1 after the patience; TPDOs that come before it are kept as late."""
+        early, self._early_ns = self._early_ns, -1
+        if early >= 0:
+            return early
+        deadline = self.link.clock() + self._patience_ns
+        while (message := self.link.receive(deadline)) is not None:
+            if message.arbitration_id == SYNC_COB_ID:
+                if not self.paths[0].repeats(stamp_ns(message)):
+                    return stamp_ns(message)
+            else:
+                for path in self._hearing.get(message.arbitration_id, ()):
+                    path.hear_late(message)
+        return -1
+
+    def _latch(self, sync_ns: int) -> None:
+        """Collect the PDOs of one SYNC until they are all there or the deadline has come; then check every path."""
+        for path in self.paths:
+            path.begin_latch(sync_ns)
+        missing = self._collect(sync_ns)
+        for path in self.paths:
+            path.latched(sync_ns, missing[path.name])
+        for path in self.paths:
+            path.checked()
+
+    def _collect(self, sync_ns: int) -> dict[str, int]:
+        missing = {path.name: path.expect() for path in self.paths}
+        deadline, period_ns = sync_ns + self._budget_ns, self.wire.period_ns
+        while any(missing.values()) and (message := self.link.receive(deadline)) is not None:
+            if message.arbitration_id != SYNC_COB_ID:
+                for path in self._hearing.get(message.arbitration_id, ()):
+                    missing[path.name] = path.hear(message, sync_ns, missing[path.name])
+            elif stamp_ns(message) - sync_ns > period_ns // 2:
+                self._early_ns = stamp_ns(message)
+                break
+            else:
+                self.paths[0].note_repeated(stamp_ns(message))
+        return missing
+
+
+Running = Exchange | SharedExchange
+"""The running cycle of a bench, of one force path or of several: `paths` has the exchange of each."""
+
+
+def together(exchange: Running, works: Sequence[Work[T]]) -> list[T]:
+    """Run a procedure of each path in the same cycles, and return what they return; a path that is done holds."""
+    found: dict[int, T] = {}
+    while True:
+        answers: dict[int, Answer] = {}
+        for i, work in enumerate(works):
+            if i not in found:
+                try:
+                    answers[i] = next(work)
+                except StopIteration as done:
+                    found[i] = done.value
+        if not answers:
+            return [found[i] for i in range(len(works))]
+        if isinstance(exchange, Exchange):
+            exchange.advance(*answers[0])
+        else:
+            exchange.advance({exchange.paths[i].name: answer for i, answer in answers.items()})
+
+
+def _mirrored(unpack: Callable[[bytes], tuple[float, ...]]) -> Callable[[bytes], tuple[float, ...]]:
+    """Return what reads a knee drive's frame with the angle as an antagonist's path counts it."""
+    def read(data: bytes) -> tuple[float, ...]:
+        status, angle = unpack(data)
+        return status, MIRROR_RAD - angle
+
+    return read

@@ -1,0 +1,113 @@
+"""Experiment of several force paths: each planned as one of a single path, all walked in the same control cycles.
+
+The paths home one after the other, the others slack; then they walk together.  A path with a joint of its own walks
+half a gait cycle behind the path before it, as the legs of a walker do; an antagonist walks with the rope that flexes
+its joint.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import can
+
+from eds.bench.bench_network import Network
+from master.cycle import drives
+from master.cycle.exchange import Exchange
+from master.cycle.log import CycleSink
+from master.cycle.run_safely import run_safely
+from master.cycle.shared_exchange import Answer, Running, Work, together
+from master.motion import gait, moves
+from master.motion.experiment_run import ExperimentSetup, Planned, Result, result_of
+from master.motion.home import reached_n
+from master.network.link import Link
+from master.settings import Homing
+from parameters import InputError
+
+RESTING_M: Final = 0.015
+"""Rope, m, that a resting path pays out beyond slack, while the other path of its joint moves the joint: the lever of a
+leg departs from the packaged one by up to a tenth, 5 mm over a gait's flexion, and slack of 10 mm stays."""
+
+
+@dataclass(frozen=True)
+class PathsResult(Result):
+    """How an experiment of several paths ended; `homed`: what homing found of each, by path."""
+
+    homed: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+
+
+def rest(exchange: Exchange, homing: Homing) -> None:
+    """Leave a rope slack by `RESTING_M`, so that its joint can move."""
+    moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < 1.0, homing.reach_m,
+               "the rope does not go slack; release it by hand or tare START")
+    servo, knee = exchange.targets
+    moves.move(exchange, servo - RESTING_M, knee, homing.rope_m_s, homing.knee_rad_s)
+
+
+class PlannedPaths:
+    """An experiment of several paths with its tables made; `planned` has that of each path of the bench of `network`.
+
+    Raises `InputError` for a dry run, which shows nothing that one path's does not.
+    """
+
+    def __init__(self, setups: Mapping[str, ExperimentSetup], network: Network) -> None:
+        self.planned = {name: Planned(setup) for name, setup in setups.items()}
+        self.experiment, self._network = next(iter(setups.values())), network
+        if self.experiment.dry_run:
+            raise InputError("--dry-run: on a bench of several force paths nothing is run dry; leave it out.")
+        bench = network.bench
+        leads: dict[str, Planned] = {}
+        for path in bench.force_paths:
+            lead = leads.setdefault(path.joint, self.planned[path.name])
+            self.planned[path.name].first, self.planned[path.name].rest = lead.first, lead.rest
+        self._place = {path.name: list(leads).index(path.joint) for path in bench.force_paths}
+
+    @property
+    def pulls(self) -> str:
+        """The largest forces that it will pull, as a sentence."""
+        return " ".join(f"{name}: {planned.pulls}" for name, planned in self.planned.items())
+
+    @property
+    def homing_n(self) -> float:
+        """Return the most that a START reads while homing, N."""
+        return max(reached_n(planned.homing) for planned in self.planned.values())
+
+    def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> PathsResult:
+        """Run it on the bus of `link`."""
+        experiment = self.experiment
+        outcome = run_safely(link, tap, recorder, self._network, experiment.limits, self.perform)
+        first = next(iter(self.planned.values()))
+        warning = " ".join(f"{name}: {planned.warning}" for name, planned in self.planned.items() if planned.warning)
+        found = {name: {"friction_half_width_m": planned.homed.half_width_m, "day": planned.homed.day}
+                 for name, planned in self.planned.items() if planned.homed is not None}
+        whole = dataclasses.asdict(result_of(outcome, first))
+        whole |= {"day": None, "friction_half_width_m": None, "warning": warning or None}
+        return PathsResult(**whole, homed=found)
+
+    def perform(self, exchange: Running) -> None:
+        """Enable every drive, home the paths one after the other, and walk them together."""
+        paths = dict(zip(self.planned, exchange.paths, strict=True))
+        drives.enable(exchange)
+        for name, path in paths.items():
+            path.own = len(self.planned[name].kind.columns)
+            self.planned[name].warn(path)
+            rest(path, self.planned[name].homing)
+        for name, path in paths.items():
+            self.planned[name].home(path)
+            rest(path, self.planned[name].homing)
+        for name, path in paths.items():
+            planned = self.planned[name]
+            gait.approach(path, planned.table, planned.first, planned.experiment.homing, planned.calibration.swing_k)
+        for name, path in paths.items():
+            self.planned[name].watch(path)
+        together(exchange, [self._steps(name, path) for name, path in paths.items()])
+
+    def _steps(self, name: str, path: Exchange) -> Work[None]:
+        """Yield the steps of one path, half a gait cycle behind those of the joint before it."""
+        planned = self.planned[name]
+        for _ in range(self._place[name] * (planned.table.samples // 2)):
+            yield Answer(*path.targets)
+        yield from planned.steps(path)

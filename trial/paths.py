@@ -1,0 +1,69 @@
+"""One force path of a recorded trial of several, as a trial of a single path.
+
+Columns `<path>.<name>`, attachments `<path>.<file>` and metadata `<path>.<key>` lose their prefix; what has none holds
+for every path.  Whatever reads a trial so reads a path of one, and knows nothing of benches of several.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from parameters import InputError
+from trial.assemble import TrialContent, write
+from trial.read import Event, Trial
+from trial.signals import Signal, of_path
+
+T = TypeVar("T")
+PATHS = "paths"
+"""Key of the metadata that lists a trial's force paths; a trial of a single path has none."""
+ALONE = "joint_alone"
+"""Key of a path's metadata: true where no other path has its joint, so that its frames are those of a single path."""
+
+
+def names(trial: Trial) -> tuple[str, ...]:
+    """Return the force paths of a trial of several, in declared order; none for a trial of a single path."""
+    return tuple(trial.metadata.get(PATHS, "").split())
+
+
+def one_path(trial: Trial, path: str) -> Trial:
+    """Return one force path of a trial as a trial; raises `InputError` for a path that it has not."""
+    known = names(trial)
+    if path not in known:
+        raise InputError(f"{trial.path}: has no path {path}; " + (
+            f"expected one of {', '.join(known)}." if known else "it records a single one: leave --path out."))
+    metadata = {key: text for key, text in _own(trial.metadata, path, known).items() if key != PATHS}
+    result = None if trial.result is None else dict(trial.result)
+    homed: Any = (result or {}).pop("homed", {})
+    if result is not None:
+        result |= homed.get(path, {})
+    others = set(known) - {path}
+    found = dataclasses.replace(
+        trial, columns={name: column for old, column in trial.columns.items()
+                        if (name := of_path(old, path)) is not None},
+        units={name: unit for old, unit in trial.units.items() if (name := of_path(old, path)) is not None},
+        derived=frozenset(filter(None, (of_path(old, path) for old in trial.derived))),
+        events=tuple(event for event in trial.events if event.source not in others),
+        metadata={**metadata, "path": path}, attachments=_own(trial.attachments, path, known), result=result)
+    if metadata.get(ALONE) != "true":
+        vars(found)["frames"] = trial.frames[:0]
+    return found
+
+
+def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str, T]:
+    """Return what holds for every path, and what holds for this one in its place."""
+    prefixes = tuple(f"{name}." for name in known)
+    common = {key: value for key, value in given.items() if not key.startswith(prefixes)}
+    return common | {key.removeprefix(f"{path}."): value for key, value in given.items() if key.startswith(f"{path}.")}
+
+
+def write_path(trial: Trial, path: str, target: Path, *, overwrite: bool = False) -> Trial:
+    """Write one force path of a trial as a trial of its own, and return it; raises `InputError`."""
+    found = one_path(trial, path)
+    signals = [Signal(name, found.units[name], "", name in found.derived) for name in found.columns]
+    events = [(event.time_ns, event.kind, event.source, event.text) for event in map(Event._make, found.events)]
+    write(target, TrialContent(found.time_ns, found.columns, found.frames, events, signals), metadata=found.metadata,
+          result=found.result or {}, attachments=found.attachments, overwrite=overwrite)
+    return found
