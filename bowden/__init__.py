@@ -21,7 +21,7 @@ from bowden import own_packages
 
 if TYPE_CHECKING:
     from bowden import replay, sweep, testing
-    from bowden.bench.any_node import Node
+    from bowden.bench.any_node import Lss, Node
     from bowden.bench.buses import BusSettings, bus, simulated
     from bowden.bench.examination import doctor
     from bowden.model_files import BenchModel, nominal
@@ -41,8 +41,9 @@ if TYPE_CHECKING:
 _HOMES = {
     "BenchModel": "bowden.model_files", "BusSettings": "bowden.bench.buses", "Diagnosis": "bowden.models.diagnosing",
     "DiagnosisResult": "bowden.models.diagnosing", "Experiment": "bowden.trials.experiment", "InputError": "parameters",
-    "Node": "bowden.bench.any_node", "Progress": "bowden.progress", "Simulation": "bowden.models.simulating",
-    "StoppedError": "bowden.models.identification", "Trial": "bowden.trials.recorded_trial",
+    "Lss": "bowden.bench.any_node", "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
+    "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
+    "Trial": "bowden.trials.recorded_trial",
     "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
     "compare": "bowden.trials.recorded_trial", "doctor": "bowden.bench.examination",
     "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
@@ -55,10 +56,10 @@ _HOMES = {
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
-    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Node", "Progress",
-    "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare", "doctor", "export", "fit",
-    "identify", "nominal", "plan", "read", "read_model", "record", "replay", "run", "simulate", "simulated", "sweep",
-    "testing", "verify", "write_model",
+    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Lss", "Node",
+    "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare", "doctor", "export",
+    "fit", "identify", "nominal", "plan", "read", "read_model", "record", "replay", "run", "simulate", "simulated",
+    "sweep", "testing", "verify", "write_model",
 ]
 
 

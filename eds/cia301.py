@@ -53,6 +53,7 @@ class Service(Enum):
     EMCY = "EMCY"
     SDO = "SDO"
     PDO = "PDO"
+    LSS = "LSS"
 
 
 _STATES: Final = (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL, NmtState.STOPPED)
@@ -69,12 +70,12 @@ NMT_TRANSITIONS: Final = MappingProxyType({(s, c): t for s in _STATES for c, t i
 boot-up."""
 
 SERVICES: Final = MappingProxyType({
-    NmtState.INITIALISING: frozenset[Service](),
+    NmtState.INITIALISING: frozenset({Service.LSS}),
     NmtState.PRE_OPERATIONAL: frozenset(Service) - {Service.PDO},
     NmtState.OPERATIONAL: frozenset(Service),
-    NmtState.STOPPED: frozenset({Service.NMT, Service.ERROR_CONTROL}),
+    NmtState.STOPPED: frozenset({Service.NMT, Service.ERROR_CONTROL, Service.LSS}),
 })
-"""Services that a node provides in each state (CiA 301, table 37)."""
+"""Services that a node provides in each state (CiA 301, table 37); LSS in all of them (CiA 305)."""
 
 NMT_COB_ID: Final = 0x000
 SYNC_COB_ID: Final = 0x080

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from eds.dictionary import PACKAGED, Dictionary, packaged, read
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
-from master.node_access import node_scan
+from master.node_access import lss_master, node_scan
 from master.node_access import remote_node as access
 from parameters import InputError
 
@@ -51,6 +51,28 @@ def dictionary_of(link: Link, node_id: int, eds: Path | None) -> Dictionary | No
         raise InputError(f"{eds}: no EDS in it fits node {node_id} (vendor 0x{identity.get('vendor', 0):08X}, product "
                          f"0x{identity.get('product', 0):08X}); add the device's file or name it.")
     return found
+
+
+class Lss(lss_master.LssMaster):
+    """An LSS master (CiA 305), as a context manager that opens its bus: `scan`, `choose`, `configure_node_id`, `store`.
+
+    Leaving it switches all devices to waiting. Raises `InputError` for bad input and for a bus that fails; methods
+    raise `master.node_access.lss_master.LssRefusalError` where a device refuses.
+    """
+
+    def __init__(self, *, bus: BusSettings | None = None, bitrate: int = BITRATE,
+                 answer_ns: int = lss_master.ANSWER_NS) -> None:
+        from bowden.bench import buses
+
+        self._opened = ExitStack()
+        super().__init__(self._opened.enter_context(linked(bus or buses.simulated(), bitrate)), answer_ns)
+
+    def __enter__(self) -> Lss:
+        return self
+
+    def __exit__(self, *_exc: object) -> None:
+        with self._opened:
+            self.leave()
 
 
 class Node(access.NodeAccess):

@@ -17,6 +17,7 @@ from bowden.testing import golden
 from bowden.testing.canopen_node import CanopenNode, DriveLoad
 from bowden.testing.counted_faults import CountedFaults
 from eds.cia301 import Frame
+from eds.cia305 import UNCONFIGURED
 from eds.dictionary import Dictionary
 from nodes import Application
 from parameters import InputError
@@ -75,12 +76,11 @@ class CanBus:
 
     def __init__(self, *, bitrate: int = 1_000_000, seed: int = 0, node_turnaround_ns: int = 0,
                  master_turnaround_ns: int = 0) -> None:
-        if bitrate not in BITRATES:
-            raise InputError(f"can_bus: bitrate = {bitrate} is none of {', '.join(map(str, BITRATES))}; choose one.")
+        self._bitrate = _known(bitrate)
         self.faults = CountedFaults()
         self.seed = seed
         self.random = random.Random(seed)
-        self.nodes: dict[int, CanopenNode] = {}
+        self._nodes: list[CanopenNode] = []
         self.channel = f"testing-{next(_CHANNELS)}"
         self._bench = Bench(channel=self.channel, bitrate=bitrate, judge=self.faults, tx_queue=QUEUE,
                             master_turnaround_ns=master_turnaround_ns)
@@ -98,19 +98,37 @@ class CanBus:
 
     def add_node(
         self, eds: str | Path | Dictionary, node_id: int | None = None, *, profile: Application | None = None,
-        store: Path | None = None, mechanics: DriveLoad | None = None,
+        store: Path | None = None, mechanics: DriveLoad | None = None, serial: int | None = None,
     ) -> CanopenNode:
         """Add a node that boots now, as its EDS or DCF says; `profile` puts `nodes.Drive` or the like behind it.
 
-        `store` is the file of 0x1010; `mechanics` is what a drive moves. Raises `InputError` for an unusable file or a
-        node id that is taken.
+        `node_id` 255 is a node without one, which only LSS reaches. `store` is the file of 0x1010 and of LSS;
+        `mechanics` is what a drive moves; `serial` is the serial number, 0x1018:04. Raises `InputError` for an unusable
+        file or a node id that is taken.
         """
-        node = CanopenNode(self, eds, node_id, profile, store, mechanics, self._turnaround_ns)
-        if node.node_id in self.nodes:
+        node = CanopenNode(self, eds, node_id, profile, store, mechanics, self._turnaround_ns, serial)
+        if node.node_id in self.nodes and node.node_id != UNCONFIGURED:
             raise InputError(f"can_bus: node id {node.node_id} is on the bus already; give each node its own.")
-        self.nodes[node.node_id] = node
+        self._nodes.append(node)
         node.power_on()
         return node
+
+    @property
+    def nodes(self) -> dict[int, CanopenNode]:
+        """The nodes by their present node ids."""
+        return {node.node_id: node for node in self._nodes}
+
+    @property
+    def bitrate(self) -> int:
+        """Bit rate of the wire, bit/s; once set, a node whose bit timing LSS has switched elsewhere is off the bus."""
+        return self._bitrate
+
+    @bitrate.setter
+    def bitrate(self, bitrate: int) -> None:
+        self._bitrate = _known(bitrate)
+        self.wire.retime(bitrate)
+        for node in self._nodes:
+            node.station.settle(self.now_ns)
 
     def open(self, **options: Any) -> BowdenBus:
         """Open a python-can bus on it: any python-can or canopen program can use it."""
@@ -174,3 +192,9 @@ class CanBus:
     def assert_golden(self, path: str | Path, *, update: bool = False) -> None:
         """Compare all frames with a golden text file, or write it; raise `AssertionError` with the differences."""
         golden.assert_same_frames(self.frames(), Path(path), update=update)
+
+
+def _known(bitrate: int) -> int:
+    if bitrate not in BITRATES:
+        raise InputError(f"can_bus: bitrate = {bitrate} is none of {', '.join(map(str, BITRATES))}; choose one.")
+    return bitrate

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 from bowden.testing.behaviour import Behaviour, Refusal, StateTable
 from eds.cia301 import Abort, ErrorRegister, NmtState
 from eds.datatype import DataType, Value, decode, encode
-from eds.dictionary import PACKAGED, Dictionary, Entry, packaged, read
+from eds.dictionary import PACKAGED, Dictionary, Entry, key, packaged, read
 from eds.files import check
 from eds.files.notation import object_section
 from nodes import Application, Device, Drive, TensionSensor
@@ -57,6 +57,25 @@ class Inertia:
         return self.position, self.velocity
 
 
+class SwitchedStation(NodeStation):
+    """A node's CAN controller, off the bus while its bit timing is not that of the wire or is being switched."""
+
+    def __init__(self, bus: CanBus, device: Device, turnaround_ns: int) -> None:
+        super().__init__(bus.kernel, device, turnaround_ns)
+        self._bus, self._lss = bus, device.lss
+
+    def settle(self, now_ns: int) -> None:
+        """Send and receive where the bit rates agree; what the device wants sent elsewhere is lost."""
+        off = self._lss.muted or self._lss.bitrate not in (None, self._bus.bitrate)
+        if off:
+            self.device.outbox.clear()
+        if off is (self.deaf_to is not None):
+            self.deaf_to = None if off else frozenset()
+            if self.wire is not None:
+                self.wire.reroute()
+        super().settle(now_ns)
+
+
 class CanopenNode:
     """A node on a `CanBus`; made by the fixture `canopen_node` or by `CanBus.add_node`.
 
@@ -65,8 +84,10 @@ class CanopenNode:
     """
 
     def __init__(self, bus: CanBus, eds: str | Path | Dictionary, node_id: int | None, profile: Application | None,
-                 store: Path | None, mechanics: DriveLoad | None, turnaround_ns: int) -> None:
+                 store: Path | None, mechanics: DriveLoad | None, turnaround_ns: int, serial: int | None) -> None:
         dictionary, self._mended = _read(eds, node_id)
+        if serial is not None:
+            dictionary = _numbered(dictionary, serial)
         node_id = node_id if node_id is not None else dictionary.node_id
         if node_id is None:
             raise InputError(f"{dictionary.path}: no node id in it; give node_id = 1 … 127.")
@@ -74,7 +95,7 @@ class CanopenNode:
         self.dictionary = dictionary
         self._behaviour = Behaviour(profile or Application())
         self.device = Device(dictionary, node_id, self._behaviour, store=store)
-        self.station = NodeStation(bus.kernel, self.device, turnaround_ns)
+        self.station = SwitchedStation(bus, self.device, turnaround_ns)
         self._names = {entry.name.lower(): at for at, entry in reversed([*dictionary.entries.items()])}
         self._mechanics = mechanics
         if isinstance(profile, Drive):
@@ -243,6 +264,15 @@ def _read(given: str | Path | Dictionary, node_id: int | None) -> tuple[Dictiona
     path = packaged(str(given)) if str(given) in PACKAGED else Path(given)
     stamp = path.stat() if path.exists() else None
     return _mended(path, node_id, stamp and (stamp.st_mtime_ns, stamp.st_size))
+
+
+def _numbered(dictionary: Dictionary, serial: int) -> Dictionary:
+    """Return a dictionary whose serial number, 0x1018:04, is `serial`; `InputError` where it has none."""
+    at = key(0x1018, 4)
+    if at not in dictionary.entries:
+        raise InputError(f"{dictionary.path}: no object 1018:04; leave serial away, or add it to the EDS.")
+    entries = {**dictionary.entries, at: dataclasses.replace(dictionary.entries[at], default=serial, value=None)}
+    return dataclasses.replace(dictionary, entries=entries)
 
 
 @lru_cache(maxsize=64)

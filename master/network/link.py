@@ -170,7 +170,7 @@ class Link:
         if can_id > EMCY_BASE + _NODE_MASK and can_id < SDO_RESPONSE_BASE:
             return
         if can_id >= HEARTBEAT_BASE:
-            if message.dlc and can_id > HEARTBEAT_BASE:
+            if message.dlc and HEARTBEAT_BASE < can_id <= HEARTBEAT_BASE + _NODE_MASK:
                 node, state = can_id - HEARTBEAT_BASE, message.data[0] & _NODE_MASK
                 self.beats[node] = Beat(stamp_ns(message), state)
                 if state == 0:

@@ -22,6 +22,7 @@ from eds.cia301 import (
     Abort,
     NmtCommand,
 )
+from eds.cia305 import LSS_REQUEST, LSS_RESPONSE, LssCommand
 from eds.dictionary import Dictionary, key
 from eds.emcy_codes import emcy_text
 from eds.pdo_plan import PdoPlan, compile_plan
@@ -31,14 +32,7 @@ from master.node_access.remote_node import state_name
 from parameters import InputError
 
 TIME_COB_ID: Final = 0x100
-LSS_REQUEST, LSS_RESPONSE = 0x7E5, 0x7E4
-_LSS: Final = {
-    4: "switch state", 17: "configure node id", 19: "configure bit timing", 21: "activate bit timing",
-    23: "store configuration", 64: "select vendor", 65: "select product", 66: "select revision", 67: "select serial",
-    68: "selected", 79: "identify slave", 80: "non-configured slave", 81: "fastscan", 90: "inquire vendor",
-    91: "inquire product", 92: "inquire revision", 93: "inquire serial", 94: "inquire node id",
-}
-"""LSS command specifiers (CiA 305)."""
+_LSS: Final = {int(command): command.text for command in LssCommand}
 _PDOS: Final = ((0x1400, 0x200, 0x1600), (0x1800, 0x180, 0x1A00))
 
 

@@ -10,11 +10,13 @@ from collections import deque
 from pathlib import Path
 
 from eds.cia301 import NMT_COB_ID, SERVICES, Abort, Emcy, Frame, NmtState, Service
+from eds.cia305 import UNCONFIGURED
 from eds.datatype import Value
 from eds.dictionary import Dictionary, read
 from nodes.core.application import Application
 from nodes.core.emergency import Emergency
 from nodes.core.heartbeat import Consumer, Producer
+from nodes.core.lss_slave import LssSlave
 from nodes.core.nmt import Nmt
 from nodes.core.objects import Objects, outside
 from nodes.core.parts import FAR_NS, Applied, Check, Command, Handler, Part
@@ -38,8 +40,9 @@ class Device:
     def __init__(
         self, dictionary: Dictionary | Path, node_id: int, application: Application, *, store: Path | None = None
     ) -> None:
-        if not 1 <= node_id <= 127:
-            raise InputError(f"node id {node_id} is outside 1 … 127; give each device its own.")
+        if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
+            raise InputError(f"node id {node_id} is outside 1 … 127 and not 255 (unconfigured); give each device its "
+                             "own.")
         self.node_id = node_id
         self.objects = Objects(read(dictionary, node_id) if isinstance(dictionary, Path) else dictionary)
         self.values = self.objects.values
@@ -68,8 +71,9 @@ class Device:
         self.consumer = Consumer(self)
         self.producer = Producer(self)
         self.sdo = SdoServer(self)
+        self.lss = LssSlave(self, store)
         self._parts: tuple[Part, ...] = (
-            self.emcy, self.store, self.sync, self.pdos, self.consumer, self.producer, self.sdo)
+            self.emcy, self.store, self.sync, self.pdos, self.consumer, self.producer, self.sdo, self.lss)
         self._checks: dict[int, Check] = {}
         self._applied: dict[int, Applied] = {}
         self._commands: dict[int, Command] = {}
@@ -86,6 +90,8 @@ class Device:
     def power_on(self, now_ns: int) -> None:
         """Initialise from stored or default values, send the boot-up, enter PRE-OPERATIONAL."""
         self.now_ns = now_ns
+        self.lss.load()
+        self._renumber()
         self.store.load()
         self.nmt.initialise(True, now_ns)
 
@@ -108,9 +114,7 @@ class Device:
             self.application.poll(now_ns)
             self.pdos.look(now_ns)
         if self.wake_ns <= now_ns:
-            self.wake_ns = FAR_NS
-            for part in self._parts:
-                self.wake(part.poll(now_ns))
+            self.rearm(now_ns)
 
     def next_ns(self) -> int | None:
         """Say when `poll` has work; None for never."""
@@ -129,7 +133,7 @@ class Device:
     def rearm(self, now_ns: int) -> None:
         """Ask every part anew when it has work, which `poll` otherwise does when the earliest time it knew has come."""
         self.wake_ns = FAR_NS
-        for part in self._parts:
+        for part in self._parts if self.state is not NmtState.INITIALISING else (self.lss,):
             self.wake(part.poll(now_ns))
 
     def emergency(self, code: int, register: int, vendor: bytes = b"") -> None:
@@ -183,11 +187,20 @@ class Device:
         """Give objects their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
         if whole_node:
             self.emcy.forget_all()
+            self.lss.recall()
+        self._renumber()
         self.store.restore(whole_node)
         for part in self._parts:
             part.reset(now_ns)
         if whole_node:
             self.application.reset(now_ns)
+
+    def _renumber(self) -> None:
+        """Put the node id that LSS configured in force."""
+        if self.lss.pending != self.node_id:
+            self.objects.renumber(self.lss.pending - self.node_id)
+            self.node_id = self.lss.pending
+            self.store.renumber()
 
     def refresh(self, now_ns: int) -> None:
         """Let the application bring its process values up to date."""

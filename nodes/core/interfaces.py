@@ -183,6 +183,19 @@ class StoreHost(HasObjects, CanSend, HasErrors, HasProfile, Protocol):
     """What storing and restoring parameters needs."""
 
 
+class NmtRestart(NmtStateOf, Protocol):
+    """The NMT part, as far as LSS calls it."""
+
+    def initialise(self, whole_node: bool, now_ns: int) -> None: ...
+
+
+class LssHost(HasObjects, CanSend, CanWake, Protocol):
+    """What the LSS slave needs."""
+
+    @property
+    def nmt(self) -> NmtRestart: ...
+
+
 class SdoHost(HasObjects, CanSend, CanWake, Protocol):
     """What the SDO server needs: read and write an object as a client does."""
 

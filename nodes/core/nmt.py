@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from eds.cia301 import HEARTBEAT_BASE, NMT_TRANSITIONS, Frame, NmtCommand, NmtState
+from eds.cia305 import UNCONFIGURED
 from nodes.core.interfaces import NmtHost
 
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
@@ -44,11 +45,16 @@ class Nmt:
             self.enter(target, now_ns)
 
     def initialise(self, whole_node: bool, now_ns: int) -> None:
-        """Restore power-on values (all, or 0x1000–0x1FFF), send the boot-up, enter PRE-OPERATIONAL."""
+        """Restore power-on values (all, or 0x1000–0x1FFF), send the boot-up, enter PRE-OPERATIONAL.
+
+        A node without a node id stays in INITIALISING, where only LSS reaches it (CiA 305).
+        """
         device = self._device
         device.outbox.clear()
         self.enter(NmtState.INITIALISING, now_ns)
         device.restart(whole_node, now_ns)
+        if device.node_id == UNCONFIGURED:
+            return
         device.outbox.append(Frame(HEARTBEAT_BASE + device.node_id, b"\x00"))
         self.enter(NmtState.PRE_OPERATIONAL, now_ns)
 

@@ -6,6 +6,7 @@ The rule of this file: a refusal is an SDO abort code, never an exception; whate
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 from eds.cia301 import Abort
@@ -32,6 +33,13 @@ class Objects:
                 where = f"{dictionary.path}: {entry.index:04X}:{entry.subindex:02X}"
                 raise InputError(f"{where} DefaultValue {entry.initial!r} is no {entry.data_type.name}; mend the EDS.")
             self.values[key] = entry.initial
+
+    def renumber(self, shift: int) -> None:
+        """Add `shift` to the defaults that depend on the node id, because that has changed."""
+        self.entries = {
+            at: replace(entry, default=entry.default + shift)
+            if entry.relative and isinstance(entry.default, int) else entry
+            for at, entry in self.entries.items()}
 
     def number(self, key: int, missing: int = 0) -> int:
         """Return the value of an integer object; `missing` where the dictionary has none."""

@@ -56,6 +56,14 @@ class Store(Part):
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             self._stored, self._damaged = {}, True
 
+    def renumber(self) -> None:
+        """Take the defaults of a new node id; stored values that depend on the old one are dropped."""
+        relative = {at: entry for at, entry in self._device.objects.entries.items() if entry.relative}
+        self._defaults.update((at, entry.initial) for at, entry in relative.items())
+        self._stored = {at: value for at, value in self._stored.items() if at not in relative}
+        if self._stored and self._path is not None:
+            self._replace(self._stored)
+
     def restore(self, whole_node: bool) -> None:
         """Give objects their stored or default values: all of them, or 0x1000–0x1FFF."""
         for at, value in self._defaults.items():

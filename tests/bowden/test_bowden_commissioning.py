@@ -1,4 +1,4 @@
-"""docs/commissioning.md, typed in its order on one virtual drive at node id 5."""
+"""docs/commissioning.md, typed in its order on one virtual drive that has no node id."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "commissioning.md").read_text(encod
 def test_the_page_shows_what_its_commands_print(bowden: Callable[..., Any], can_bus: CanBus, here: Path) -> None:
     (here / "eds").mkdir()
     shutil.copy(packaged("knee_drive"), here / "eds" / "drive.eds")
-    can_bus.add_node("knee_drive", 5)
+    can_bus.add_node("knee_drive", 255, serial=42)
     can_bus.open()
     for block in re.findall(r"```console\n(.*?)```", PAGE, re.DOTALL):
         for command in re.split(r"(?m)^\$ ", block)[1:]:

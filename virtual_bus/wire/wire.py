@@ -47,7 +47,7 @@ class Wire:
     def __init__(self, kernel: Kernel, bitrate: int, judge: FrameFaults | None = None) -> None:
         if bitrate not in BITRATES:
             raise ValueError(f"bit rate {bitrate} is none of {BITRATES}")
-        self.bit_ns = 1_000_000_000 // bitrate
+        self.retime(bitrate)
         self.stations: list[Station] = []
         self.frames = 0
         self.errors = 0
@@ -55,7 +55,6 @@ class Wire:
         self._kernel = kernel
         self._judge = judge
         self._queue = Contention()
-        self._gap_ns = INTERMISSION_BITS * self.bit_ns
         self._senders: list[Waiting] = []
         self._heard: Frame | None = None
         self._error = ErrorKind.BIT
@@ -64,6 +63,11 @@ class Wire:
         self._idle_ns = 0
         self._participants = 0
         self._hurt = False
+
+    def retime(self, bitrate: int) -> None:
+        """Use another bit rate from the next frame on."""
+        self.bit_ns = 1_000_000_000 // bitrate
+        self._gap_ns = INTERMISSION_BITS * self.bit_ns
 
     # -- who is on it ------------------------------------------------------------------------------
 

@@ -345,7 +345,7 @@ def nmt(
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
     node_id = 0 if name == "all" else _node_id(name, reached, config)
     with linked(reached.chosen(), _bitrate(reached, config)) as link:
-        _refuse_other_master(link, force)
+        refuse_other_master(link, force)
         state = access.nmt(link, node_id, command)
     if json:
         terminal.emit({"node": name, "command": command, "state": state})
@@ -493,12 +493,13 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
     node_id = _node_id(name, reached, config)
     with linked(reached.chosen(), _bitrate(reached, config)) as link:
         if acts:
-            _refuse_other_master(link, force)
+            refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)
         yield NodeAccess(link, node_id, dictionary_of(link, node_id, eds))
 
 
-def _refuse_other_master(link: Link, force: bool) -> None:
+def refuse_other_master(link: Link, force: bool) -> None:
+    """Raise `InputError` while another master is on the bus, unless `force`."""
     from master.node_access.remote_node import other_master
     from parameters import InputError
 

@@ -1,0 +1,160 @@
+"""`bowden lss`: node ids and bit rates of devices by LSS (CiA 305)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.bench.node import Force, refuse_other_master
+from bowden.cli.command import CommandGroup
+from bowden.cli.option_groups import Bus, grouped
+
+if TYPE_CHECKING:
+    from eds.cia305 import LssAddress
+    from master.node_access.lss_master import LssMaster
+
+lss = CommandGroup(help="Node ids and bit rates of devices by LSS (CiA 305).", rich_markup_mode=None)
+app.add_typer(lss, name="lss")
+
+Chosen = Annotated[int | None, typer.Option("--node", metavar="ID", help="The device that is node ID now.")]
+Identity = Annotated[str | None, typer.Option("--identity", metavar="V:P:R:S",
+                                              help="The device of this identity, hexadecimal.")]
+Store = Annotated[bool, typer.Option("--store", help="Keep it over a power cycle.")]
+Wait = Annotated[int, typer.Option("--timeout", metavar="MS", min=1, max=10_000, help="Time for an answer.")]
+
+
+@lss.command()
+@grouped
+def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None, json: options.Json = False) -> int:
+    """Find the devices that have no node id, by fastscan.
+
+    Example: bowden lss scan
+    """
+    with _master(reached, config, timeout) as master:
+        found = master.scan()
+    if json:
+        terminal.emit({"unconfigured": [_identity(one) for one in found]})
+    else:
+        for one in found:
+            print(f"{one}  " + " ".join(f"{name} 0x{number:08X}" for name, number in one._asdict().items()))
+        print(f"{len(found)} unconfigured devices.")
+    return 0
+
+
+@lss.command()
+@grouped
+def assign(
+    node_id: Annotated[int, typer.Argument(metavar="NEW-ID", help="Node id 1 … 127.", show_default=False)],
+    reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
+    timeout: Wait = 100, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Give a device a node id: the only unconfigured one, or the one of --node or --identity.
+
+    Example: bowden lss assign 9 --node 2
+    """
+    from master.node_access.lss_master import refuse_taken
+    from master.node_access.remote_node import nmt
+
+    with _master(reached, config, timeout, acts=not force) as master:
+        refuse_taken(master.link, node_id)
+        address = _choose(master, node, identity)
+        before = master.node_id()
+        master.configure_node_id(node_id)
+        if store:
+            master.store()
+        booted = master.booted(node_id) if before == 255 else False
+        if before not in (255, None):
+            master.leave()
+            nmt(master.link, before, "reset-comm")
+            booted = node_id in master.link.beats
+    if json:
+        terminal.emit({"node": node_id, "before": before, **_identity(address), "stored": store, "booted": booted})
+    else:
+        print(f"{address} is node {node_id}" + (", stored" if store else "") + ("; booted." if booted else
+              "; no boot-up came."))
+    return 0 if booted else 1
+
+
+@lss.command()
+@grouped
+def bitrate(
+    rate: Annotated[int, typer.Argument(metavar="BIT/S", help="1000000, 800000, 500000, 250000, 125000, 50000, …",
+                                        show_default=False)],
+    reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
+    activate: Annotated[int | None, typer.Option(
+        "--activate", metavar="MS", min=1, max=65_535,
+        help="Switch now: MS until the device switches, and MS in which it is silent.")] = None,
+    force: Force = False, timeout: Wait = 100, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Give a device a bit rate, in force at its next power-on, or now by --activate.
+
+    Example: bowden lss bitrate 500000 --node 2
+    """
+    with _master(reached, config, timeout, acts=not force) as master:
+        address = _choose(master, node, identity)
+        master.configure_bitrate(rate)
+        if store:
+            master.store()
+        if activate is not None:
+            master.activate(activate)
+    if json:
+        terminal.emit({**_identity(address), "bitrate": rate, "stored": store, "activated": activate is not None})
+    else:
+        print(f"{address}: {rate} bit/s" + (", stored" if store else "") + (
+            f", in force in {activate} ms." if activate is not None else "; in force once it is activated."))
+    return 0
+
+
+@lss.command()
+@grouped
+def store(
+    reached: Bus, node: Chosen = None, identity: Identity = None, force: Force = False, timeout: Wait = 100,
+    config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Let a device keep its node id and bit rate over a power cycle.
+
+    Example: bowden lss store --node 2
+    """
+    with _master(reached, config, timeout, acts=not force) as master:
+        address = _choose(master, node, identity)
+        master.store()
+    if json:
+        terminal.emit({**_identity(address), "stored": True})
+    else:
+        print(f"{address}: node id and bit rate stored.")
+    return 0
+
+
+@contextmanager
+def _master(reached: Bus, config: Path | None, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
+    """Give an LSS master; a device's refusal is bad input."""
+    from bowden.bench.any_node import linked
+    from master.node_access.lss_master import LssMaster, LssRefusalError
+    from parameters import InputError
+
+    with linked(reached.chosen(), int(reached.sections(config)["network"].bitrate)) as link:
+        if acts:
+            refuse_other_master(link, False)
+        master = LssMaster(link, timeout_ms * 1_000_000)
+        try:
+            yield master
+        except LssRefusalError as error:
+            raise InputError(f"{error}; see the device's manual, or give it more --timeout.") from None
+        finally:
+            master.leave()
+
+
+def _choose(master: LssMaster, node: int | None, identity: str | None) -> LssAddress:
+    from master.node_access.lss_master import address_of
+
+    return master.choose(node, None if identity is None else address_of(identity))
+
+
+def _identity(address: LssAddress) -> dict[str, object]:
+    return {"identity": str(address), **address._asdict()}
