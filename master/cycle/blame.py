@@ -56,8 +56,11 @@ _TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
     BY_START: ("stretch of the path for START", 1e3, "mm"),
     BY_END: ("stretch of the path for END", 1e3, "mm"),
 })
-_TOGETHER: Final = 0.5
-"""Normalised residual of both axes from which on they count as off their targets together."""
+_TOGETHER: Final = 0.37
+"""Normalised residual of both axes from which on they count as off their targets together.
+
+In the fault matrix the other axis is at 0.30 at most where one alone is off, and at 0.44 at least where targets are
+lost to both.  Smaller: one axis' fault is called lost targets.  Larger: lost targets are called the knee's fault."""
 _AGED: Final = 0.75
 """Normalised residual from which on a relation counts as disturbed while another one is broken."""
 

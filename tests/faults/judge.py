@@ -5,12 +5,12 @@ The rule of this file: pure arithmetic on what the processes told.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from tests.faults.names import name_of
 from tests.faults.stage import WALK, Row, Told, Walk
 
 START_LIMIT_N, END_LIMIT_N = 120.0, 90.0
@@ -43,6 +43,9 @@ class Verdict(NamedTuple):
     leg_deg: float = 0.0
     beyond: str = ""
     gradual: bool = False
+    action: str = ""
+    exposed_ms: float = 0.0
+    """Time with true END more than `UNSAID_N`, or the leg more than `LEG_DEG`, off the twin's before it was said."""
 
 
 def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
@@ -55,7 +58,8 @@ def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
     stop_ns = next((t for t, kind, _s, _x in told.events if kind == "safety" and t >= told.fault_ns), -1)
     peaks = after[:, 1].max(), after[:, 2].max()
     until_ns = detected_ns if detected_ns >= 0 else int(after[-1, 0])
-    apart, unsaid = _unsaid(told, twin, until_ns)
+    apart, unsaid, exposed = _unsaid(told, twin, until_ns)
+    leg, leg_ms = _leg(told, twin, until_ns)
     slack = pulled = stop = float("nan")
     if stop_ns >= 0:
         later = true[true[:, 0] >= stop_ns]
@@ -67,11 +71,11 @@ def judged(row: Row, told: Told, twin: Told, walk: Walk = WALK) -> Verdict:
         floor = max(first, told.floor_n, SLACK_N)
         pulled = most / floor if most > SLACK_N else 1.0
         stop = max(0.0, (told.off_ns - stop_ns) * 1e-6)
-    named = bool(re.search(row.named, said)) if said else False
+    named = name_of(said) in row.named if said else False
     verdict = Verdict(
         row.name, told.moment, (detected_ns - told.fault_ns) * 1e-6 if detected_ns >= 0 else float("nan"), named,
         said, *peaks, apart, unsaid, slack, pulled, stop, told.whole, row.silent, (), str(walk),
-        _leg(told, twin, until_ns), row.beyond, row.gradual)
+        leg, row.beyond, row.gradual, row.action.words, max(exposed, leg_ms))
     return verdict._replace(faults=tuple(_faults(row, verdict, told)))
 
 
@@ -82,33 +86,37 @@ def detection(row: Row, told: Told) -> tuple[int, str]:
     for time_ns, kind, _source, text in told.events:
         if time_ns < told.fault_ns - 1_000_000 or kind in ("host", "warning"):
             continue
-        if kind == "safety" or (row.event and re.search(row.named, text)):
+        if kind == "safety" or (row.event and name_of(text) in row.named):
             return time_ns, told.reason if kind == "safety" and told.reason else text
     return (told.last_ns, told.reason) if told.reason else (-1, "")
 
 
-def _unsaid(told: Told, twin: Told, until_ns: int) -> tuple[float, float]:
-    """Largest departure of true END from the twin's before it was said: for a moment, and for `UNSAID_MS`."""
+def _unsaid(told: Told, twin: Told, until_ns: int) -> tuple[float, float, float]:
+    """Largest departure of true END from the twin's before it was said: for a moment, and for `UNSAID_MS`, N.
+
+    Third: for how long, ms, it was beyond `UNSAID_N`.
+    """
     if not len(told.true) or not len(twin.true) or told.moment == "start":
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     mine = told.true[(told.true[:, 0] > told.fault_ns) & (told.true[:, 0] <= until_ns)]
     if not len(mine):
-        return 0.0, 0.0
-    other = np.interp(mine[:, 0], twin.true[:, 0], twin.true[:, 2])
-    apart = np.abs(mine[:, 2] - other)
+        return 0.0, 0.0, 0.0
+    apart = np.abs(mine[:, 2] - np.interp(mine[:, 0], twin.true[:, 0], twin.true[:, 2]))
+    exposed = float(np.sum(apart > UNSAID_N))  # a row of the truth each ms
     if len(mine) < UNSAID_MS:
-        return float(apart.max()), 0.0
+        return float(apart.max()), 0.0, exposed
     windows = np.lib.stride_tricks.sliding_window_view(apart, UNSAID_MS)
-    return float(apart.max()), float(windows.min(axis=1).max())
+    return float(apart.max()), float(windows.min(axis=1).max()), exposed
 
 
-def _leg(told: Told, twin: Told, until_ns: int) -> float:
-    """Largest departure of the leg from the twin's before it was said, degrees."""
+def _leg(told: Told, twin: Told, until_ns: int) -> tuple[float, float]:
+    """Largest departure of the leg from the twin's before it was said, degrees; for how long, ms, beyond `LEG_DEG`."""
     if not len(told.true) or told.moment == "start":
-        return 0.0
+        return 0.0, 0.0
     mine = (told.true[:, 0] > told.fault_ns) & (told.true[:, 0] <= until_ns)
     other = np.interp(told.true[mine, 0], twin.true[:, 0], twin.leg)
-    return float(np.degrees(np.abs(told.leg[mine] - other)).max(initial=0.0))
+    apart = np.degrees(np.abs(told.leg[mine] - other))
+    return float(apart.max(initial=0.0)), float(np.sum(apart > LEG_DEG))
 
 
 def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:

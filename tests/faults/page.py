@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.faults.argument import ACTIONS, HAZARDS
 from tests.faults.judge import (
     END_LIMIT_N,
     LEG_DEG,
@@ -87,6 +88,8 @@ def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
     lines += [f"| fault | at | {gait}said after | true peak | END off | {leg}slack | pull | stop | log | said |",
               "|---|---|---|---|---|---|---|---|---|---|" + "---|---|" * slow]
     lines += [_row(verdict, slow) for verdict in found]
+    lines += ["", "### By unsafe control action", "", *_by_action(found)]
+    lines += ["", "### Time by hazard", "", *_by_hazard(found)]
     quiet = {v.name: v.excuse for v in found if v.excuse and math.isnan(v.detected_ms)}
     over = {v.name: v.beyond for v in found if v.beyond and (
         v.apart_n > MOMENT_N or v.unsaid_n > UNSAID_N or v.leg_deg > LEG_DEG)}
@@ -96,6 +99,40 @@ def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
     if quiet:
         lines += ["", "### What goes unsaid, and why no signal could show it", ""]
         lines += [f"- {name}: {excuse}." for name, excuse in quiet.items()]
+    return lines
+
+
+def _by_action(found: Sequence[Verdict]) -> list[str]:
+    """Return the table of unsafe control actions (STPA) with what their rows did."""
+    lines = ["| unsafe control action | leads to | required | faults, rows | said | unsaid, with a reason | "
+             "END off | true peak START / END, N |", "|---|---|---|---|---|---|---|---|"]
+    for action in ACTIONS:
+        mine = [v for v in found if v.action == action.words]
+        if not mine:
+            continue
+        unsaid = sum(math.isnan(v.detected_ms) for v in mine)
+        lines.append(
+            f"| {action.words} | {action.hazard} | {action.required} | {len({v.name for v in mine})}, {len(mine)} | "
+            f"{len(mine) - unsaid} | {unsaid} | {max(v.apart_n for v in mine):.1f} / {max(v.unsaid_n for v in mine):.1f} | "
+            f"{max(v.peak_start_n for v in mine):.0f} / {max(v.peak_end_n for v in mine):.0f} |")
+    return lines
+
+
+def _by_hazard(found: Sequence[Verdict]) -> list[str]:
+    """Return the table of time until a fault is said and until the rope is slack, against what is tolerated."""
+    lines = [f"Unsafe time is the time with true END more than {UNSAID_N:g} N, or the leg more than {LEG_DEG:g}°, off before it is "
+             f"said; tolerated are {UNSAID_MS} ms of it, and then {SLACK_MS:.0f} ms until the rope is slack ({SLOW_MS:.0f} ms "
+             "where the knee stands or falls).", "", "| hazard | faults | unsafe time, most, ms | until slack, most, ms | together, most, ms |",
+             "|---|---|---|---|---|"]
+    for hazard in HAZARDS:
+        words = {action.words for action in ACTIONS if action.hazard == hazard}
+        mine = [v for v in found if v.action in words and not v.excuse]
+        if not mine:
+            continue
+        slack = [0.0 if math.isnan(v.slack_ms) else v.slack_ms for v in mine]
+        both = [v.exposed_ms + after for v, after in zip(mine, slack, strict=True)]
+        lines.append(f"| {hazard} | {len({v.name for v in mine})} | {max(v.exposed_ms for v in mine):.0f} "
+                     f"| {max(slack):.0f} | {max(both):.0f} |")
     return lines
 
 

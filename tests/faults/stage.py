@@ -28,6 +28,7 @@ from master.motion import experiment_run as trials
 from master.network.link import Link
 from physics.reference import paper_reference
 from tests.faults import plants
+from tests.faults.argument import LYING_TENSION, UnsafeAction
 from trial.signals import INDEX
 from virtual_bus.bench import Bench
 from virtual_bus.bus import BowdenBus
@@ -114,27 +115,29 @@ class Scene(NamedTuple):
 
 @dataclass
 class Row:
-    """One fault of the matrix: `named` is a pattern that the stop's reason (or, with `event`, an event) must match.
+    """One fault of the matrix.
 
+    `named`: the names (`names.name_of`) that are right in the stop's reason or, with `event`, in an event.
     `silent`: why no signal could show it, where it is allowed to go unsaid.  `needs_sto`: the servo's stage conducts by
     itself, and only the emergency stop ends that.  `gradual`: it may go unsaid as long as END and the leg keep their
-    bounds; `beyond`: why they cannot keep them.  `experiment` alters what is run, for rows that begin at the start.
+    bounds; `beyond`: why they cannot keep them.  `action`: what the fault makes unsafe.  `experiment` alters what is
+    run, for rows that begin at the start.
     """
 
     name: str
     act: Callable[[Scene], None]
-    named: str
+    named: tuple[str, ...]
     moments: tuple[str, ...] = ("ramp", "peak", "idle")
     event: bool = False
     silent: str = ""
     needs_sto: bool = False
     slow: bool = False
     experiment: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = field(default=lambda given: given)
-    own_signal: str = ""
     run: dict[str, Any] = field(default_factory=dict)
     walks: tuple[Walk, ...] = (WALK,)
     gradual: bool = False
     beyond: str = ""
+    action: UnsafeAction = LYING_TENSION
 
 
 class Sink:

@@ -88,7 +88,7 @@ def found(jobs: int = 2) -> list[Stealthy]:
         searches = [_Search(attack) for attack in ATTACKS]
         for _round in range(ROUNDS + 1):
             sizes = {str(i): search.next() for i, search in enumerate(searches) if search.low != search.attack.most}
-            rows = [Row(name, searches[int(name)].attack.made(size), "", ("idle",), walks=(walk,))
+            rows = [Row(name, searches[int(name)].attack.made(size), (), ("idle",), walks=(walk,))
                     for name, size in sizes.items()]
             if not rows:
                 break

@@ -10,15 +10,18 @@ from typing import Any
 
 import pytest
 
+from tests.faults import names
+from tests.faults.argument import ACTIONS, HAZARDS
+from tests.faults.names import name_of
 from tests.faults.page import kept, write
 from tests.faults.rows import ROWS
 
 ROOT = Path(__file__).parents[2]
 QUICK = "|".join(f"^{name}$" for name in (
     "START stuck at 0", "START × 0.5", "START cut off", "END stuck at 0", "servo encoder frozen", "servo stage dead",
-    "knee encoder sign flipped", "rope snapped at the drum", "rope jammed in its sheath", "another master's targets",
-    "foreign NMT stop", "foreign SDO write of 60B0", "SYNC doubled", "one knee frame of 2·10⁹ mdeg", "SIGTERM",
-    "servo's velocity feedback reversed", "servo's velocity feedback zero",
+    "targets lost", "knee encoder sign flipped", "rope snapped at the drum", "rope jammed in its sheath",
+    "another master's targets", "foreign NMT stop", "foreign SDO write of 60B0", "SYNC doubled",
+    "one knee frame of 2·10⁹ mdeg", "SIGTERM", "servo's velocity feedback reversed", "servo's velocity feedback zero",
     "an error inside a cycle", "calibration: stiffness × 0.5", "calibration: swing × 2"))
 
 
@@ -35,6 +38,22 @@ def matrix(tmp_path: Path, *arguments: str) -> list[dict[str, Any]]:
 def test_the_matrix_has_a_hundred_rows_and_each_its_own_name() -> None:
     assert len(ROWS) >= 100
     assert len({row.name for row in ROWS}) == len(ROWS)
+
+
+def test_every_unsafe_control_action_has_rows_and_its_hazard_is_one_of_the_pages() -> None:
+    assert {row.action for row in ROWS} == set(ACTIONS)
+    page = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    assert [hazard for hazard in HAZARDS if f"| {hazard} |" not in page] == []
+    assert {action.hazard for action in ACTIONS} == set(HAZARDS)
+
+
+def test_a_name_is_what_is_left_of_a_sentence_without_its_figures() -> None:
+    jammed = name_of("signal implausible: START, or a path that is jammed: START against END by friction is -5.0 N, "
+                     "expected about 3.4 N")
+    assert jammed == names.START_OR_PATH
+    lost = name_of("inputs too old: start missed 5 cycles in a row (servo: 0x8250, RPDO time-out)")
+    assert lost == names.old("start")
+    assert name_of("emergency message: knee: 0x7305, incremental sensor fault") == names.emergency("knee", 0x7305)
 
 
 def test_defects_once_found_are_said_named_and_bounded(tmp_path: Path) -> None:
