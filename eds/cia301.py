@@ -106,7 +106,7 @@ SIGNATURE_ZERO: Final = 0x6F72657A
 
 
 def pdo_type_allowed(transmission_type: int) -> bool:
-    """Say whether 0x140x:02 or 0x180x:02 may hold the value here: 0, 1 … 240, 254, 255; no remote-only 252, 253."""
+    """Return whether 0x140x:02 or 0x180x:02 may hold the value here: 0, 1 … 240, 254, 255; no remote-only 252, 253."""
     return 0 <= transmission_type <= SYNC_MAX or transmission_type in (EVENT_MANUFACTURER, EVENT_PROFILE)
 
 

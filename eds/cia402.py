@@ -166,7 +166,7 @@ _NEXT: Final = MappingProxyType({goal: MappingProxyType(_routes(goal)) for goal 
 
 
 def next_controlword(state: State, goal: State) -> int:
-    """Give the controlword that moves a drive from `state` one row nearer to `goal`, or holds it there.
+    """Return the controlword that moves a drive from `state` one row nearer to `goal`, or holds it there.
 
     In a state that the drive ends without a command (NOT READY, FAULT REACTION ACTIVE), or without a way to the goal,
     it is 0x0000. Out of FAULT it is 0x0080: send 0x0000 before it, for the drive acts on the edge. `goal` is a state

@@ -90,7 +90,7 @@ _REALS: Final = {DataType.REAL32: struct.Struct("<f"), DataType.REAL64: struct.S
 
 
 def encode(data_type: DataType, value: Value) -> bytes:
-    """Give the bytes of `value`; OverflowError where an integer does not fit, TypeError where the kind is wrong."""
+    """Return the bytes of `value`; OverflowError where an integer does not fit, TypeError where the kind is wrong."""
     if data_type.integer:
         if not isinstance(value, int):
             raise TypeError(f"{data_type.name} holds a whole number, not {value!r}")

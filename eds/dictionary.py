@@ -25,7 +25,7 @@ _DUMMY: Final = re.compile(r"dummy[0-9a-f]{4}", re.IGNORECASE)
 
 
 def key(index: int, subindex: int = 0) -> int:
-    """Give the key of a sub-object: index << 8 | subindex."""
+    """Return the key of a sub-object: index << 8 | subindex."""
     return index << 8 | subindex
 
 
@@ -93,7 +93,7 @@ class Dictionary:
     emergencies: Mapping[int, str] = field(default_factory=dict)
 
     def initial(self, index: int, subindex: int = 0) -> int:
-        """Give the start value of an integer object; `InputError` where the file has no such object."""
+        """Return the start value of an integer object; `InputError` where the file has no such object."""
         entry = self.entries.get(key(index, subindex))
         if entry is None or not entry.data_type.integer:
             raise InputError(f"{self.path}: no integer object {index:04X}:{subindex:02X}; add it to the EDS.")
@@ -102,7 +102,7 @@ class Dictionary:
         return value
 
     def mapping(self, index: int) -> list[int]:
-        """Give the mapping words that 0x16xx or 0x1Axx holds at the start; empty where it is absent."""
+        """Return the mapping words that 0x16xx or 0x1Axx holds at the start; empty where it is absent."""
         if key(index) not in self.entries:
             return []
         count = self.initial(index)
@@ -139,7 +139,7 @@ def build(path: str, found: list[ini.Section], node_id: int | None = None) -> Di
 
 
 def packaged(name: str) -> Path:
-    """Give the path of an EDS that ships with this project: one of `PACKAGED`."""
+    """Return the path of an EDS that ships with this project: one of `PACKAGED`."""
     if name not in PACKAGED:
         raise InputError(f"{name}: no packaged EDS; expected one of {', '.join(PACKAGED)}.")
     return Path(str(resources.files("eds") / f"{name}.eds"))

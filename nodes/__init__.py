@@ -13,8 +13,7 @@ from eds.bench.bench_network import WireLayout
 from eds.declaration import JOINT_DRIVE, JOINT_ENCODER, LOAD_CELL, ROPE_DRIVE
 from nodes.core.device import Application, Device
 from nodes.drives.axis_law import prepare
-from nodes.drives.drive import Drive
-from nodes.drives.knee import KneeDrive
+from nodes.drives.drive import Drive, KneeDrive
 from nodes.drives.servo import ServoDrive
 from nodes.sensors.joint_encoder import JointEncoder
 from nodes.sensors.tension_sensor import TensionSensor

@@ -1,9 +1,9 @@
 """The nodes of a recording as one device that sends their recorded frames again, to a running master.
 
-The rule of this file: sans-IO, time goes in.  Every recorded frame of a node follows a frame of the master: an SDO
-response its request, any other the last NMT command or SYNC before it.  It is sent as long after that frame as it was
-in the recording.  So a master may start at any time, and hears the recorded answers as long as it sends what the
-recorded master sent.
+Sans-IO: time is an argument. Every recorded frame of a node follows a frame of the master: an SDO response its
+request, any other the last NMT command or SYNC before it. It is sent as long after that frame as it was in the
+recording. So a master may start at any time, and receives the recorded answers as long as it sends the recorded
+commands.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SECOND_NS = 1_000_000_000
 _ANSWERS = SDO_REQUEST_BASE - SDO_RESPONSE_BASE
 _NODES = 0x80
 POWER_ON = -1
-"""What the frames ahead of the first command hang on."""
+"""Anchor of the frames before the first command."""
 
 Hook = tuple[int, int]
 """COB-ID of a master's frame and how many of it came before."""
@@ -41,10 +41,10 @@ class OnWire(NamedTuple):
 
 
 class RecordedNodes:
-    """All nodes of a recording, as one device (see `nodes` in docs/architecture.md); `heard` is what the master said.
+    """All nodes of a recording, as one device (see `nodes` in docs/architecture.md); `heard` are the master's frames.
 
-    `frames` are everybody's, error frames left out; `masters` are the COB-IDs of the master.  `left` counts the frames
-    that have not been sent yet.
+    `frames` come from all nodes, error frames omitted; `masters` are the COB-IDs of the master. `left` counts the
+    frames that have not been sent yet.
     """
 
     def __init__(self, frames: Sequence[OnWire], masters: frozenset[int]) -> None:
@@ -83,7 +83,7 @@ class RecordedNodes:
         return hung
 
     def power_on(self, now_ns: int) -> None:
-        """Say what was said before any command."""
+        """Send the frames recorded before any command."""
         self._release((POWER_ON, 0), now_ns)
 
     def _release(self, hook: Hook, now_ns: int) -> None:
@@ -100,7 +100,7 @@ class RecordedNodes:
         self._counts[can_id] += 1
 
     def poll(self, now_ns: int) -> None:
-        """Say what is due."""
+        """Send the frames that are due."""
         due = self._due
         while due and due[0][0] <= now_ns:
             self.outbox.append(heappop(due)[2])

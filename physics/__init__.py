@@ -1,4 +1,4 @@
-"""The bench's physics: each law once, the plant's step, and the catalogue of effects.
+"""The bench's physics: each equation once, the plant's step, and the catalogue of effects.
 
-The rule of this room: pure laws in SI and radians; it knows no frames, no files and no bus.
+Pure functions in SI and radians, without frames, files or buses.
 """

@@ -1,8 +1,8 @@
-"""A bench model: what is known of one bench, in one file that simulator, controller and diagnosis load.
+"""Bench model: the identified properties of one bench, in one file that simulator, controller and diagnosis load.
 
-The rule of this file: named numbers with their evidence (`[parameters.NAME]`: value, unit, 95 % interval, R², date,
-trial), effects beyond them (`[effects.NAME]`) and what those were found on (`[found]`).  A file may have either part.
-What `bowden identify` writes has the first, what `bowden diagnose` writes the second.
+Named numbers with their evidence (`[parameters.NAME]`: value, unit, 95 % interval, R², date, trial), effects beyond
+them (`[effects.NAME]`) and the data that they were found on (`[found]`). A file may have either part: `bowden
+identify` writes the first, `bowden diagnose` the second.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ FITTED: Final = "fitted"
 RIG: Final = "rig"
 """The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
 OLDER: Final = "constants"
-"""What `[parameters.NAME]` of `bowden fit` was called before it was one table."""
+"""Former name of the table `[parameters.NAME]` of `bowden fit`."""
 TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE, FITTED, RIG, OLDER)
-"""What a bench model holds; a plant model may hold tables of nominal values beside them."""
+"""Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
 
@@ -38,10 +38,10 @@ class BenchModel:
     """One bench, SI.
 
     `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
-    date and trial by the same names; `effects`: name → parameter → value; `found`: what the effects were found on;
-    `fitted`: what `bowden fit` says of its fit (empty: the values are no fit's);
-    `rig`: constants of a rig of another kind by name, each with value, unit and interval;
-    `bench`: the bench it belongs to ("": none); `label`: the file, or "nominal".
+    date and trial by the same names; `effects`: name → parameter → value; `found`: the data that the effects were
+    found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
+    another kind by name, each with value, unit and interval; `bench`: the bench's name ("": none); `label`: the file,
+    or "nominal".
     """
 
     values: Values = field(default_factory=dict)
@@ -55,13 +55,13 @@ class BenchModel:
 
     @property
     def calibration(self) -> Calibration:
-        """The controller's view: what is not known has its assumed value and is named in `lacking`."""
+        """Return the controller's view; an unknown scalar has its assumed value and is named in `lacking`."""
         return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench)
 
     def simulated(self) -> dict[str, dict[str, float]]:
         """Return the values that the simulation runs on, table → key → value, without effects.
 
-        What lies outside of what the simulation accepts is taken at the bound, with a `Remark` that says so.
+        A value outside the simulation's bounds is replaced by the bound, with a `Remark`.
         """
         told = converted(SIMULATED, converted(UNRELATED, self.values))
         tables: dict[str, dict[str, float]] = {}
@@ -80,7 +80,7 @@ class BenchModel:
         return kept
 
     def related(self) -> dict[str, float]:
-        """Return what the relations of the diagnosis read, without effects, as far as it is known."""
+        """Return the inputs of the diagnosis' prediction equations, without effects, as far as they are given."""
         told = converted(RELATED, converted(SIMULATED, self.values))
         return {name: told[name] for name in RELATION_PARAMETERS if name in told}
 

@@ -1,8 +1,8 @@
-"""What a bench was measured to be: at most thirty scalars, each with its evidence.
+"""Calibration of a bench: at most thirty measured scalars, each with its evidence.
 
-The rule of this file: a calibration is the controller's view of a bench model (`physics.bench_model`): scalars only,
-never a sequence, and the controller knows nothing else of the plant.  `bowden identify` measures it; the packaged
-nominal one is the paper's numbers where the paper gives them and assumptions, marked so, where it does not.
+A calibration is the controller's view of a bench model (`physics.bench_model`): scalars only, never a sequence; the
+controller has no other data of the plant. `bowden identify` measures it. The packaged nominal one has the paper's
+numbers if the paper gives them, else assumptions, marked so.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
          "viscous_tension", "start_gain", "homed_friction")
-"""Scalars that a file of version 1 may lack; what a file lacks is taken as assumed, and that is said."""
+"""Scalars that a file of version 1 may lack; a missing one has its assumed value, with a remark."""
 
 
 @dataclass(frozen=True)
 class ScalarEvidence:
-    """Where one scalar comes from: 95 % interval, R² of its fit (NaN: none), ISO date, trial.
+    """Evidence of one scalar: 95 % interval, R² of its fit (NaN: none), ISO date, trial.
 
-    The interval counts the model's own error; `repeatability` is half of the narrower one within which the value comes
-    out again on the same bench by the same model (95 %, ISO 5725; NaN: the interval's).
+    The interval counts the model's own error; `repeatability` is half of the narrower one within which the value
+    comes out again on the same bench by the same model (95 %, ISO 5725; NaN: the interval's).
     """
 
     low: float
@@ -46,12 +46,13 @@ class ScalarEvidence:
     repeatability: float = math.nan
 
     def interval(self, value: float) -> tuple[float, float]:
-        """Where the true value lies; `value` itself says nothing of it."""
+        """Return the 95 % interval of the true value, whatever `value` is."""
         del value
         return self.low, self.high
 
     def again(self, value: float) -> tuple[float, float]:
-        """Where `value` comes out again, by its repeatability; by its interval where that is not known."""
+        """Return the interval in which `value` comes out again, by its repeatability; by its 95 % interval without
+        one."""
         by = self.repeatability
         return (value - by, value + by) if math.isfinite(by) else (self.low, self.high)
 
@@ -118,7 +119,7 @@ def scalars() -> tuple[str, ...]:
 
 
 def neutral(name: str) -> float:
-    """Value of a scalar that says nothing."""
+    """Neutral value of a scalar, without any correction."""
     return float(getattr(Calibration(), name))
 
 
@@ -218,7 +219,7 @@ def of_values(
 ) -> Calibration:
     """Return the controller's view of a bench's `values`, by name of the table and in any form.
 
-    What they do not tell has its assumed value and is named in `lacking`.
+    A scalar that does not follow from them has its assumed value and is named in `lacking`.
     """
     told = to_scalars({**converted(UNRELATED, values), **values})
     told = {name: _inside(name, value) for name, value in told.items()}
@@ -268,7 +269,7 @@ def write(calibration: Calibration) -> str:
 
 
 def said_of(calibration: Calibration, start_n: float) -> list[str]:
-    """What is to be said before a bench pulls `start_n` at START by this calibration: a sentence each."""
+    """Return warnings, a sentence each, before a bench pulls `start_n` at START by this calibration."""
     said = []
     if calibration.lacking:
         said.append(f"calibration {calibration.label} is of an older version without {', '.join(calibration.lacking)}; "

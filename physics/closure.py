@@ -39,7 +39,7 @@ def _corrections(seam: Array, mismatch: Array) -> tuple[Array, Array]:
 def _cost(
     curve: Callable[[Array, int], Array], seam: Array, mismatch: Array
 ) -> Array:
-    """Return samples of departure and of weighted bending over the window: what the seam's state minimises."""
+    """Return samples of departure and of weighted bending over the window: the cost that the seam's state minimises."""
     u = np.linspace(0.0, CLOSED_PERCENT, 101)
     before, after = (np.polynomial.Polynomial(c) for c in _corrections(seam, mismatch))
     bend_before = before.deriv(2)(u) + curve(100.0 - CLOSED_PERCENT + u, 2)

@@ -1,7 +1,7 @@
 """One quantity in several forms: as the simulation, a calibration and the relations write it, in both directions.
 
-The rule of this file: each conversion stands beside its inverse; what a form does not tell (the bend of the sheath,
-the rope inside it, the fabric on the knee) keeps the value that is given or the nominal one.
+Each conversion is next to its inverse. A quantity that a form does not contain (the bend of the sheath, the rope
+inside it, the fabric on the knee) keeps the given or the nominal value.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MEASURED: Final = (
     Form("fabric_share", ("fabric_share_before", "fabric_share_after"),
          lambda before, after: before + 0.5 * _on_knee(before, after)),
 )
-"""What identification measures, from what the simulation runs on."""
+"""Quantities that identification measures, from the simulation's."""
 SIMULATED: Final = (
     Form("mu1", ("cable_exponent", "theta1"), lambda exponent, theta: exponent / theta),
     Form("stiffness_scale", ("stiffness_b", "stretch_b"), lambda b, nominal_b: nominal_b / b),
@@ -55,26 +55,27 @@ SIMULATED: Final = (
     Form("fabric_share_before", ("fabric_share",), lambda share: share - 0.5 * _ON_KNEE),
     Form("fabric_share_after", ("fabric_share",), lambda share: 1.0 - share - 0.5 * _ON_KNEE),
 )
-"""What the simulation runs on, from what identification measures; the fabric on the knee is the nominal share."""
+"""Quantities of the simulation, from those that identification measures; the fabric on the knee has its nominal
+share."""
 RELATED: Final = (
     Form("cable_share", ("lead_compliance", "sheath_compliance", "stretch_b"),
          lambda lead, sheath, b: (lead + 0.5 * sheath) / b),
     Form("fabric_presliding_ratio", ("fabric_presliding", "presliding"), lambda fabric, rope: fabric / rope),
 )
-"""What the relations read, from what the simulation runs on."""
+"""Quantities of the prediction equations, from the simulation's."""
 UNRELATED: Final = (
     Form("lead_compliance", ("cable_share", "sheath_compliance", "stretch_b"),
          lambda share, sheath, b: share * b - 0.5 * sheath),
     Form("fabric_presliding", ("fabric_presliding_ratio", "presliding"), lambda ratio, rope: ratio * rope),
 )
-"""What the simulation runs on, from what the relations read."""
+"""Quantities of the simulation, from those of the prediction equations."""
 MEASURABLE: Final = frozenset(name for form in MEASURED for name in form.of) | {
     name for name in BY_CALIBRATION.values() if name not in {form.name for form in MEASURED}}
-"""Quantities that the scalars of a calibration tell."""
+"""Quantities that follow from the scalars of a calibration."""
 
 
 UNTOLD: Final = frozenset({"theta1", "stretch_a", "stretch_b", "sheath_compliance"})
-"""What a form is relative to and does not tell: nominal where it is not given."""
+"""Quantities that a form is relative to and does not contain: nominal if not given."""
 
 
 def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:
@@ -94,6 +95,7 @@ def from_scalars(scalars: Values) -> dict[str, float]:
 
 
 def to_scalars(values: Values) -> dict[str, float]:
-    """Return the scalars of a calibration that `values`, quantities of the table, tell; the inverse of the above."""
+    """Return the scalars of a calibration that follow from `values`, quantities of the table; the inverse of the
+    above."""
     told = converted(MEASURED, values)
     return {p.calibration: told[name] for name, p in PARAMETERS.items() if p.calibration and name in told}

@@ -1,7 +1,7 @@
-"""A tension sensor's bridge and converter: from the force it feels to 24-bit counts.
+"""A tension sensor's bridge and converter: from the applied force to 24-bit counts.
 
-The rule of this file: what a sample is depends on the force's history, the instant and the seed, never on who
-asked for it; the noise of one instant is drawn from a counter, so that leaving a sample out changes no other.
+A sample depends on the force's history, the instant and the seed only, never on the caller. The noise of one instant
+is drawn from a counter, so that leaving a sample out changes no other.
 """
 
 from __future__ import annotations

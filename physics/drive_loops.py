@@ -1,7 +1,7 @@
 """The drives' own loops: PI position loop, PI velocity loop.
 
-The rule of this file: laws on flat float64 arrays, compiled, no clock; whoever ticks them says how much time has
-passed.  Units are the axis's own: m for the servo (rope at the drum), rad for the knee; torque in N·m.
+Compiled functions on flat float64 arrays, without a clock; the caller gives the elapsed time. Units are the axis's
+own: m for the servo (rope at the drum), rad for the knee; torque in N·m.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DRIVE_TICK_NS: Final = 250_000
 
 
 class LoopSlots(NamedTuple):
-    """Where the loops' memory lives in their state array."""
+    """Indices of the loops' memory in their state array."""
 
     position_integral: int = 0
     velocity_integral: int = 1

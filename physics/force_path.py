@@ -56,7 +56,7 @@ LIGHT: Final = 0.3
 SOFT_N: Final = 0.1
 """Half width, N, of the transition from slack to taut: below sensor noise."""
 SOFT: Final = 2e-3
-"""The same transition in stretch, of `STRETCH_M`."""
+"""Transition in stretch that corresponds to `STRETCH_M`."""
 SPREAD: Final = (0.4, 1.0, 2.2)
 """Pre-sliding distances of the three friction elements of a node, in the node's: friction is distributed."""
 ROUNDS: Final = 40
@@ -65,7 +65,7 @@ CLOSE_N: Final = 1e-7
 """Residual of the two force balances, N, at which a time step counts as solved."""
 (Q1, Q2, ANCHOR, SPEED1, SPEED2, S1, S2, GAMMA_PROMPT, GAMMA_SLOW, GAMMA, LEG, T0, T1, T2, LAST1, LAST2,
  STATES) = (0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20)
-"""State rows: node positions, anchor, sliding speeds that friction remembers, three friction elements a node, retarded
+"""State rows: node positions, anchor, lagged sliding speeds of the friction, three friction elements a node, retarded
 stretch, leg, tensions."""
 
 

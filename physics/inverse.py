@@ -24,14 +24,14 @@ from physics.path_laws import capstan, load_dependence, presliding, slowness
 from physics.stretch import SHORT_N, WIDE_N, coefficients
 
 CLOSE_N, CLOSE = 1e-9, 1e-9
-"""Where a search for a tension, N, and for a slip state ends."""
+"""Convergence limits of the search for a tension, N, and for a slip state."""
 
 
 class Law(NamedTuple):
     """Scalars of the model: the stretch split into rope and fabric, (11), and the friction's; SI.
 
-    `breakaway_travel` is vs, `drag` the viscous friction, in full from `taut`, N, and `fade` the share of the speed's
-    lag, per sample of the period that the law was made for.  Beyond `reach`, N, the stretch goes on along its tangent.
+    `breakaway_travel` is vs. `drag` is the viscous friction, in full from `taut`, N. `fade` is the share of the
+    speed's lag, per sample of the stated period. Beyond `reach`, N, the stretch goes on along its tangent.
     """
 
     constant: float
@@ -70,7 +70,7 @@ class Slip(NamedTuple):
 
 
 class Path(NamedTuple):
-    """What a motion and a force ask of the rope, by sample: m, N, slip states −1…1."""
+    """Rope motion that a motion and a force require, by sample: m, N, slip states −1…1."""
 
     position: Array
     start: Array
@@ -168,9 +168,10 @@ def inverse(law: Any, slip: Any, force: float, knee: float) -> Any:
 
 @njit(cache=True)
 def held_by_position(law: Any, position: float, knee: float, start: float, drag: float, by_sheath: float) -> Any:
-    """END tension, N, that the stretch of the fabric tells, friction aside; NaN where it is not taut.
+    """Return END tension, N, from the stretch of the fabric, friction aside; NaN if it is not taut.
 
-    `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the knee.
+    `position` is free of the zero's shift; `drag` and `by_sheath` place only the share of the stretch before the
+    knee.
     """
     constant, share, rope_compliance = law[0], law[7], law[6]
     swing_k, knee_home = law[13], law[14]
@@ -238,7 +239,7 @@ def _end_from_start(
 
 
 def path(law: Law, desired: Array, knee: Array, laps: int = 2) -> Path:
-    """What gives `desired` (N) at END with the knee at `knee` (rad), by sample, periodic after `laps`."""
+    """Return the rope motion that gives `desired` (N) at END with the knee at `knee` (rad), periodic after `laps`."""
     out = np.zeros((4, desired.size))
     _path(law, desired, knee, laps, out)
     return Path(*out)
@@ -257,7 +258,7 @@ def end_from_start(
 
 
 def prepare() -> None:
-    """Compile what the control cycle calls, or load it from numba's cache."""
+    """Compile the functions of the control cycle, or load them from numba's cache."""
     some = law(Calibration(), 1e-3)
     inverse(some, Slip(), 1.0, -0.5)
     inverse(some, tuple(Slip()), 1.0, -0.5)

@@ -1,9 +1,9 @@
 """The paper's formulas (1)–(15), each once, as pure functions.
 
-The rule of this file: SI and radians in and out, arrays welcome, the equation number in the docstring.
-Paper: Li, Ma, Wang, Appl. Sci. 2023, 13, 11766. Its constants are in mm, N, degrees and % of the gait
-cycle; they stand here in those units, under names that say so, and are converted where they are used.
-Signs: rope position and velocity > 0 pulling; knee flexion negative; strain rate > 0 stretching.
+SI and radians in and out, arrays welcome, the equation number in the docstring. Paper: Li, Ma, Wang, Appl. Sci. 2023,
+13, 11766. Its constants are in mm, N, degrees and % of the gait cycle; they keep those units here, with the unit in
+the name, and are converted at use. Signs: rope position and velocity > 0 pulling; knee flexion negative; strain rate
+> 0 stretching.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The one table of the bench's parameters: name, unit, meaning, bounds, nominal value, tolerances, likely faults.
 
-The rule of this file: each quantity is declared here once; simulation, controller, identification, diagnosis, scatter
-and the catalogue of effects read its row.  All values are SI.  A quantity that a table of a file calls by another
-name says so (`plant`, `calibration`); one that is written in another form there has its conversion in
-`physics.conversions`.
+Each quantity is declared here once; simulation, controller, identification, diagnosis, scatter and the catalogue of
+effects read its row. All values are SI. A quantity with another name in a table of a file has that name in its row
+(`plant`, `calibration`); one with another form there has its conversion in `physics.conversions`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ INFINITE: Final = math.inf
 
 
 class Tolerance(NamedTuple):
-    """How a parameter departs from its nominal value; `law` is one of `virtual_bus.machine.scatter.LAWS`."""
+    """Tolerance of a parameter about its nominal value; `law` is one of `virtual_bus.machine.scatter.LAWS`."""
 
     law: str
     size: float
@@ -30,7 +29,7 @@ class Tolerance(NamedTuple):
 
 
 class Assumed(NamedTuple):
-    """What a controller takes before anything is measured, and the bounds of a measurement."""
+    """A controller's assumption before anything is measured, and the bounds of a measurement."""
 
     value: float
     low: float
@@ -43,19 +42,19 @@ class Assumed(NamedTuple):
 class Parameter:
     """One quantity of a bench.
 
-    `nominal`, `source`: its value on the nominal bench, and where that comes from; `low`, `high`: what the simulation
-    accepts.  `plant`: "table.key" of a plant model; `calibration`: its name among a calibration's scalars, `assumed`
-    its value there before identification.
+    `nominal`, `source`: its value on the nominal bench, and the origin of that value; `low`, `high`: bounds of the
+    simulation. `plant`: "table.key" of a plant model; `calibration`: its name among a calibration's scalars,
+    `assumed` its value there before identification.
 
-    For the diagnosis: `like_benches`: 1σ between like benches after identification; `law`: 1σ of what like benches
-    have in common and others have not, so that healthy trials alone move it; `ideal`: in a rigid, frictionless
-    transmission with true sensors (none: nominal); `search`: bounds of a fit on such a bench; `any_rig`: bounds on
-    rigs of any size, given for each quantity that a relation reads; `free`: on an unknown rig it is whatever the data
-    say; `nameless`: free there, and no effect of the catalogue says it; `bench_only`: its law holds for this bench's
-    geometry alone; `turning`: its law holds for an axis recorded in rad alone; `likely`: range under a fault;
-    `neutral`: the value at which a fault is absent (none: only a calibration knows).
+    For the diagnosis: `like_benches`: 1σ of the bench population after identification; `law`: 1σ of the part that is
+    common to the population, so that only reference trials estimate it; `ideal`: value in a rigid, frictionless
+    transmission with true sensors (None: nominal); `search`: bounds of a fit on such a bench; `any_rig`: bounds on
+    rigs of any size, given for each input of a prediction equation; `free`: unbounded prior on an unknown rig;
+    `nameless`: free there, without a corresponding effect in the catalogue; `bench_only`: valid for this bench's
+    geometry alone; `turning`: valid for an axis recorded in rad alone; `likely`: range under a fault; `neutral`: the
+    value at which a fault is absent (None: only a calibration gives it).
 
-    For simulated benches: `made`: tolerance of manufacture, `daily`: change from day to day.
+    For simulated benches: `made`: tolerance of manufacture, `daily`: change from session to session.
     """
 
     name: str
@@ -470,7 +469,7 @@ PARAMETERS: Final[Mapping[str, Parameter]] = {
     row.name: row for row in (*_FRICTION, *_PATH, *_SENSORS, *_DRIVES, *_LEG, *_WIRE, *_MEASURED)}
 """Every quantity of a bench, by name."""
 RELATION_PARAMETERS: Final[Mapping[str, Parameter]] = {n: p for n, p in PARAMETERS.items() if p.in_relations}
-"""What the relations between measured signals read."""
+"""Inputs of the prediction equations between measured signals."""
 BY_PLANT: Final[Mapping[str, str]] = {key: p.name for p in PARAMETERS.values() for key in p.plant.split()}
 """Names by "table.key" of a plant model."""
 BY_CALIBRATION: Final[Mapping[str, str]] = {p.calibration: p.name for p in PARAMETERS.values() if p.calibration}
@@ -481,7 +480,7 @@ RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_ar
 
 
 def current_names(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return `table` with today's names; one `Remark`, beginning with `where`, says what was renamed."""
+    """Return `table` with today's names; one `Remark`, beginning with `where`, lists the renamed ones."""
     old = [name for name in table if name in RENAMED]
     if old:
         told = ", ".join(f"{name} is called {RENAMED[name]} today" for name in old)
@@ -496,7 +495,7 @@ def declared(name: str) -> Any:
 
 
 def assumed(name: str) -> Any:
-    """Declare a scalar of a calibration: what is assumed of `name` before it is measured."""
+    """Declare a scalar of a calibration: the assumed value of `name` before it is measured."""
     p = PARAMETERS[name]
     if p.assumed is None:
         raise ValueError(f"{name} is no scalar of a calibration")
@@ -515,10 +514,10 @@ def nominal() -> dict[str, float]:
 
 
 def healthy() -> dict[str, float]:
-    """Return what the relations read on the nominal healthy bench."""
+    """Return the inputs of the prediction equations on the nominal bench."""
     return {name: p.nominal for name, p in RELATION_PARAMETERS.items()}
 
 
 def ideal() -> dict[str, float]:
-    """Return what the relations read in a rigid, frictionless transmission with true sensors."""
+    """Return the inputs of the prediction equations in a rigid, frictionless transmission with true sensors."""
     return {name: p.in_ideal for name, p in RELATION_PARAMETERS.items()}

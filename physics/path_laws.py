@@ -1,8 +1,8 @@
-"""The steps that simulation, inverse and relations share, compiled: pre-sliding, Stribeck, load, stretch, capstan.
+"""Compiled steps that simulation, inverse and relations share: pre-sliding, Stribeck, load, stretch, capstan.
 
-The rule of this file: each law of the rope path exists here once, for one node and one sample; who calls it decides how
-many nodes there are and what is solved for.  `s` is a pre-sliding state, −1…1; SI.  numba's cache of a caller does not
-see a change in this file: `plant.step` keeps a digest of its sources, other callers need their `__pycache__` deleted.
+Each equation of the rope path exists here once, for one node and one sample; the caller chooses the number of nodes
+and the unknown to solve for. `s` is a pre-sliding state, −1…1; SI. numba's cache of a caller does not see a change in
+this file: `plant.step` keeps a digest of its sources, other callers need their `__pycache__` deleted.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def presliding_shaped(s: float, travel: float, distance: float, shape: float) ->
 
 @njit(inline="always")
 def presliding_left(s: float, end: float, shape: float) -> float:
-    """Return (1 − s·end)^(1 − i): what is left of `presliding_shaped` before any travel towards `end`, ±1."""
+    """Return (1 − s·end)^(1 − i): the remaining part of `presliding_shaped` before any travel towards `end`, ±1."""
     left = 1.0 - s * end
     power = 1.0 - shape
     return left if left <= 0.0 or abs(power) < EXPONENTIAL else left**power

@@ -22,7 +22,7 @@ _STEP: Final = 100.0 / CYCLE_POINTS
 
 
 class Desired(NamedTuple):
-    """What is wanted at one instant: rad, rad/s, N, N/s."""
+    """Desired motion and force at one instant: rad, rad/s, N, N/s."""
 
     knee_angle_rad: float
     knee_velocity_rad_s: float

@@ -13,7 +13,7 @@ import numpy as np
 from physics.laws import Array
 
 COUNTED: Final = 24
-"""Ages, in cycles, that are told apart; what is older counts as this old."""
+"""Largest staleness, in cycles, with a count of its own; older values are counted here."""
 
 
 class Staleness(NamedTuple):

@@ -1,8 +1,8 @@
-"""The stretch over force: (10), and what a bench's departs from it by.
+"""The stretch over force: (10), and a bench's departure from it.
 
-The rule of this file: x(F) = c + b·F + a·F² + s1·g1(F) + s2·g2(F), linear in its five scalars.  g is d·(1 − e^(−F/d))
-for d = 8 N and 30 N, less the parabola nearest to it over 0…60 N: so a, b and c stay what (10) says of the bench, and
-s1 and s2 say what no parabola can, a toe or a stretch that saturates.
+x(F) = c + b·F + a·F² + s1·g1(F) + s2·g2(F), linear in its five scalars. g is d·(1 − e^(−F/d)) for d = 8 N and 30 N,
+less the parabola nearest to it over 0…60 N. So a, b and c keep their meaning in (10), and s1 and s2 describe shapes
+outside any parabola: a toe, or a stretch that saturates.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FITTED_N: Final = 60.0
 
 
 class Stretch(Protocol):
-    """What of a calibration is the stretch."""
+    """Scalars of a calibration that define the stretch."""
 
     @property
     def stiffness_a(self) -> float: ...

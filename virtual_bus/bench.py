@@ -22,13 +22,13 @@ MS = 1_000_000
 
 
 class Mechanics(Protocol):
-    """What moves and is measured behind the devices; see `machine.py`."""
+    """Protocol of plant and measurement behind the devices; see `machine.py`."""
 
     def start(self) -> None:
         """Put the first tick on the heap."""
 
     def close(self) -> None:
-        """Finish what it writes."""
+        """Finish all files."""
 
 
 class Bench:
@@ -78,6 +78,6 @@ class Bench:
             self.machine.start()
 
     def close(self) -> None:
-        """Finish what the machine writes."""
+        """Finish the machine's files."""
         if self.machine is not None:
             self.machine.close()

@@ -1,6 +1,6 @@
-"""Makes a bench from its options: plant by entry point, devices, converters, scatter, truth.
+"""Construction of a bench from its options: plant by entry point, devices, converters, scatter, truth.
 
-The rule of this file: what a bench is made of is chosen here, by name; nothing of it is told to the bus.
+The parts of a bench are chosen here, by name; the bus has no access to them.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def _refuse_misplaced(faults: Sequence[Fault], bench: DeclaredBench) -> None:
 def factory(name: str) -> Factory:
     """Return the plant factory of that name in the group `bowden.plants`, or the one at "module:callable".
 
-    The current folder is searched after the module path.  Raises `InputError` for what is neither installed nor
+    The current folder is searched after the module path. Raises `InputError` for a name that is neither installed nor
     importable.
     """
     return cast(Factory, load("plant", name, PLANTS, OWN))
@@ -203,7 +203,7 @@ def made_plant(name: str, parameters: dict[str, float], seed: int) -> Plant:
 
 
 def nominal(given: Mapping[str, Any] | None, where: str = "plant_model") -> Tables:
-    """Return the tables of nominal parameters, the `given` ones in their place; `where` begins what is refused."""
+    """Return the tables of nominal parameters, updated by those `given`; `where` begins the text of an error."""
     given = given or {}
     for group in given:
         if group not in GROUPS:
@@ -216,7 +216,7 @@ def nominal(given: Mapping[str, Any] | None, where: str = "plant_model") -> Tabl
 
 
 def steady(given: str | Sequence[str]) -> frozenset[str]:
-    """Return the names that the day is to leave alone; raises `InputError` for one that no day changes."""
+    """Return the names that the session does not change; raises `InputError` for one that no session changes."""
     names = frozenset(filter(None, map(str.strip, given.split(",")))) if isinstance(given, str) else frozenset(given)
     known = [spread.label for spread in DAY]
     for name in sorted(names.difference(known)):

@@ -45,7 +45,7 @@ class Shared:
         self.steady = Steady(bench) if possible(bench) else None
 
     def settle(self) -> None:
-        """Let the bench's objects know all that has happened: before anybody looks at them or tells them something."""
+        """Write the arrays' state back to the bench's objects, before any access to them."""
         if self.steady is not None and self.steady.warm:
             with self.lock:
                 self.steady.leave()
@@ -57,7 +57,7 @@ _OPEN: dict[str, Shared] = {}
 
 
 class SteadyCycles:
-    """Complete cycles of one master: what a master would have seen and told by `send` and `recv`, to the nanosecond."""
+    """Complete cycles of one master, equal to a sequence of `send` and `recv` to the nanosecond."""
 
     def __init__(self, steady: Steady, asked: CycleRequest, lock: threading.RLock) -> None:
         self._steady, self._asked, self._lock = steady, asked, lock
@@ -141,7 +141,7 @@ class BowdenBus(can.BusABC):
 
     @property
     def complete_cycles(self) -> int:
-        """How many control cycles of this bench were run at once so far; see `cycles`."""
+        """Number of control cycles of this bench that ran compiled so far; see `cycles`."""
         self._settle()
         return 0 if self._steady is None else self._steady.cycles
 
@@ -164,9 +164,10 @@ class BowdenBus(can.BusABC):
         raise NotImplementedError("the error counters say the state")
 
     def recv(self, timeout: float | None = None) -> BowdenMessage | None:
-        """Return the next message, letting bus time pass up to `timeout` s; 0 takes only what is there.
+        """Return the next message, letting bus time pass up to `timeout` s; 0 returns only a message already
+        received.
 
-        Raises `can.CanOperationError` where nothing can ever come.
+        Raises `can.CanOperationError` if no message can ever come.
         """
         steady = self._steady
         if steady is not None and steady.warm:
@@ -208,7 +209,7 @@ class BowdenBus(can.BusABC):
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Queue a message, ready after the stated turnaround; `timeout` waits for room in the queue.
 
-        Raises `can.CanOperationError` with ENOBUFS where there is none, ENETDOWN at bus-off.
+        Raises `can.CanOperationError` with ENOBUFS if the queue stays full, ENETDOWN at bus-off.
         """
         if self._is_shutdown:
             self._refuse()

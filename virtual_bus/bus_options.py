@@ -1,6 +1,6 @@
-"""What `can.Bus(interface="bowden", …)` takes, declared once.
+"""Options of `can.Bus(interface="bowden", …)`, declared once.
 
-The rule of this file: an option may come as text, from `can.conf` or a command line, or as what it is.
+An option may be text, from `can.conf` or a command line, or a value.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NETWORK = Network()
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a simulated bench; the bus that is opened first on a channel says them for all on it."""
+    """Options of a simulated bench; the first bus opened on a channel sets them for all others on it."""
 
     bitrate: int = parameter(NETWORK.bitrate, "bit/s", "bit rate", low=125_000, high=1_000_000,
                              source="[network] bitrate")

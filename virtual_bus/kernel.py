@@ -15,7 +15,7 @@ NEVER: Final = sys.maxsize
 """A time that never comes (292 years)."""
 
 TICK: Final = 0
-"""Plant, drives and converters: whatever a device is told at an instant, it has measured first."""
+"""Plant, drives and converters: before any device acts at an instant, it has measured."""
 END: Final = 1
 """The last bit of a frame, or of an error frame: everybody receives."""
 TIMER: Final = 2
@@ -66,9 +66,9 @@ class Kernel:
         heapify(self._heap)
 
     def events(self) -> Iterable[tuple[int, int, int, Callable[[], None]]]:
-        """Give what is on the heap, in no order: (time, priority, serial number, callback)."""
+        """Return the entries of the heap, in no order: (time, priority, serial number, callback)."""
         return self._heap
 
     def next_ns(self) -> int:
-        """Time of the next event, `NEVER` where there is none."""
+        """Time of the next event, `NEVER` if the heap is empty."""
         return self._heap[0][0] if self._heap else NEVER

@@ -1,7 +1,7 @@
-"""The same bench in wall time, on any python-can bus: `bowden bench`.
+"""A simulated bench in wall time, on any python-can bus: `bowden bench`.
 
-The rule of this file: the bench's own time follows a clock that is handed in. What is due is caught up in its
-own order and at its own time before any frame reaches a device; waiting is receiving.
+The bench's own time follows a clock that is handed in. Due events run in their order and at their own time before any
+frame reaches a device; waiting is receiving.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from virtual_bus.wire.host import frame_of, message_of
 from virtual_bus.wire.station import EXTENDED, Deliver, Station, Waiting
 
 PATIENCE_NS: Final = 1_000_000
-"""How late, without a frame from outside, a drive's tick may be caught up."""
+"""Largest delay of a drive's tick while no frame arrives from outside."""
 GONE: Final = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF})
 
 
 @dataclass
 class ServeFigures:
-    """What a served bench did: frames either way, frames the bus did not take, how far it ever fell behind."""
+    """Figures of a served bench: frames either way, frames the bus refused, largest lag ever."""
 
     received: int = 0
     sent: int = 0
@@ -89,7 +89,7 @@ class Outside:
         return True
 
     def take(self, frame: Frame) -> None:
-        """Give a frame of the bus to whoever wants it, unless it is one of the bench's own that comes back."""
+        """Pass a frame of the bus to every station that accepts it, unless it is an echo of the bench's own."""
         if frame in self._sent:
             while self._sent.popleft() != frame:
                 pass
@@ -98,7 +98,7 @@ class Outside:
         self.hear(None, frame)
 
     def hear(self, sender: Station | None, frame: Frame) -> None:
-        """Give a frame to every station but its sender that wants it, now."""
+        """Pass a frame at once to every station but its sender whose filter accepts it."""
         route = frame.can_id | EXTENDED if frame.extended else frame.can_id
         receivers = self._routes.get((sender, route))
         if receivers is None:
@@ -113,11 +113,11 @@ def serve(
     bus: can.BusABC, bench: Bench, clock: Callable[[], int], stop: Callable[[], bool] = lambda: False, *,
     echoes: bool = False,
 ) -> ServeFigures:
-    """Run `bench` on `bus` at the pace of `clock`, ns, until `stop` says so, and return what it did.
+    """Run `bench` on `bus` at the pace of `clock`, ns, until `stop` returns True, and return its figures.
 
-    `echoes` says that the bus receives what it sends, as python-can's `udp_multicast` does.
-    The computer of the bench stays outside: masters are on `bus`. Raises `can.CanOperationError` when the
-    interface is gone; while it is down, frames are lost and counted, as in a real node.
+    `echoes`: the bus receives its own frames, as python-can's `udp_multicast` does. The computer of the bench stays
+    outside: masters are on `bus`. Raises `can.CanOperationError` when the interface is gone; while it is down, frames
+    are lost and counted, as in a real node.
     """
     bench.medium = outside = Outside(bench.kernel, bus, echoes)
     for station in list(bench.wire.stations):
@@ -144,7 +144,7 @@ def _run(
 
 
 def servable(path: Path) -> tuple[Fault, ...]:
-    """Read the faults of a bench that is served: those of whole nodes and of what is wired to them.
+    """Read the faults of a served bench: those of whole nodes and of their wiring.
 
     Raises `InputError` for a fault of the wire: a real bus has its own.
     """

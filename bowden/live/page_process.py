@@ -103,7 +103,7 @@ class PageProcess:
         self._put(EVENT, json.dumps((time_ns, kind, source, text)).encode())
 
     def status(self, status: str, sentence: str = "") -> None:
-        """Say whether the trial is running or ended, and how it ended."""
+        """Return whether the trial is running or ended, and how it ended."""
         self._send_rows()
         self._put(STATUS, json.dumps((status, sentence)).encode())
 

@@ -87,7 +87,7 @@ class LiveState:
         self._told.append((time_ns, kind, source, text))
 
     def status(self, status: str, sentence: str = "") -> None:
-        """Say whether it is waiting, running, paused or ended, and how it ended."""
+        """Return whether it is waiting, running, paused or ended, and how it ended."""
         with self.changed:
             self._status, self._sentence = status, sentence
             self.changed.notify_all()

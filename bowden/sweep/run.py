@@ -49,7 +49,7 @@ def _aside() -> None:
 
 @contextmanager
 def cluster(address: str, tls: Path | None = None) -> Iterator[Workers]:
-    """Give the workers of the Dask scheduler at `address`; raises `InputError` where it does not answer.
+    """Return the workers of the Dask scheduler at `address`; raises `InputError` where it does not answer.
 
     `tls`: a folder with `ca.pem`, `cert.pem` and `key.pem`.  With it nothing is sent or taken unencrypted; without it
     whoever reaches the scheduler runs code at its workers, and at this process.

@@ -223,7 +223,7 @@ class CanopenNode:
         self._settle()
 
     def sample(self, counts: int, status: int = 0) -> None:
-        """Give a `nodes.TensionSensor` its next converter value, −2²³ … 2²³ − 1."""
+        """Return a `nodes.TensionSensor` its next converter value, −2²³ … 2²³ − 1."""
         sensor = self._behaviour.profile
         if not isinstance(sensor, TensionSensor):
             raise InputError(f"node {self.node_id}: sample() needs "

@@ -113,7 +113,7 @@ class VirtualTime:
             kernel.run(until_ns if until_ns != NEVER else kernel.next_ns(), over)
 
     def _served(self) -> Iterable[tuple[BowdenBus, Sequence[Any]]]:
-        """Give the buses somebody listens to, each with its listeners."""
+        """Return the buses somebody listens to, each with its listeners."""
         for notifier in self._notifiers:
             for bus in notifier.buses:
                 yield bus, notifier.listeners

@@ -286,7 +286,7 @@ def _metadata(prepared: Prepared) -> dict[str, str]:
 
 
 def never_ran(output: Path) -> bool:
-    """Say whether a run ended before its first control cycle: its file would only make the next one fail."""
+    """Return whether a run ended before its first control cycle: its file would only make the next one fail."""
     from trial import read
 
     try:

@@ -63,7 +63,7 @@ def pdo_writes(dictionary: Dictionary, pdos: Sequence[Pdo]) -> Iterator[Write]:
 
 
 def interpolation_period(period_us: int) -> tuple[int, int]:
-    """Give 0x60C2:01 and :02 for a period: value × 10^index seconds; `InputError` where one byte cannot hold it."""
+    """Return 0x60C2:01 and :02 for a period: value × 10^index seconds; `InputError` where one byte cannot hold it."""
     value, index = _decimal(period_us)
     if not fits_one_byte(period_us):
         raise InputError(f"rate_hz: a cycle of {period_us} µs does not fit 0x60C2; choose 1000, 500, 250 or 100 Hz.")

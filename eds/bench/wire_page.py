@@ -75,13 +75,13 @@ stateDiagram-v2
 
 
 def page(network: Network = Network()) -> str:  # noqa: B008
-    """Give the whole page for a network."""
+    """Return the whole page for a network."""
     built = wire(network)
     return "".join((_head(built), _cycle(built), _plans(built), _pdos(built), _STATES, diagram(), "```\n"))
 
 
 def diagram() -> str:
-    """Give the state machine's table as lines of a mermaid state diagram; parallel rows are one arrow."""
+    """Return the state machine's table as lines of a mermaid state diagram; parallel rows are one arrow."""
     return "".join(f"    {line}\n" for line in _arrows())
 
 

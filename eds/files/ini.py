@@ -40,11 +40,11 @@ class Section:
         self._first.setdefault(key.lower(), value)
 
     def get(self, key: str) -> str | None:
-        """Give the value of `key`, None where it is absent or empty."""
+        """Return the value of `key`, None where it is absent or empty."""
         return self._first.get(key.lower()) or None
 
     def line_of(self, key: str) -> int:
-        """Give the line of `key`, or the section's own."""
+        """Return the line of `key`, or the section's own."""
         return next((item.line for item in self.items if item.key.lower() == key.lower()), self.line)
 
 

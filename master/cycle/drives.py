@@ -132,7 +132,7 @@ def release(exchange: Exchange, knee_too: bool = False) -> None:
 
 
 def set_home(exchange: Exchange, position_um: int) -> Inputs:
-    """Give the servo's present place the position `position_um` by homing method 37; the rope must be slack.
+    """Return the servo's present place the position `position_um` by homing method 37; the rope must be slack.
 
     Raises `BringUpError` where the drive does not report homing attained.
     """

@@ -32,7 +32,7 @@ SWING: Final = 0.2
 
 
 def unlike_packaged(calibration: Calibration) -> bool:
-    """Say whether the lever is one that homing has to see before a rope is led by it."""
+    """Return whether the lever is one that homing has to see before a rope is led by it."""
     return abs(calibration.swing_k / PACKAGED_SWING_K - 1.0) > SWING_UNLIKE
 
 

@@ -1,6 +1,6 @@
-"""What a device profile adds to the core.
+"""Interface between a device profile and the device core.
 
-The rule of this file: every method is optional and does nothing here; the core tells, the profile decides.
+Every method is optional and does nothing here; the core calls them, the profile decides.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from nodes.core.interfaces import ProfileHost
 
 
 class Application:
-    """A profile behind a `Device`; subclass it and override what the profile needs.
+    """A profile behind a `Device`; subclass it and override the methods that the profile needs.
 
     Times are nanoseconds of the caller's clock, keys are `eds.dictionary.key(index, subindex)`, values raw.
     """
@@ -39,16 +39,16 @@ class Application:
         """Bring process values up to date without a SYNC: before an SDO upload, an event-driven or requested TPDO."""
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
-        """The NMT state is now `state`; INITIALISING stands for either reset."""
+        """The NMT state is now `state`; INITIALISING occurs at either reset."""
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
         """A heartbeat, an RPDO deadline or the bus itself was lost; 0x1029 acts on the NMT state afterwards."""
 
     def reset(self, now_ns: int) -> None:
-        """Power-on or reset node: `device.values` holds stored or default values; forget everything else."""
+        """Power-on or reset node: `device.values` holds stored or default values; clear all other state."""
 
     def poll(self, now_ns: int) -> None:
-        """Run what is due."""
+        """Run all actions that are due."""
 
     def next_ns(self) -> int | None:
         """Say when `poll` has work, or None."""

@@ -22,12 +22,12 @@ RESTRICTED: Final = (
 
 
 def restricted(can_id: int) -> bool:
-    """Say whether CiA 301 keeps `can_id` from SYNC, EMCY and PDOs."""
+    """Return whether CiA 301 keeps `can_id` from SYNC, EMCY and PDOs."""
     return any(low <= can_id <= high for low, high in RESTRICTED)
 
 
 def exists(cob_id: int) -> bool:
-    """Say whether an EMCY or PDO COB-ID entry is valid."""
+    """Return whether an EMCY or PDO COB-ID entry is valid."""
     return not cob_id & COB_ID_INVALID
 
 
@@ -43,7 +43,7 @@ def check(old: int, new: int) -> Abort | None:
 
 
 def check_sync(old: int, new: int) -> Abort | None:
-    """Return the abort for changing 0x1005; bit 30 says that the device makes the SYNC."""
+    """Return the abort for changing 0x1005; bit 30 set makes the device the SYNC producer."""
     if new & (COB_ID_EXTENDED | _EXTENDED_BITS) or restricted(new & CAN_ID):
         return Abort.INVALID_VALUE
     making = old & new & COB_ID_NO_RTR

@@ -1,7 +1,7 @@
 """A CANopen device, sans-IO: frames and times in, frames out.
 
-The rule of this file: it joins the parts and knows no protocol itself.  Which COB-IDs are heard follows from the NMT
-state, so that a service the state forbids cannot be reached at all.
+This module joins the parts and implements no protocol itself. The NMT state determines which COB-IDs are received, so
+a service that the state forbids cannot be reached.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ __all__ = ["Application", "Device"]
 class Device:
     """A CiA 301 device with an `Application` behind it; silent until `power_on`.
 
-    `values` holds object values by key, `filters` the COB-IDs it wants now (a new object when they change), `outbox`
-    the frames to send, oldest first, `now_ns` the time of the last call.  Raises `InputError` for an unusable
-    dictionary or node id.
+    `values` holds object values by key. `filters` holds the COB-IDs to receive now (a new object when they change).
+    `outbox` has the frames to send, oldest first; `now_ns` is the time of the last call. Raises `InputError` for an
+    unusable dictionary or node id.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Device:
             handler(data, now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Run what is due: heartbeats, timers, deadlines, the application."""
+        """Run all actions that are due: heartbeats, timers, deadlines, the application."""
         self.now_ns = now_ns
         if self._polled and self.state is not NmtState.INITIALISING:
             self.application.poll(now_ns)
@@ -184,7 +184,7 @@ class Device:
         self.pdos.look(now_ns)
 
     def restart(self, whole_node: bool, now_ns: int) -> None:
-        """Give objects their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
+        """Return objects their power-on values (all of them, or 0x1000–0x1FFF) and begin anew with them."""
         if whole_node:
             self.emcy.forget_all()
             self.lss.recall()
@@ -215,7 +215,7 @@ class Device:
             self.nmt.communication_error(now_ns)
 
     def taken(self, key: int, can_id: int) -> bool:
-        """Say whether a COB-ID object other than `key` already uses `can_id`."""
+        """Return whether a COB-ID object other than `key` already uses `can_id`."""
         return any(at != key and used == can_id for part in self._parts for at, used in part.cob_ids())
 
     def upload(self, key: int, now_ns: int) -> bytes | Abort:

@@ -1,7 +1,7 @@
 """EMCY producer: error register 0x1001, error history 0x1003, COB-ID 0x1014, inhibit time 0x1015.
 
-The rule of this file: one message when an error comes, one when it goes, none while it lasts (CiA 301, 7.2.7);
-what the inhibit time or STOPPED holds back is sent later, from STOPPED only the newest.
+One message when an error comes, one when it goes, none while it lasts (CiA 301, 7.2.7). Messages held back by the
+inhibit time or by STOPPED are sent later, from STOPPED only the newest.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LAYOUT: Final = struct.Struct("<HB5s")
 
 
 class Emergency(Part):
-    """The errors of one device: which are active, what was said of them, what is still to be said."""
+    """Errors of one device: the active ones, and the messages sent and pending."""
 
     def __init__(self, device: EmergencyHost) -> None:
         self._device = device
@@ -47,7 +47,7 @@ class Emergency(Part):
         return not self._pending
 
     def reset(self, now_ns: int) -> None:
-        """Forget communication errors and what was not sent; a device error outlives a communication reset."""
+        """Clear communication errors and pending messages; a device error survives a communication reset."""
         self._pending.clear()
         self._free_ns = now_ns
         self._active = {at: bits for at, bits in self._active.items() if not _of_communication(at[0])}
@@ -85,13 +85,13 @@ class Emergency(Part):
             self._device.wake(self.poll(now_ns))
 
     def poll(self, now_ns: int) -> int:
-        """Send what the inhibit time held back."""
+        """Send the messages that the inhibit time held back."""
         while self._pending and self._free_ns <= now_ns and self._may_send():
             self._emit(self._pending.popleft(), now_ns)
         return self._free_ns if self._pending and self._may_send() else FAR_NS
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Give the identifier in use."""
+        """Return the identifier in use."""
         word = self._device.objects.number(key(COB_ID), cob_id.INVALID)
         if cob_id.exists(word):
             yield key(COB_ID), word & cob_id.CAN_ID

@@ -44,7 +44,7 @@ class Producer(Part):
         self._due_ns = due_ns
 
     def poll(self, now_ns: int) -> int:
-        """Send what is due."""
+        """Send the heartbeat if it is due."""
         if self._due_ns <= now_ns:
             device = self._device
             device.outbox.append(Frame(HEARTBEAT_BASE + device.node_id, bytes((device.nmt.state,))))
@@ -91,7 +91,7 @@ class Consumer(Part):
         self.applied = {CONSUMER: lambda _sub, _value, _now: self._read()}
 
     def reset(self, now_ns: int) -> None:
-        """Begin anew with what 0x1016 says; nothing is awaited before it was heard once."""
+        """Start anew with the entries of 0x1016; supervision of a node starts with its first heartbeat."""
         self._watched.clear()
         self._read()
 
@@ -108,7 +108,7 @@ class Consumer(Part):
             self._device.emcy.clear(Emcy.HEARTBEAT, watched.node_id)
 
     def watches_only(self, node_id: int) -> bool:
-        """Say whether nobody but this node is watched, and nobody is lost."""
+        """Return whether nobody but this node is watched, and nobody is lost."""
         return all(watched.node_id == node_id and not watched.lost for watched in self._watched)
 
     @property
@@ -122,7 +122,7 @@ class Consumer(Part):
             self._watched[0].due_ns = due_ns
 
     def all_live(self) -> bool:
-        """Say whether every node that 0x1016 lists has been heard and is not overdue; true where it lists none."""
+        """Return whether every node that 0x1016 lists has been heard and is not overdue; true where it lists none."""
         return all(watched.due_ns != FAR_NS for watched in self._watched)
 
     def poll(self, now_ns: int) -> int:

@@ -1,7 +1,7 @@
-"""What each part of the device core may ask of its device, in pieces that a part combines.
+"""Interfaces of the device towards the parts of its core, in pieces that a part combines.
 
-The rule of this file: protocols only.  A part names the pieces that it uses, so that its signature says what it can
-reach; `device.Device` has them all, and no part imports it.
+Protocols only. A part names the pieces that it uses, so that its signature shows its dependencies; `device.Device`
+has them all, and no part imports it.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class HeartbeatWatch(Protocol):
 
 
 class ProfileHost(HasObjects, Protocol):
-    """What a device profile may use of its device."""
+    """Interface of a device towards its profile."""
 
     now_ns: int
 
@@ -157,7 +157,7 @@ class ProfileHost(HasObjects, Protocol):
 
 
 class NmtHost(HasObjects, CanSend, Protocol):
-    """What the NMT part needs: restart the node, and tell everybody of a new state."""
+    """Needs of the NMT part: restart the node, and report a new state."""
 
     def state_entered(self, state: NmtState, now_ns: int) -> None: ...
 
@@ -165,22 +165,22 @@ class NmtHost(HasObjects, CanSend, Protocol):
 
 
 class EmergencyHost(HasObjects, CanSend, CanWake, CanListen, HasState, Protocol):
-    """What the EMCY part needs."""
+    """Needs of the EMCY part."""
 
     @property
     def now_ns(self) -> int: ...
 
 
 class HeartbeatHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, ReportsLoss, Protocol):
-    """What heartbeat producer and consumer need."""
+    """Needs of heartbeat producer and consumer."""
 
 
 class SyncHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, HasPdos, Protocol):
-    """What the SYNC part needs."""
+    """Needs of the SYNC part."""
 
 
 class StoreHost(HasObjects, CanSend, HasErrors, HasProfile, Protocol):
-    """What storing and restoring parameters needs."""
+    """Needs of storing and restoring parameters."""
 
 
 class NmtRestart(NmtStateOf, Protocol):
@@ -197,7 +197,7 @@ class LssHost(HasObjects, CanSend, CanWake, Protocol):
 
 
 class SdoHost(HasObjects, CanSend, CanWake, Protocol):
-    """What the SDO server needs: read and write an object as a client does."""
+    """Needs of the SDO server: read and write an object as a client does."""
 
     def upload(self, key: int, now_ns: int) -> bytes | Abort: ...
 
@@ -205,7 +205,10 @@ class SdoHost(HasObjects, CanSend, CanWake, Protocol):
 
 
 class PdoHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, ReportsLoss, HasSync, HasProfile, Protocol):
-    """What the PDO part needs; `watched`: keys whose writes the application hears of, `guarded`: it may refuse them."""
+    """Needs of the PDO part.
+
+    `watched`: keys whose writes are reported to the application; `guarded`: keys whose writes it may refuse.
+    """
 
     wake_ns: int
 

@@ -14,7 +14,7 @@ from nodes.core.interfaces import NmtHost
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 
 ERROR_BEHAVIOUR: Final = 0x102901
-"""0x1029:01, what a communication error does to the NMT state (CiA 301, 7.5.2.32)."""
+"""0x1029:01, the effect of a communication error on the NMT state (CiA 301, 7.5.2.32)."""
 
 ON_ERROR: Final = {
     (NmtState.OPERATIONAL, 0): NmtState.PRE_OPERATIONAL,
@@ -59,12 +59,12 @@ class Nmt:
         self.enter(NmtState.PRE_OPERATIONAL, now_ns)
 
     def enter(self, state: NmtState, now_ns: int) -> None:
-        """Change the state and tell everyone who acts on it."""
+        """Change the state and report it to every part that acts on it."""
         self.state = state
         self._device.state_entered(state, now_ns)
 
     def communication_error(self, now_ns: int) -> None:
-        """Act on a lost heartbeat or a bus-off as 0x1029:01 says."""
+        """Change to the state that 0x1029:01 selects after a lost heartbeat or a bus-off."""
         target = ON_ERROR.get((self.state, self._device.objects.number(ERROR_BEHAVIOUR)))
         if target is not None:
             self.enter(target, now_ns)

@@ -1,6 +1,6 @@
-"""Object values: what a dictionary's entries hold, and what may be read from or written to them.
+"""Object values: contents of a dictionary's entries, and rules for reading and writing them.
 
-The rule of this file: a refusal is an SDO abort code, never an exception; whatever is in `values` can be encoded.
+A refusal is an SDO abort code, never an exception; every entry of `values` can be encoded.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Objects:
         return value if isinstance(value, int) else missing
 
     def missing(self, key: int) -> Abort | None:
-        """Return None if `key` exists, else the abort that says which half of it does not."""
+        """Return None if `key` exists, else the abort: object or sub-index missing."""
         if key in self.entries:
             return None
         return Abort.NO_SUBINDEX if key >> 8 in self._indices else Abort.NO_OBJECT
@@ -64,7 +64,7 @@ class Objects:
         return (b"" if value is None else encode(entry.data_type, value)) or Abort.NO_DATA
 
     def may_download(self, key: int, size: int | None) -> Abort | None:
-        """Return None if a write of `size` bytes (None: not said) to `key` may begin, else the abort."""
+        """Return None if a write of `size` bytes (None: size not given) to `key` may begin, else the abort."""
         refusal = self.missing(key)
         if refusal:
             return refusal
@@ -92,7 +92,7 @@ def outside(entry: Entry, value: Value) -> Abort | None:
 
 
 def fits(entry: Entry, value: Value) -> bool:
-    """Say whether `value` is of the entry's type."""
+    """Return whether `value` is of the entry's type."""
     try:
         data = encode(entry.data_type, value)
     except (TypeError, OverflowError):

@@ -1,6 +1,6 @@
-"""What the core's parts have in common: the device hands each of them states, frames and time.
+"""Base of the core's parts: the device passes them states, frames and time.
 
-The rule of this file: a part reaches other parts only through its device.
+A part reaches other parts only through its device.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ Check = Callable[[int, Value], Abort | None]
 """(sub-index, value) → None or the abort that refuses a write."""
 
 Applied = Callable[[int, Value, int], None]
-"""(sub-index, value, now_ns): told after a write."""
+"""(sub-index, value, now_ns): called after a write."""
 
 Command = Callable[[int, Value, int], Abort | None]
-"""(sub-index, value, now_ns) → None or the abort: does what the write asks, in place of keeping the value."""
+"""(sub-index, value, now_ns) → None or the abort: runs the requested command and keeps no value."""
 
 
 class Part:
-    """One service of the device core; the device asks it for handlers, rules of its objects, and what is due."""
+    """One service of the device core; the device asks it for handlers, rules of its objects, and due actions."""
 
     service: Service = Service.NMT
     """Its handlers are heard where the NMT state lets this service through."""
@@ -48,13 +48,13 @@ class Part:
         """The NMT state is now `state`."""
 
     def handlers(self) -> Iterable[tuple[int, Handler]]:
-        """Give the COB-IDs listened to, each with its handler."""
+        """Return the COB-IDs listened to, each with its handler."""
         return ()
 
     def cob_ids(self) -> Iterable[tuple[int, int]]:
-        """Give the configurable identifiers in use, each with the key of the object that holds it."""
+        """Return the configurable identifiers in use, each with the key of the object that holds it."""
         return ()
 
     def poll(self, now_ns: int) -> int:
-        """Do what is due; return when the next thing is, `FAR_NS` for never."""
+        """Run due actions; return the time of the next one, `FAR_NS` for never."""
         return FAR_NS

@@ -1,7 +1,7 @@
 """Stored parameters: 0x1010 save, 0x1011 load, 0x1020 verify configuration.
 
-The rule of this file: only parameters are stored, never process data or what the device itself computes; the file is
-replaced whole or not at all, and one that cannot be trusted is not used, with EMCY 0x6320.
+Only parameters are stored, never process data or computed values. The file is replaced whole or not at all; a damaged
+or foreign file is not used, with EMCY 0x6320.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ this device's own: manufacturer."""
 
 
 class Store(Part):
-    """What survives a reset; with a path, also a power cycle."""
+    """Parameters that survive a reset; with a path, also a power cycle."""
 
     def __init__(self, device: StoreHost, path: Path | None) -> None:
         self._device, self._path = device, path
@@ -65,7 +65,7 @@ class Store(Part):
             self._replace(self._stored)
 
     def restore(self, whole_node: bool) -> None:
-        """Give objects their stored or default values: all of them, or 0x1000–0x1FFF."""
+        """Return objects their stored or default values: all of them, or 0x1000–0x1FFF."""
         for at, value in self._defaults.items():
             if whole_node or at >> 8 < 0x2000:
                 self._device.values[at] = self._stored.get(at, value)
@@ -119,7 +119,8 @@ class Store(Part):
         return json.dumps({"device": self._identity(), "values": values}, indent=1) + "\n"
 
     def _parse(self, found: Mapping[str, Any]) -> dict[int, Value]:
-        """Read what `_text` wrote; ValueError where it is another device's or a value is none of its object's."""
+        """Read the text of `_text`; raises ValueError if it belongs to another device or a value does not fit its
+        object."""
         if found["device"] != self._identity():
             raise ValueError("stored by another device")
         stored: dict[int, Value] = {}

@@ -50,7 +50,7 @@ class Sync(Part):
             yield self.can_id, self.receive
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Give the identifier in use."""
+        """Return the identifier in use."""
         yield key(COB_ID), self.can_id
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -80,7 +80,7 @@ class Sync(Part):
 
     @property
     def steady(self) -> bool:
-        """A SYNC without data does nothing but what the PDOs do at it."""
+        """Whether a SYNC triggers the PDOs only: no data, no window, no fault, not produced here."""
         return not (self._length or self._fault or self._window_ns or self._making)
 
     def _right_length(self, data: bytes) -> bool:

@@ -25,7 +25,7 @@ STOP_MARGIN_S: Final = 0.5
 
 
 class Units:
-    """How counts become SI at the axis, read from the unit objects of a dictionary."""
+    """Conversion of counts to SI at the axis, from the unit objects of a dictionary."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         self.position = scale_factors.position_unit(dictionary)
@@ -40,7 +40,7 @@ class Units:
         self.arm_m = feed / (2.0 * math.pi)
         """Drum radius of a linear axis; 1 of a rotary one."""
         self.apart = law.APART_SHARE * dictionary.initial(0x6065) * self.position
-        """How far the ways by position and by velocity may be apart, m or rad."""
+        """Largest difference of the distances by position and by velocity, m or rad."""
 
 
 class Axis:
@@ -56,7 +56,7 @@ class Axis:
         self._sign = 1.0
         self.state: Any = memoryview(self.s)
         self.settings: Any = memoryview(self.g)
-        """The same memory, for single numbers: a third of the cost of indexing an array."""
+        """Memory view of `g` for access to single numbers: a third of the cost of indexing an array."""
 
     def configure(self, values: Mapping[int, Value]) -> None:
         """Take over every setting from the objects."""
@@ -89,7 +89,7 @@ class Axis:
         self.g[law.ORIGIN], (self.g[law.LOW], self.g[law.HIGH]) = self.origin, ends
 
     def position(self, raw: float) -> float:
-        """Give the axis position, SI, of a position object's count."""
+        """Return the axis position, SI, of a position object's count."""
         return self._sign * raw * self.units.position + self.origin
 
     @property
@@ -115,7 +115,7 @@ class Axis:
         set_point_law.target(self.s, self.unit, self.origin, raw)
 
     def step_to(self, raw: int) -> float:
-        """Give the way, in counts, from the last target to a new one."""
+        """Return the way, in counts, from the last target to a new one."""
         return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
 
     def target_velocity(self, raw: int) -> None:

@@ -1,8 +1,8 @@
-"""What one axis does in one drive tick: bounds, following positions, braking, tightening the rope.
+"""One drive tick of one axis: bounds, position following, braking, tightening the rope.
 
-The rule of this file: compiled laws over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis
-(rope metres at the drum, or radians at the knee); the loops themselves are `physics.drive_loops`'s.  numba's cache does
-not see a change in an imported module, so that module's digest is a constant of the compiled functions.
+Compiled functions over two flat float64 arrays, `s` (state) and `g` (settings), SI at the axis (rope metres at the
+drum, or radians at the knee); the loops are those of `physics.drive_loops`. numba's cache does not see a change in an
+imported module, so that module's digest is a constant of the compiled functions.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def tell(s: Any, event: int) -> None:
 def bound(s: Any, g: Any, mode: int, position: float) -> None:
     """Set the bounds: greatest speed, tension limit, near a position limit the speed that still stops there; torque.
 
-    The tension's bound falls in proportion to what is left below the limit and turns to paying out above it; without a
+    The tension's bound falls in proportion to the margin below the limit and turns to paying out above it; without a
     trusted tension the torque itself is bounded.
     """
     high = g[SPEED_MAX]
@@ -138,10 +138,11 @@ def interpolate(s: Any, g: Any, dt_s: float) -> None:
 
 @njit
 def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> float:
-    """Return the torque that follows the interpolated positions; tells of an error that outlasts its window's time.
+    """Return the torque that follows the interpolated positions; flag an error that lasts longer than its window's
+    time.
 
-    While the tension's bound holds the axis back the error is nobody's fault and is not timed, as long as the axis
-    moves as fast as the bound allows, or the rope is near its limit: what stands still below it has lost its track.
+    While the tension's bound holds the axis back, the error is not timed, on two conditions: the axis moves as fast
+    as the bound allows, or the rope is near its limit. An axis at rest below it has lost its track.
     """
     interpolate(s, g, dt_s)
     forward = g[FEED_FORWARD] * s[RAMP] + g[VELOCITY_OFFSET]
@@ -166,7 +167,8 @@ def follow(s: Any, g: Any, position: float, velocity: float, dt_s: float) -> flo
 
 @njit
 def push(s: Any, g: Any, velocity: float) -> float:
-    """Return the wanted torque, less what the speed bounds take; the tension's bound leaves what holds its limit."""
+    """Return the demanded torque, reduced by the speed bounds; the tension's bound keeps the torque that holds its
+    limit."""
     high = min(g[KV] * (s[FREE_HIGH] - velocity), g[HOLD_TORQUE] + g[KV] * (s[TENSION_HIGH] - velocity))
     given = max(g[KV] * (s[SPEED_LOW] - velocity), min(high, g[TARGET_TORQUE]))
     if given != g[TARGET_TORQUE]:
@@ -176,7 +178,7 @@ def push(s: Any, g: Any, velocity: float) -> float:
 
 @njit
 def brake(s: Any, g: Any, velocity: float, dt_s: float) -> float:
-    """Return the torque that slows down by `g[DECELERATION]`; tells of rest, or of the end of the time given for it."""
+    """Return the torque that slows down by `g[DECELERATION]`; flag rest, or the end of the time given for it."""
     ramp, change = s[RAMP], g[DECELERATION] * dt_s
     ramp = max(0.0, ramp - change) if ramp > 0.0 else min(0.0, ramp + change)
     s[RAMP] = ramp

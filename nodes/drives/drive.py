@@ -113,7 +113,7 @@ class Drive(ModesOfOperation):
         self.disconnected(reason, now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Show what a drive tick changed; end a hold whose time is over."""
+        """Latch the changes of a drive tick; end a hold whose time is over."""
         if self.hold_ends_ns is not None:
             self.end_hold(now_ns)
         if self.changed:
@@ -142,7 +142,7 @@ class Drive(ModesOfOperation):
         return not self.changed and self.hold_ends_ns is None and not self._state[law.EVENTS]
 
     def steady_words(self) -> list[int]:
-        """Give the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
+        """Return the statusword for each of the axis' flags (`law.IS_…`, 0 … 15), as the state machine is now."""
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
     def steady_taker(self, at: int) -> Taker | None:
@@ -155,7 +155,7 @@ class Drive(ModesOfOperation):
         self._s, self._g, self._out, self._state = s, g, out, self.axis.state
 
     def _notice(self, now_ns: int) -> float:
-        """Act on what a tick told; return the torque that is left."""
+        """Handle the events of a tick; return the torque after them."""
         events = int(self._state[law.EVENTS])
         self._state[law.EVENTS] = 0.0
         self.device.now_ns = now_ns
@@ -171,3 +171,10 @@ class Drive(ModesOfOperation):
             self.not_homed(now_ns)
         self.changed = True
         return float(self._state[law.TORQUE])
+
+
+class KneeDrive(Drive):
+    """The drive that moves the knee; angles in rad of the knee (flexion negative), torques in N·m at the knee.
+
+    Its 1:20 reducer is in the objects 0x6091 and 0x6092, in thousandths of a degree of the knee, not in code.
+    """

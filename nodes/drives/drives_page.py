@@ -1,7 +1,6 @@
-"""Writes the generated parts of docs/drives.md from the tables: `python -m nodes.drives.drives_page [FILE]`.
+"""Generator of the tables in docs/drives.md: `python -m nodes.drives.drives_page [FILE]`.
 
-The rule of this file: what a table knows, the page repeats between its markers; the sentences around them are written
-by hand and kept.
+The tables are printed between markers; the sentences around them are written by hand and kept.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ def states() -> str:
 
 
 def rows() -> str:
-    """List the rows: what opens each, what it needs, what it does."""
+    """List the rows: event, condition and action of each."""
     lines = ["| row | from | on | to | needs | does |", "|---|---|---|---|---|---|"]
     for row in TRANSITIONS:
         sources = "any but the fault states" if row.number == 13 else ", ".join(
@@ -47,7 +46,7 @@ def homing() -> str:
 
 
 def page(text: str) -> str:
-    """Give the page with its generated parts made anew; KeyError where a marker names none."""
+    """Return the page with its generated parts made anew; KeyError where a marker names none."""
     parts = {"states": states, "rows": rows, "homing": homing}
     return _BLOCK.sub(lambda block: block[1] + parts[block[2]]() + block[3], text)
 

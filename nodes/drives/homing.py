@@ -1,6 +1,6 @@
-"""Homing (CiA 402 mode 6): what controlword bit 4 begins, and what statusword bits 10, 12 and 13 say of it.
+"""Homing (CiA 402 mode 6): controlword bit 4 starts it, statusword bits 10, 12 and 13 report it.
 
-The rule of this file: one table gives the three bits of each phase; a phase changes only here.
+One table gives the three bits of each phase; a phase changes only here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from eds.cia402 import HomingMethod, Status
 
 
 class Phase(Enum):
-    """Where homing stands."""
+    """Phase of homing."""
 
     IDLE = "not started, or interrupted"
     SEEKING = "in progress"
@@ -37,5 +37,5 @@ AT_ONCE: Final = frozenset({HomingMethod.CURRENT_POSITION_35, HomingMethod.CURRE
 
 
 def bits(phase: Phase, moving: bool) -> int:
-    """Give the statusword bits of a phase."""
+    """Return the statusword bits of a phase."""
     return int(BITS[phase, moving])

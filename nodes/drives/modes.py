@@ -25,7 +25,7 @@ _EDGES: Final = Control.HOMING_START | Control.HALT
 
 
 class ModesOfOperation(StateMachine):
-    """What the drive function does while it is on."""
+    """Drive function by mode of operation, while the drive is on."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
-"""Which values a drive's objects take beyond their limits in the EDS.
+"""Rules for the values of a drive's objects beyond their limits in the EDS.
 
-The rule of this file: a rule looks at the value and the objects as they stand, and answers with 0 or an abort code.
+A rule reads the value and the objects as they are, and returns 0 or an abort code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from eds.dictionary import key
 
 
 class RuledDrive(Protocol):
-    """What a rule reads of a drive: its objects' numbers, its state, and what is under way."""
+    """Inputs of a rule: the objects' numbers of a drive, its state, and a homing or stop in progress."""
 
     @property
     def seeking(self) -> bool: ...

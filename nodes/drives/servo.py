@@ -1,8 +1,7 @@
 """The servo drive at the rope's drum: a CiA 402 drive that keeps the rope's tension within its limit by itself.
 
-The rule of this file: START's tension comes straight from the bus (0x2011), and what it forbids no master can ask for:
-above 0x2012 the drum pays out, above 0x2013 the drive faults, and without a tension that can be trusted the torque is
-bounded by 0x2015.
+START's tension comes straight from the bus (0x2011), and its limits override every master: above 0x2012 the drum
+unwinds, above 0x2013 the drive faults, and without a trusted tension the torque is bounded by 0x2015.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ class ServoDrive(Drive):
         g[law.TRAVEL] = self.number(0x2016) * units.position
 
     def ready(self) -> bool:
-        """A sensor that says it has no value keeps the drive from being enabled."""
+        """Whether the drive may be enabled: not while the sensor reports an invalid value."""
         return super().ready() and not self._no_tension
 
     def cured(self) -> bool:

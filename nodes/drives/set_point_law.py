@@ -1,7 +1,6 @@
-"""What a drive's axis does with a set-point and with START's tension as they come over the bus.
+"""Processing of a set-point and of START's tension on arrival from the bus.
 
-The rule of this file: compiled laws over the arrays of `nodes.drives.axis_law`; whether a set-point is taken at all is
-decided by whoever calls them.
+Compiled functions over the arrays of `nodes.drives.axis_law`; the caller decides whether a set-point is accepted.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ from nodes.drives.axis_law import FRESH, TARGET, TENSION, TENSION_AGE_S
 NEWTON: Final = 0.01
 """Newton per count of the tension objects."""
 NO_TENSION: Final = -(1 << 15)
-"""What a sensor without a valid value sends."""
+"""Process value of a sensor without a valid measurement."""
 
 
 KEEPS, FOLLOWS, FEELS = range(3)
-"""What taking an object does besides keeping its value: nothing; a new target; a tension."""
+"""Effect of a received object besides keeping its value: none; a new target; a tension."""
 
 
 class Taker(NamedTuple):
-    """What taking an object does, and where that ends: `FOLLOWS` by `unit` from `origin` over at most `most` counts;
-    `FEELS` up to `most` N.  Beyond, more happens than that."""
+    """Effect of a received object, and its range: `FOLLOWS` by `unit` from `origin` over at most `most` counts;
+    `FEELS` up to `most` N. Larger values need the drive's own code."""
 
     action: int
     unit: float = 0.0

@@ -1,7 +1,7 @@
-"""The CiA 402 state machine of `eds.cia402.TRANSITIONS`, and what its rows do to the axis.
+"""The CiA 402 state machine of `eds.cia402.TRANSITIONS`, with the actions of its rows on the axis.
 
-The rule of this file: the state changes only in `_take`, by a row of the table; what a row needs and does besides is
-in `GUARDS` and `ACTIONS`, by the row's number.
+The state changes only in `_take`, by a row of the table; further conditions and actions of a row are in `GUARDS` and
+`ACTIONS`, by the row's number.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class StateMachine(Application):
         """When a stop that holds lets go by itself, since nobody is left who could end it (0x2018)."""
 
     def number(self, index: int, subindex: int = 0) -> int:
-        """Give the value of an integer object, 0 where the EDS has none."""
+        """Return the value of an integer object, 0 where the EDS has none."""
         value = self.values.get(index << 8 | subindex, 0)
         return value if isinstance(value, int) else 0
 
@@ -63,21 +63,22 @@ class StateMachine(Application):
         """The drive function goes off, or a stop takes over."""
 
     def ready(self) -> bool:
-        """Say whether row 4 may turn the drive function on: nobody's release is outstanding, and its master lives."""
+        """Return whether row 4 may turn the drive function on: nobody's release is outstanding, and its master lives."""
         return not self.awaits_release and self.device.consumer.all_live()
 
     def cured(self) -> bool:
-        """Say whether no cause of a fault is present."""
+        """Return whether no cause of a fault is present."""
         return not self.awaits_release
 
     def warned(self) -> bool:
-        """Say whether the statusword warns."""
+        """Return whether the statusword warns."""
         return False
 
     # ---- rows ----
 
     def command(self, event: DriveEvent, now_ns: int) -> None:
-        """Act on a command of the controlword; "enable operation" goes on from row 3 to row 4 and calls off a leave."""
+        """Act on a command of the controlword; "enable operation" goes on from row 3 to row 4 and cancels a pending
+        exit."""
         if event is DriveEvent.ENABLE_OPERATION:
             if self._leaving is not None:
                 self._leaving = self._at_rest = None
@@ -165,7 +166,7 @@ class StateMachine(Application):
             self.fire(DriveEvent.QUICK_STOP_DONE, now_ns)
 
     def end_hold(self, now_ns: int) -> None:
-        """Let go where the time that a lost connection leaves to a hold is over."""
+        """End the hold once the time allowed for it after a lost connection is over."""
         if self.hold_ends_ns is not None and now_ns >= self.hold_ends_ns:
             self.hold_ends_ns = None
             self.fire(DriveEvent.QUICK_STOP_DONE, now_ns)
@@ -197,7 +198,7 @@ class StateMachine(Application):
         self.fire(DriveEvent.FAULT_DETECTED, now_ns)
 
     def disconnected(self, reason: Emcy, now_ns: int, announce: bool = False) -> None:
-        """Act on a lost connection as 0x6007 says."""
+        """React to a lost connection as 0x6007 selects."""
         action = self.number(0x6007)
         if self.state not in POWERED:
             return
@@ -235,7 +236,7 @@ class StateMachine(Application):
 
 
 class TransitionGuard(NamedTuple):
-    """What must hold, besides the event, before a row is taken."""
+    """Condition, besides the event, for a row to be taken."""
 
     text: str
     holds: Callable[[StateMachine], bool]
@@ -263,4 +264,4 @@ ACTIONS: Final[Mapping[int, Callable[[StateMachine, int], None]]] = MappingProxy
     15: StateMachine._forget_faults,
     16: StateMachine._start,
 })
-"""By row: what it does to the axis; the others change the state only."""
+"""Action on the axis by row number; the other rows change the state only."""

@@ -1,8 +1,8 @@
-"""What one measuring channel does with one sample, and at one SYNC: filter, span, scaling to the process value.
+"""One sample and one SYNC of a measuring channel: filter, span, scaling to the process value.
 
-The rule of this file: compiled laws over one flat float64 array `c`; settings are written into it when an object is
-written, nothing is looked up at a sample.  Sums are of whole numbers below 2⁵³, so a filter forgets what leaves its
-window without a trace.
+Compiled functions over one flat float64 array `c`; settings are written into it when an object is written, nothing is
+looked up at a sample. Sums are of whole numbers below 2⁵³, so subtracting a sample that drops out of the window is
+exact.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from numba import njit
 
 MEAN, FACTOR, SHIFT, COUNTS_PER_N, LOW, HIGH, MIDDLE, VERDICT, FIELD, TENSION, PROCESS_16, PROCESS_32, REPEATS, \
     LENGTH, SUM, COUNT, HEAD, FILLED, WINDOW = range(19)
-"""Slots of `c`: the filtered counts; the line and the integer's counts per newton; span (counts) and its middle (N);
-0x6150, −1 before the first sample; what the last `process` gave, and from which counts; the filter, `WINDOW` its first
-sample."""
+"""Indices of `c`: the filtered counts; the line and the integer's counts per newton; span (counts) and its middle
+(N); 0x6150, −1 before the first sample; the results of the last `process`, and the counts they were computed from;
+the filter, `WINDOW` its first sample."""
 LONGEST: Final = 255
 SIZE: Final = WINDOW + LONGEST
 NO_VERDICT: Final = -1.0
@@ -44,7 +44,7 @@ def restart(c: Any, length: int, repeats: bool) -> None:
 def add(c: Any, sample: float) -> None:
     """Set `c[MEAN]` to the mean of the last samples: at every one, or (repeating) once for each block of them.
 
-    A window that is not yet full gives the mean of what it holds; a repeating average starts with its first sample.
+    A window that is not yet full gives the mean of its samples; a repeating average starts with its first sample.
     """
     length = int(c[LENGTH])
     if length == 1:

@@ -29,7 +29,7 @@ class JointEncoder(Application):
         self._offset = 0
 
     def feel(self, now_ns: int, felt: Outputs) -> None:
-        """Take the joint's angle from what the plant's devices can feel."""
+        """Read the joint's angle from the plant's outputs."""
         self.angle_rad = felt.knee_angle_rad
 
     def written(self, key: int, value: Value, now_ns: int) -> None:

@@ -43,5 +43,5 @@ def real32(value: float) -> float:
 
 
 def invalid(bits: int) -> int:
-    """Give the integer that says "no valid value": the least one."""
+    """Return the integer that means "no valid value": the least one."""
     return -(1 << bits - 1)

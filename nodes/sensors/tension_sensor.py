@@ -55,7 +55,7 @@ class TensionSensor(Application):
     # ---- what the device core asks ----
 
     def check_write(self, key: int, value: Value) -> int:
-        """Refuse what would leave the channel without a line, a span or a zero."""
+        """Refuse values that give the channel no line, no span or no zero."""
         number = value if not isinstance(value, bytes) else math.nan
         if key in _REALS and not math.isfinite(number):
             return Abort.INVALID_VALUE
@@ -187,12 +187,12 @@ class TensionSensor(Application):
                 self._tell(Emcy.OVER_RANGE, False)
 
     def _take_spans(self) -> None:
-        """Let 0x6148 and 0x6149 be what 0x9148 and 0x9149 say."""
+        """Copy 0x9148 and 0x9149 into 0x6148 and 0x6149."""
         for newton, counts in _LINKED.items():
             self.values[newton] = self._real(counts) / 10.0 ** self._real(DECIMALS)
 
     def _tell_spans(self) -> None:
-        """Let 0x9148 and 0x9149 say what 0x6148 and 0x6149 are, in the decimals of now."""
+        """Copy 0x6148 and 0x6149 into 0x9148 and 0x9149, in the present decimals."""
         for newton, counts in _LINKED.items():
             self.values[counts] = integer(self._real(newton) * 10.0 ** self._real(DECIMALS), INTEGER32)
 
@@ -214,7 +214,7 @@ class TensionSensor(Application):
 
     @property
     def steady(self) -> bool:
-        """Nothing but values changes from sample to sample: it measures, its value is valid, and its status is told."""
+        """Whether only values change from sample to sample: measuring, value valid, status already reported."""
         return self._measuring and not self._changed and self._verdict in (0, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD)
 
     def adopt(self, channel: Any) -> None:

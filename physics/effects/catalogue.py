@@ -1,7 +1,7 @@
-"""The catalogue of effects: everything that plant, compensation, diagnosis, report and `docs/effects.md` know of them.
+"""The catalogue of effects, for plant, compensation, diagnosis, report and `docs/effects.md`.
 
-The rule of this file: an effect is declared once, in `physics/effects_*.py` or at run time by `register`;
-whoever reads the catalogue names no effect in its own code.
+An effect is declared once, in `physics/effects_*.py` or at run time by `register`; readers of the catalogue name no
+effect in their own code.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TABLES: Final[Mapping[str, frozenset[str]]] = {
     "end_sensor": frozenset(f.name for f in fields(SensorParameters)),
     "bus": BUS,
 }
-"""What a forward law may set, by table of a plant model."""
+"""Parameters that a forward submodel may set, by table of a plant model."""
 
 _effects: Final[dict[str, Effect]] = {}
 CATALOGUE: Final[Mapping[str, Effect]] = MappingProxyType(_effects)
@@ -71,10 +71,10 @@ def registered(effect: Effect) -> Iterator[Effect]:
 
 
 def apply(found: Mapping[str, Values]) -> dict[str, dict[str, float]]:
-    """Return the plant model, table → parameter → value, that has the effects of `found` (name → values) at work.
+    """Return the plant model, table → parameter → value, with the effects of `found` (name → values) active.
 
-    A value that is left out takes its neutral or, without one, the middle of its likely range.  `trial_s` beside the
-    values says how long the trial is, for effects that are relative to it.  Raises `InputError` for an unknown name.
+    A missing value takes its neutral or, without one, the middle of its likely range. `trial_s` among the values is
+    the length of the trial, for effects that are relative to it. Raises `InputError` for an unknown name.
     """
     tables: dict[str, dict[str, float]] = {}
     for name, given in found.items():
@@ -88,10 +88,10 @@ def apply(found: Mapping[str, Values]) -> dict[str, dict[str, float]]:
 def compensate(
     course: Trajectory, found: Mapping[str, Values], calibrated: Values = MappingProxyType({}),
 ) -> Trajectory:
-    """Return `course` as a controller should meet it that knows of the effects of `found`.
+    """Return `course` as a controller should meet it that compensates the effects of `found`.
 
-    Laws that two effects share see the values of both, then those `calibrated`, by name; what sets an exponent comes
-    before what scales it, as in the catalogue.
+    Submodels that two effects share receive the values of both, then those `calibrated`, by name; effects that set an
+    exponent come before those that scale it, as in the catalogue.
     """
     own = {name: complete(name, given) for name, given in found.items()}
     values = {**calibrated, **{key: value for each in own.values() for key, value in each.items()}}
@@ -101,7 +101,8 @@ def compensate(
 
 
 def complete(name: str, given: Values) -> dict[str, float]:
-    """Return all values of the effect `name`, those not `given` neutral; raises `InputError` for what it has not."""
+    """Return all values of the effect `name`, those not `given` neutral; raises `InputError` for an unknown
+    parameter."""
     if name not in _effects:
         raise InputError(f"effects: {name} is not in the catalogue; expected one of {', '.join(sorted(_effects))}.")
     known = {p.name: p for p in _effects[name].parameters}

@@ -1,6 +1,6 @@
-"""Writes docs/effects.md from the catalogue: `python -m physics.effects.catalogue_page [FILE]`.
+"""Generator of docs/effects.md from the catalogue: `python -m physics.effects.catalogue_page [FILE]`.
 
-The rule of this file: the page says what the declarations say and nothing else.
+The page contains the declarations and nothing else.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def _drive(
 
 
 LIMITED: Final = ("servo", "drive_force")
-"""What force a drive needs for its own motion decides where its limits hold it back."""
+"""The force that a drive needs for its own motion determines at which load its limits act."""
 EFFECTS: Final = (
     _drive("drive_coulomb", "servo_coulomb_n", "F = Fc·s",
            "servo force steps with the direction of motion, whatever load and speed",

@@ -1,6 +1,6 @@
-"""What an effect is: the one declaration that plant, compensation, diagnosis and report read.
+"""Declaration of an effect, read by plant, compensation, diagnosis and report.
 
-The rule of this file: types only.  A value is known by its name in `physics.parameters`, all values are SI.
+Types only. Values are named as in `physics.parameters`, all are SI.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ def of_table(name: str) -> EffectParameter:
 
 
 class Trajectory(NamedTuple):
-    """What one run asks of the transmission, by sample, and how an extended controller will meet it.
+    """Demands of one run on the transmission, by sample, and the corrections of an extended controller.
 
-    The first block is given; an inverse returns a copy with some of the second block changed.  Arrays of one
-    length, SI; slips −1…1; exponents are μθ as positive numbers, turned by the slips.
+    The first block is given; an inverse returns a copy with some of the second block changed. Arrays of one length,
+    SI; slips −1…1; exponents are μθ as positive numbers, turned by the slips.
     """
 
     progress: Array
@@ -83,14 +83,14 @@ def unchanged(course: Trajectory, values: Values) -> Trajectory:
 class Effect:
     """One physical cause, declared once.
 
-    `site`: where on the bench. `law`, `source`: formula and origin. `forward`: "table.parameter" → law of the
+    `site`: place on the bench. `law`, `source`: formula and origin. `forward`: "table.parameter" → function of the
     values, for the tables plant, start_sensor, end_sensor and bus of a plant model. `inverse`: compensation.
-    `relations`: the relations between signals that it disturbs. `signature`: how it shows; `words`: the sentence
-    for a report; `rivals`: effects it is confused with; `experiment`: the one that splits them, by its name in
-    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for
-    an effect that the laws of `physics.relations` do not read themselves. `stale`: of an effect of the wire, what it
-    does to the values' ages at a cycle time, s; `grid`: of one of the converter, the step on which readings sit, N.
-    `level`: parameters whose value is at a load, a bend or a time that this law chooses by convention.
+    `relations`: the prediction equations that it disturbs. `signature`: its visible sign; `words`: the sentence for a
+    report; `rivals`: competing effects; `experiment`: the one that separates them, by its name in
+    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for an
+    effect that the equations of `physics.relations` do not contain. `stale`: of an effect of the wire, the staleness
+    of the values at a cycle time, s; `grid`: of one of the converter, the quantisation step of readings, N. `level`:
+    parameters whose value is at a load, a bend or a time that this formula chooses by convention.
     """
 
     name: str

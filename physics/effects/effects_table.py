@@ -15,14 +15,14 @@ from physics.parameters import current_names
 
 TABLE: Final = "effects"
 EVIDENCE: Final = "found"
-"""The table beside it that says what the effects were found on."""
+"""Name of the table with the data that the effects were found on."""
 
 
 def stated(given: Mapping[str, Any], where: str) -> dict[str, dict[str, float]]:
-    """Return the effects that a file states, name → parameter → value, SI; {} where it has no such table.
+    """Return the effects that a file states, name → parameter → value, SI; {} if it has no such table.
 
-    Raises `InputError`, beginning with `where`, for an unknown effect or parameter, what is no number, a value out of
-    bounds, or effects that were found on another rig than the bench of this catalogue.
+    Raises `InputError`, beginning with `where`, for an unknown effect or parameter, text in place of a number, or a
+    value out of bounds. Effects found on another rig than the bench of this catalogue are refused, too.
     """
     table = given.get(TABLE, {})
     if not isinstance(table, Mapping):

@@ -1,7 +1,7 @@
-"""Motions of an experiment as data: what a bench's rope and knee do, and what the diagnosis expects to see of them.
+"""Motions of an experiment as data: motion of a bench's rope and knee, and the expected observation.
 
 A motion starts from the last targets and is led at a stated speed. `master.motion.scripted_motions` runs motions on a
-bench; `diagnosis.judgement.experiment_choice` calculates what waypoints show.
+bench; `diagnosis.judgement.experiment_choice` simulates the observation from the waypoints.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Release:
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind a length at constant speed, whatever the tension; negative: pay it out."""
+    """Wind a length at constant speed, whatever the tension; negative: unwind it."""
 
     length_m: float
     speed_m_s: float
@@ -83,7 +83,7 @@ class ScriptPart(NamedTuple):
 
 
 class ScriptedWalk(NamedTuple):
-    """The gait after a rest, s; `cycles` None: as many as the configuration says."""
+    """The gait after a rest, s; `cycles` None: the number in the configuration."""
 
     rest_s: float = 0.0
     cycles: int | None = None

@@ -1,7 +1,7 @@
-"""What each effect of the catalogue frees in the forward model, and in which part of the bench it lies.
+"""Hypotheses of the catalogue: the parameters that each effect frees in the forward model, and its part of the bench.
 
-An effect is a hypothesis: it adds prior variance along directions in the space of `physics.path_constants`.  One
-entry a variant; variants of an effect (time constants, drum radii, kinds of backlash) carry one name.
+An effect is a hypothesis: it adds prior variance along directions in the space of `physics.path_constants`. One entry
+a variant; variants of an effect (time constants, drum radii, kinds of backlash) have one name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Direction(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """What a variant of an effect frees; `at`: constants that it sets, as values, before anything is fitted."""
+    """Parameters that a variant of an effect frees; `at`: constants with fixed values, set before anything is fitted.
+    """
 
     directions: tuple[Direction, ...]
     at: Mapping[str, float]

@@ -69,7 +69,7 @@ def _drift(side: str) -> Effect:
 
 
 def _no_use(course: Trajectory, values: Values) -> Trajectory:
-    """END is out of the loop: its errors change what is verified, not what is done."""
+    """Return `course` unchanged: END is out of the loop, so its errors change the verification, not the control."""
     del values
     return course
 

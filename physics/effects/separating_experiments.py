@@ -1,7 +1,7 @@
-"""The experiments that separate effects which one gait trial confuses: one entry each.
+"""Experiments that separate effects which one gait trial confuses: one entry each.
 
 An entry has the experiment's words, the script by which a bench runs it, and the waypoints by which the diagnosis
-calculates what it would show. `bowden trial --experiment` takes the names of the entries that have a script.
+simulates its observation. `bowden trial --experiment` takes the names of the entries that have a script.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ REST_N: Final = 0.5
 class SeparatingExperiment:
     """One experiment: `motion` for the bench and `reads` for the eye, in words.
 
-    `by_hand`: what no drive can do for the engineer, "" for nothing; `around`: what a bench runs around such work.
-    `script`: parts that a bench runs by itself, none if it needs hands.  `waypoints`: its motion as the diagnosis
-    calculates it; of an experiment without waypoints nothing is claimed.
+    `by_hand`: work that an engineer does by hand, "" for none; `around`: the motion of the bench around such work.
+    `script`: parts that a bench runs by itself, empty if it needs hands. `waypoints`: its motion as the diagnosis
+    simulates it; without waypoints no observation is predicted.
     """
 
     name: str

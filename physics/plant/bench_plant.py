@@ -1,7 +1,7 @@
-"""The plant behind the nodes: what a bench's devices can feel, and the simulated bench that answers.
+"""The plant behind the nodes: outputs for a bench's devices, and the simulated bench that computes them.
 
-The rule of this file: torques in, positions, speeds, knee angle and both tensions out, times in integer
-nanoseconds; anything that keeps `Plant` can stand behind the same nodes (entry-point group `bowden.plants`).
+Torques in, positions, speeds, knee angle and both tensions out, times in integer nanoseconds; any object with the
+protocol `Plant` can run behind the same nodes (entry-point group `bowden.plants`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = ["STEP_NS", "BowdenPlant", "JointState", "Outputs", "Plant", "PlantPar
 
 
 class Outputs(NamedTuple):
-    """What the bench's devices can feel, at one instant."""
+    """Outputs of the plant that the bench's devices measure, at one instant."""
 
     servo_position_m: float
     servo_velocity_m_s: float
@@ -44,18 +44,19 @@ class JointState(NamedTuple):
 
 
 class Plant(Protocol):
-    """What stands behind the nodes; made by a factory `(parameters, seed) -> Plant`."""
+    """Protocol of the plant behind the nodes; made by a factory `(parameters, seed) -> Plant`."""
 
     def reset(self, time_ns: int) -> Outputs:
         """Return to the state at power-on, at `time_ns`."""
         ...
 
     def advance(self, until_ns: int, servo_torque_nm: float, knee_torque_nm: float) -> Outputs:
-        """Hold both torque demands, N·m (the knee's at the knee), up to `until_ns`, and say what is felt then."""
+        """Hold both torque demands, N·m (the knee's at the knee), up to `until_ns`, and return the outputs at that
+        time."""
         ...
 
     def truth(self) -> Mapping[str, float]:
-        """Return what no device can feel, by name with its unit; for the truth file only."""
+        """Return the true signals that no device measures, by name with its unit; for the truth file only."""
         ...
 
 
@@ -132,9 +133,9 @@ class BowdenPlant:
 
 
 def create(parameters: dict[str, float], seed: int) -> BowdenPlant:
-    """Make the simulated bench from a table of `PlantParameters`; raises `InputError` for what is not one.
+    """Make the simulated bench from a table of `PlantParameters`; raises `InputError` for an invalid entry.
 
-    It draws nothing, so `seed` changes nothing: what scatters from bench to bench comes in `parameters`.
+    It draws nothing, so `seed` changes nothing: the scatter from bench to bench is in `parameters`.
     """
     del seed
     return BowdenPlant(from_table(PlantParameters, parameters, where="plant"))

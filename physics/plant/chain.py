@@ -1,9 +1,8 @@
 """The rope path from the drum to the leg: elements with tension between nodes with friction, one time step.
 
-The rule of this file: compiled, no allocation, no branch on what the rope does.  Node 0 is the rope on the
-drum, node NODES + 1 the anchor on the leg; between them the cable's nodes slide in the sheath and the
-fabric's on the knee, whose surface moves with the leg.  Friction therefore turns with the rope's velocity
-in (3) and with the fabric's strain rate in (7).
+Compiled, no allocation, no branch on the rope's state. Node 0 is the rope on the drum, node NODES + 1 the anchor on
+the leg. Between them the cable's nodes slide in the sheath and the fabric's on the knee, whose surface moves with the
+leg. Friction therefore turns with the rope's velocity in (3) and with the fabric's strain rate in (7).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """From declared parameters to the flat array: element stiffness, damping, node masses, the state at power-on.
 
-The rule of this file: what the step needs and nobody declares is computed here, once.  Node masses are chosen,
-not measured: the least for which the fastest mode of the chain turns by `TURN` rad a step (the explicit limit is 2),
-half a gram to a gram; the paper takes rope and fabric as massless.
+Coefficients that the step needs and that are not declared are computed here, once. Node masses are chosen, not
+measured: the least for which the fastest mode of the chain turns by `TURN` rad a step (the explicit limit is 2), half
+a gram to a gram; the paper takes rope and fabric as massless.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The fabric over the knee: quadratic stiffness, wrap friction, creep.
 
-The rule of this file: the whole rope-and-fabric path stretches by (10); what the rope's own linear
-compliance does not account for is the fabric's, by shares of its length.  A share w stretches by
-w·(b·T + a·T²), a < 0, and is continued along its tangent from 90 % of the turning tension.
+The whole rope-and-fabric path stretches by (10). The stretch beyond the rope's own linear compliance is the fabric's,
+by shares of its length. A share w stretches by w·(b·T + a·T²), a < 0, and is continued along its tangent from 90 % of
+the turning tension.
 """
 
 from __future__ import annotations

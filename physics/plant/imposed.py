@@ -35,7 +35,7 @@ REST_S: Final = 0.2
 
 
 class Tensions(NamedTuple):
-    """What the simulation says at each sample, N: true tensions at START and END, END's cantilevered mass included."""
+    """Simulated tensions at each sample, N: true tensions at START and END, END's cantilevered mass included."""
 
     start_n: Array
     end_n: Array

@@ -1,7 +1,7 @@
-"""Where each number of the plant lives in its one flat float64 array.
+"""Layout of the plant's one flat float64 array.
 
-The rule of this file: a declared parameter, a derived coefficient and a state each have one slot, named once;
-the compiled step and the Python around it read the same names.
+A declared parameter, a derived coefficient and a state each have one index, named once; the compiled step and the
+Python around it use the same names.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What no device feels, from the plant's array: one row of the truth file.
+"""True signals that no device measures, from the plant's array: one row of the truth file.
 
-The rule of this file: one law for whoever asks by name and for whoever writes rows in bulk.  As in `plant.step`, the
-sources' digest is a constant of the compiled function.
+One function serves requests by name and rows in bulk. As in `plant.step`, the sources' digest is a constant of the
+compiled function.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Relations of the drives: `drive_force`, `servo` and `knee` between measured signals.
+"""Prediction equations of the drives: `drive_force`, `servo` and `knee` between measured signals.
 
-The rule of this file: a drive is what its target and its force say of it; forces in N and motion in m at the rope.
+A drive is described by its target and its force alone; forces in N and motion in m at the rope.
 """
 
 from __future__ import annotations

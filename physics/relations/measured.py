@@ -1,6 +1,6 @@
-"""Measured signals on one time base, and what the sensors and the knee really saw.
+"""Measured signals on one time base, corrected to the true inputs of sensors and knee.
 
-The rule of this file: what was measured is kept as it was; a sensor's error is undone by its law in one place.
+Measurements are kept unchanged; the error model of a sensor is inverted in one place.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REMEMBERED: Final = 4
 
 
 class Fine(NamedTuple):
-    """The rope's motion at the trial's own rate, and how what is made of it comes to the working rate."""
+    """The rope's motion at the trial's own rate, and the decimation of results to the working rate."""
 
     rope_m: Array
     rope_m_s: Array
@@ -37,10 +37,10 @@ class Fine(NamedTuple):
 
 @dataclass
 class Signals:
-    """What was measured: arrays by signal name with the derivatives that laws read.
+    """Measured signals: arrays by signal name with the derivatives that the equations need.
 
-    `fresh`: where a memory starts again; `progress`: 0…1 over the trial; `fine`: the rope's motion as it was sampled,
-    for laws that turn over between two of these samples.
+    `fresh`: samples at which a memory starts again; `progress`: 0…1 over the trial; `fine`: the rope's motion at its
+    own rate, for equations that reverse between two of these samples.
     """
 
     columns: Mapping[str, Array]
@@ -56,7 +56,7 @@ class Signals:
         return self.columns[name]
 
     def remember(self, law: Callable[..., T], *given: Any) -> T:
-        """Return `law(self, *given)`, made once for what is given: most parameters leave most laws alone."""
+        """Return `law(self, *given)`, computed once per argument: most parameters do not affect most equations."""
         return self._memory.recall(law, given, lambda: law(self, *given))
 
     def later(self, values: Array, seconds: float) -> Array:

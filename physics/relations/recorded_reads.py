@@ -1,8 +1,7 @@
-"""What a law depends on, recorded as it reads its parameters; results kept by what they were made from.
+"""Dependencies of an equation, recorded as it reads its parameters; results cached by their inputs.
 
-The rule of this file: nothing lists what a law reads.  A relation is run once on values that record (`Recorded`), its
-switches on and off; a part of a law is a function of arrays and numbers alone, so that what it was called with is what
-its result depends on.
+No list of dependencies exists. A prediction equation is run once on values that record (`Recorded`), its switches on
+and off. A part of an equation is a function of arrays and numbers alone, so its result depends on its arguments only.
 """
 
 from __future__ import annotations
@@ -42,10 +41,10 @@ class Recorded(Mapping[str, float]):
 
 
 class Memory:
-    """The last `size` results of each function, by what it was called with: numbers by value, arrays by identity.
+    """The last `size` results of each function, by its arguments: numbers by value, arrays by identity.
 
-    An array that was handed in or out is never written to afterwards; the memory holds it, so that no other takes its
-    place.
+    An array that was handed in or out is never written to afterwards; the memory keeps a reference, so that no other
+    array gets its identity.
     """
 
     __slots__ = ("_held", "size")

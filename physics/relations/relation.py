@@ -1,8 +1,7 @@
-"""Relations between measured signals that should hold: the table of DESIGN §8's names.
+"""Prediction equations between measured signals (`RELATIONS`), with the names of DESIGN §8.
 
-The rule of this file: a relation predicts one measured signal from others through the laws of this room, over
-the parameters of `physics.parameters`; what a law reads is recorded, not listed.  An effect that those laws do not read
-brings its own, by relation (`Effect.measured`).
+An equation predicts one measured signal from others, over the parameters of `physics.parameters`; its dependencies
+are recorded, not listed. An effect outside these equations supplies one, by relation (`Effect.measured`).
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ def _switched_on() -> dict[str, float]:
 
 
 def _probe(fine: bool = False, only: set[str] | None = None) -> Signals:
-    """Return signals of a few samples that move; `only`: what is measured, else everything is."""
+    """Return signals of a few samples that move; `only`: the measured ones, else all are."""
     time = np.arange(12) * 1e-2
     wave = 1.0 - np.cos(2.0 * np.pi * time / 0.12)
     columns = {
@@ -104,7 +103,7 @@ def _probe(fine: bool = False, only: set[str] | None = None) -> Signals:
 
 
 def brings_own(relation: Relation) -> bool:
-    """Whether an effect of the catalogue brings a law of its own to `relation`."""
+    """Whether an effect of the catalogue supplies an equation for `relation`."""
     return any(relation.name in effect.measured for effect in CATALOGUE.values())
 
 

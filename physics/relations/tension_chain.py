@@ -55,7 +55,7 @@ def grip(force: float, speed: float, load: float, ratio: float, calm: float) -> 
 
 @njit(inline="always")
 def recalled(recent: float, speed: float, before: float, seconds: float, memory: float) -> float:
-    """Return the sliding speed that friction remembers, m/s, `seconds` after `recent` (Hess and Soom)."""
+    """Return the lagged sliding speed of the friction, m/s, `seconds` after `recent` (Hess and Soom)."""
     if memory <= 0.0:
         return speed
     fade = math.exp(-seconds / memory)
@@ -66,7 +66,7 @@ def recalled(recent: float, speed: float, before: float, seconds: float, memory:
 def stretch_of(force: float, linear: float, bend: float, toe: float) -> float:
     """Return the stretch at a tension, m: (10), continued along its tangent from 90 % of the turning point.
 
-    `toe`: what the first newtons take more than (10), which was fitted from 20 N up.
+    `toe`: additional stretch of the first newtons; (10) was fitted from 20 N up.
     """
     force = max(force, 0.0)
     if toe != 0.0:
@@ -203,7 +203,7 @@ def _slid(s: float, ahead: float, back: float, travel: float, shape: float) -> t
 
 @njit(inline="always")
 def _expected(node: int, moved: float, strain: float) -> float:
-    """Return how far a node slides where the path stretches evenly, m, from what the drum moved and the path strained.
+    """Return the slip of a node if the path stretches evenly, m, from the drum's motion and the path's strain.
 
     The cable's nodes are last.
     """
@@ -216,11 +216,11 @@ def from_motion(
     linear: float, bend: float, toe: float, compliance: float, creep_rate: float, creep_time: float, distance_f: float,
     distance: float, shape: float, load: float, ratio: float, calm: float, memory: float,
 ) -> tuple[Array, Array]:
-    """Return (END, START) tension, N, that the positions of drum and leg anchor, m, ask for: (10), (11), (3), (7).
+    """Return (END, START) tension, N, required by the positions of drum and leg anchor, m: (10), (11), (3), (7).
 
-    `linear`, `bend`: the whole path's stretch, of which `compliance` is the rope's own, before the friction.
-    END is found in each sample by Newton's method kept in its bracket (monotone); zero where the rope is slack.
-    It is one function because arrays that are handed on within a loop are counted there, at more than what it computes.
+    `linear`, `bend`: the whole path's stretch, of which `compliance` is the rope's own, before the friction. END is
+    found in each sample by Newton's method kept in its bracket (monotone); zero if the rope is slack. It is one
+    function because numba counts references of arrays passed on within a loop, which costs more than the computation.
     """
     n, nodes = drum.size, FABRIC_NODES + CABLE_NODES
     end_out, start_out = np.zeros(n), np.zeros(n)
@@ -314,12 +314,13 @@ def read_at_start(
     start: Array, speed: Array, measured: Array, progress: Array, viscous: float, pressed_n: float, slack_n: float,
     gain: float, offset: float, drift: float,
 ) -> Array:
-    """Return what the START sensor reads, N, of the tension `start` with the rope's viscous drag put on while taut.
+    """Return the START sensor's reading, N, of the tension `start` with the rope's viscous drag added while taut.
 
     `pressed_n` above 0: tension from which the rope is pressed to its sheath and drags in full; in proportion below.
-    `slack_n` above 0: a rope that can be slack never pushes.  Its drag at the edge of slack is anything from none to
-    all of it, and END cannot say which: below `UNSURE_N` it is what START itself (`measured`, N, empty where there is
-    none) says in between.  Up to twice that what is open narrows to the law: a step there would follow each constant.
+    `slack_n` above 0: a rope that can be slack never pushes. Its drag at the edge of slack is anything from none to
+    all of it, and END cannot determine it. Below `UNSURE_N` the result is START itself (`measured`, N, empty without
+    one) within that range. Up to twice that the range narrows to the equation, since a step there would depend on
+    each constant.
     """
     out = np.empty(start.size)
     for k in range(start.size):

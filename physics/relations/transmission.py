@@ -97,7 +97,7 @@ def _before_knee(signals: Signals, end: Array, calmed: Array, exponent: Array, c
 
 
 def _calm(signals: Signals, tension: Array) -> Array:
-    """Return a tension without what is quicker than `CALM_S`: a sensor's noise slides no fabric."""
+    """Return a tension low-passed at `CALM_S`, since a sensor's noise slides no fabric."""
     samples = CALM_S / signals.step_s
     return np.asarray(gaussian_filter1d(tension, samples)) if samples > 0.5 else tension
 
@@ -138,7 +138,7 @@ def friction(signals: Signals, p: Values) -> Array:
 
 
 def _toe(p: Values) -> float:
-    """Return what the first newtons stretch the path more than (10), m."""
+    """Return the additional stretch of the path under the first newtons, beyond (10), m."""
     return p["toe"] / p["stiffness_scale"]
 
 

@@ -34,7 +34,7 @@ ERROR_BIT, EXTENDED_MASK = 0x20000000, 0x1FFFFFFF
 
 
 def is_log(line: str) -> bool:
-    """Say whether a line is candump's, of its log or of its screen."""
+    """Return whether a line is candump's, of its log or of its screen."""
     return bool(_LINE.match(line.strip()) or _FD_LINE.match(line) or _SCREEN.match(line.strip()))
 
 

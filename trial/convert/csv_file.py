@@ -50,7 +50,7 @@ class Dialect:
 
 
 def reserved(name: str) -> bool:
-    """Say whether a column of this name is taken without a map."""
+    """Return whether a column of this name is taken without a map."""
     return name in UNITS or name == DEGREE_ALIAS
 
 

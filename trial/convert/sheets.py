@@ -77,7 +77,7 @@ def parquet(path: Path) -> LabTable:
 
 
 def _fixed_width(kind: Any) -> bool:
-    """Say whether a column of Arrow type `kind` holds numbers, truth values or times."""
+    """Return whether a column of Arrow type `kind` holds numbers, truth values or times."""
     from pyarrow import types
 
     return bool(types.is_primitive(kind) or (types.is_dictionary(kind) and types.is_primitive(kind.value_type)))
@@ -222,7 +222,7 @@ def mdf(path: Path) -> LabTable:
 
 
 def has_can_frames(path: Path) -> bool:
-    """Say whether an MDF file is a log of CAN frames."""
+    """Return whether an MDF file is a log of CAN frames."""
     refuse_special(path)
     try:
         from asammdf import MDF

@@ -32,7 +32,7 @@ class Timed(NamedTuple):
 
 
 def is_time(cell: str) -> bool:
-    """Say whether a cell is a date with a time, or a time of day."""
+    """Return whether a cell is a date with a time, or a time of day."""
     return ":" in cell and bool(_ISO.match(cell) or _DOTTED.match(cell) or _CLOCK.match(cell))
 
 

@@ -27,7 +27,10 @@ from virtual_bus.wire.wire import Wire
 SWITCH: Final = "BOWDEN_STEADY"
 """The environment's variable that turns it off: 0."""
 SPAN_NS: Final = 20_000
-"""What a cycle may take longer than the last one before it is tried at all; it is only ever given up, never wrong."""
+"""Margin over the duration of the last cycle, ns, within which a compiled cycle is tried.
+
+Too small: a cycle is given up and run event by event; the result is the same.
+"""
 ROOM: Final = 32
 """Places that the computer's queues need for none of them ever to be full."""
 WAITING: Final = 12
@@ -36,7 +39,7 @@ _NOBODY: Final[frozenset[int]] = frozenset()
 
 
 def possible(bench: Bench) -> bool:
-    """Say whether a bench can have steady cycles at all: the plant is the compiled one, and they are not turned off."""
+    """Return whether a bench can have steady cycles at all: the plant is the compiled one, and they are not turned off."""
     machine = bench.machine
     if os.environ.get(SWITCH, "1") == "0" or not isinstance(machine, Machine) or type(machine.plant) is not BowdenPlant:
         return False
@@ -47,7 +50,7 @@ def possible(bench: Bench) -> bool:
 
 
 class Steady:
-    """The steady cycles of one bench; `cycles` counts them.  `warm`: the arrays know more than the objects do."""
+    """Compiled cycles of one bench; `cycles` counts them. `warm`: the arrays are newer than the objects."""
 
     def __init__(self, bench: Bench) -> None:
         law.prepare()
@@ -88,7 +91,7 @@ class Steady:
                              frames=arrays.rows[ROW * first:ROW * end], frame_count=end - first)
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
-        """Give the heartbeats of the last cycle."""
+        """Return the heartbeats of the last cycle."""
         i, found = self._i, []
         if i[law.OWN_AT] >= 0:
             found.append((i[law.OWN_ID], i[law.OWN_AT], i[law.OWN_DATA]))
@@ -167,7 +170,7 @@ def _plain(message: BowdenMessage) -> bool:
 
 
 def _at_work(device: Device, asked: CycleRequest) -> bool:
-    """OPERATIONAL, nothing to send or to say, no SDO under way, SYNC without a counter, its master alive and alone."""
+    """Whether a device is OPERATIONAL with nothing to send, no SDO, no SYNC counter, and one live master."""
     consumer = device.consumer
     return (device.state is NmtState.OPERATIONAL and not device.outbox and device.emcy.silent and device.sdo.idle
             and device.sync.steady and consumer.all_live()

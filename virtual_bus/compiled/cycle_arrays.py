@@ -1,7 +1,7 @@
 """The arrays of `cycle_code`, filled from the bench's objects and written back to them.
 
-The rule of this file: what is read here is written back here; plant, axes, channels and converters keep their numbers
-in the arrays for good, everything else is copied.
+All that is read here is written back here. Plant, axes, channels and converters keep their numbers in the arrays
+permanently; other numbers are copied.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Heartbeat(NamedTuple):
 
 
 class CycleRequest(NamedTuple):
-    """What a master asks for: its socket, its tap's (None: none), its frame and its size, the inputs it waits for.
+    """A master's request: its socket, its monitor socket (None: none), its frame and its size, the expected inputs.
 
-    They have to come within `budget_ns` of their SYNC.
+    The inputs have to arrive within `budget_ns` of their SYNC.
     """
 
     socket: Socket
@@ -55,7 +55,7 @@ class CycleRequest(NamedTuple):
 
 
 class Member(NamedTuple):
-    """A node of the bench, as the wire, the core and the profile know it."""
+    """A node of the bench, as station of the wire, as device and as profile."""
 
     station: NodeStation
     device: Device
@@ -112,7 +112,7 @@ class Arrays:
     # ---- in ----
 
     def tables(self, asked: CycleRequest) -> Tables | None:
-        """Give the rows of all PDOs in a cycle; None where one has none, or nodes send other ones than asked for."""
+        """Return the rows of all PDOs in a cycle; None where one has none, or nodes send other ones than asked for."""
         sends: list[list[int] | None] = []
         receivers: list[tuple[int, int, ReceivePdo]] = []
         sizes, cyclic = {asked.targets_id: asked.size}, {asked.targets_id, *asked.inputs}

@@ -1,13 +1,13 @@
 """One complete control cycle between the master's targets and the last input of the next SYNC, compiled.
 
-The rule of this file: it has the kernel's order of events, (time, priority), and no semantics of its own: plant, drive
-ticks, converters, channels, set-points and stuffing are the functions that the devices and the wire call one by one.
-Whatever it does not know ends it with everything as it was: then the cycle is run the other way.
+Events run in the order of the event heap, (time, priority), by the same functions as one by one: plant, drive ticks,
+converters, channels, set-points and stuffing. An event outside these functions ends the call with all arrays
+restored; the cycle is then run event by event.
 
-Everything lives in two flat arrays: `f`, float64, laid out as `FLOATS`, and `i`, int64 (times in ns), as `INTEGERS`;
-`rows` gets the frames, three words each, as `trial.mcap_file.cdr.FRAME_ROW` has them.  `rings` are the converters'
-rings, (`GAUGES`, `RING`, 2), an array of their own: compiling one `reshape` in here took two seconds, for the text of
-its error.
+All numbers are in two flat arrays: `f`, float64, laid out as `FLOATS`, and `i`, int64 (times in ns), as `INTEGERS`;
+`rows` gets the frames, three words each, as `trial.mcap_file.cdr.FRAME_ROW` has them. `rings` are the converters'
+rings, (`GAUGES`, `RING`, 2), a separate array, because one `reshape` took two seconds to compile, for the text of its
+error.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ NODES: Final = AXES + GAUGES
 """Two drives, servo and knee, then two tension sensors: their places in the tables."""
 SENDS: Final = 6
 TAKES: Final = 8
-"""How many TPDOs, and RPDOs that a cycle's frames reach, the tables hold."""
+"""Capacity of the tables: TPDOs, and RPDOs reached by a cycle's frames."""
 ROWS: Final = 32
-"""How many frames `rows` holds: those left from the cycle before and those of this one."""
+"""Capacity of `rows` in frames: the remainder of the cycle before, and those of this one."""
 
 _STATE, _SET = axis_law.STATES, axis_law.SETTINGS
 CONVERTER, SENSOR = 5, 11
 """Numbers of a converter's history, and of its parameters."""
 TRUTHS: Final = 128
-"""How many rows of the truth wait before they are written."""
+"""Rows of the truth that are collected before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
 ACTION_WIDTH: Final = 3
-"""Unit, origin and end of what an RPDO's object does: `set_point_law.Taker`."""
+"""Unit, origin and range of an RPDO object's effect: `set_point_law.Taker`."""
 TOOK_WIDTH: Final = 5
 """Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
 PENDING_WIDTH: Final = 5
 """Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
 WAIT: Final = SENDS + 2 * NODES + 6
-"""How many frames can wait; one more place has the frame on the wire."""
+"""Frames that can wait; one more place has the frame on the wire."""
 SEND_WIDTH: Final = 4 + 3 * 4
 """Per TPDO: node, identifier, size, fields; each field its source, bits, signed."""
 TAKE_WIDTH: Final = 12
@@ -62,9 +62,9 @@ TAKE_WIDTH: Final = 12
 
 
 def _memory(code: str, kept: Sequence[_Part], rest: Sequence[_Part]) -> np.dtype[np.void]:
-    """Return the layout of a memory of 8-byte words: what a cycle changes, the rest, a copy of what a cycle changes.
+    """Return the layout of a memory of 8-byte words: the changing part, the rest, a copy of the changing part.
 
-    The copy (`before`) is what a cycle that is given up is undone from.
+    The copy (`before`) restores a cycle that is given up.
     """
     changed, other = (np.dtype([(name, code, shape) for name, shape in parts]) for parts in (kept, rest))
     return np.dtype([("kept", changed), ("rest", other), ("before", changed)])
@@ -197,7 +197,7 @@ FROM_TARGETS, FROM_SYNC, FROM_OWN, FROM_NODE = -1, -2, -3, -4
 NEVER: Final = 1 << 62
 
 DONE, UNKNOWN, LATE = 1, 0, -1
-"""How a cycle ended: whole; given up for an event it does not know; given up because it would reach its limit."""
+"""Result of a cycle: complete; given up for an unsupported event; given up because it would reach its limit."""
 
 SYNC_ID: Final = 0x080
 
@@ -315,7 +315,7 @@ def take(f: Any, i: Any, n: int) -> Any:
 
 @njit
 def hear(f: Any, i: Any, now: int, can_id: int, data: int) -> bool:
-    """Give a frame to every RPDO that has its identifier; False where more follows from it than a new set-point."""
+    """Return a frame to every RPDO that has its identifier; False where more follows from it than a new set-point."""
     for n in range(i[TAKE_COUNT]):
         at, kept = TAKE + n * TAKE_WIDTH, TOOK + TOOK_WIDTH * n
         if i[at + 1] == can_id:
@@ -419,9 +419,9 @@ def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
 
 @njit
 def begin(i: Any, rows: Any) -> Any:
-    """Move the rows that were left to the front, forget what the cycle before found, put the targets.
+    """Move the remaining rows to the front, clear the results of the cycle before, put the targets.
 
-    False where something is overdue at once.  Deadlines are far beyond a cycle, or else they are its limit.
+    Return False if something is overdue at once. Deadlines are far beyond a cycle, or else they are its limit.
     """
     kept = i[LAST_ROW] - i[FIRST_ROW]
     for row in range(kept):
@@ -452,7 +452,7 @@ def beat_own(i: Any, now: int) -> None:
 
 @njit
 def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
-    """Give a frame that has ended to everybody; False to give up."""
+    """Return a frame that has ended to everybody; False to give up."""
     can_id, data, sender = i[at + 1], i[at + 3], i[at + 4]
     i[FRAMES] += 1
     if i[HEARD]:

@@ -1,7 +1,6 @@
-"""What moves behind the devices: the plant, the drives' ticks, the converters' samples.
+"""The machine behind the devices: the plant, the drives' ticks, the converters' samples.
 
-The rule of this file: at each instant the plant first comes up to it under the torques demanded so far,
-then devices are told what they can feel.
+At each instant the plant first advances under the torques demanded so far, then devices receive its outputs.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from virtual_bus.wire.node_station import NodeStation
 
 
 class TickedDrive(Protocol):
-    """What is asked of a drive; `nodes.drives.drive.TickedDrive` does it."""
+    """Protocol of a drive; `nodes.drives.drive.TickedDrive` implements it."""
 
     def tick(self, now_ns: int, position: float, velocity: float) -> float:
         """Return the torque demand, N·m."""
@@ -30,7 +29,7 @@ class TickedDrive(Protocol):
 
 
 class Tension(Protocol):
-    """What is asked of a tension sensor; `nodes.sensors.tension_sensor.TensionSensor` does it."""
+    """Protocol of a tension sensor; `nodes.sensors.tension_sensor.TensionSensor` implements it."""
 
     @property
     def interval_ns(self) -> int:
@@ -41,7 +40,7 @@ class Tension(Protocol):
 
 
 class SensorConverter(Protocol):
-    """What is asked of a bridge and its converter; `physics.converter.SensorConverter` does it."""
+    """Protocol of a bridge and its converter; `physics.converter.SensorConverter` implements it."""
 
     def sample(self, time_ns: int, force_n: float) -> int:
         """Return counts."""
@@ -64,7 +63,7 @@ class Gauge(NamedTuple):
 
 
 class Feeling(Protocol):
-    """What is asked of the application of an observer's simulated device."""
+    """Protocol of the application of an observer's simulated device."""
 
     def feel(self, now_ns: int, felt: Outputs) -> None:
         """Take the plant's outputs, at every drive tick."""
@@ -78,7 +77,7 @@ class Observer(NamedTuple):
 
 
 class MachineState(NamedTuple):
-    """Where a machine stands between two instants: when drives tick and sensors sample next, torques held, N·m."""
+    """Progress of a machine between two instants: next drive tick, next samples of the sensors, torques held, N·m."""
 
     tick_ns: int
     sample_ns: tuple[int, ...]
@@ -86,7 +85,7 @@ class MachineState(NamedTuple):
 
 
 BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
-"""What is wrong with a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
+"""Fault of a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
 
 START_FEELS = Outputs._fields.index("start_n")
 END_FEELS = Outputs._fields.index("end_n")
@@ -121,7 +120,7 @@ class Machine:
         self._kernel.at(self._tick_ns, TICK, self._act)
 
     def trouble(self, fault: Fault, there: bool) -> None:
-        """Begin or end what is wrong with a sensor's bridge, or press or release a drive's emergency stop."""
+        """Begin or end a fault of a sensor's bridge, or press or release a drive's emergency stop."""
         if fault.kind in BRIDGES:
             if there:
                 self._bridges[fault.node] = BRIDGES[fault.kind]
@@ -135,12 +134,12 @@ class Machine:
 
     @property
     def steady(self) -> bool:
-        """It runs, and every bridge is whole."""
+        """Whether the machine runs and every bridge is intact."""
         return bool(self._sample_ns) and not self._bridges
 
     @property
     def state(self) -> MachineState:
-        """Where it stands."""
+        """Return the times of the next tick and samples, and the torques held."""
         return MachineState(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
 
     def go_on(self, state: MachineState) -> None:

@@ -1,8 +1,7 @@
-"""What a plant model says: nominal values by table, effects by their names, and what the wire does to PDOs.
+"""Plant model: nominal values by table, effects by their names, and the wire's effects on PDOs.
 
-The rule of this file: a table's values take the nominal ones' place, and serial and day scatter them like any; what was
-measured on a bench (`physics.bench_model`) and effects are at work with the very values that are stated, whatever
-serial and day drew.
+A table's values replace the nominal ones, and serial and session scatter them like any. Values measured on a bench
+(`physics.bench_model`) and effects act with exactly the stated values, whatever serial and session drew.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How a bench departs from the nominal one: by its making (serial number), and from day to day.
+"""Scatter of a bench about the nominal one: by manufacture (serial number), and from session to session.
 
-The rule of this file: sizes stand in the table of parameters (`made`, `daily`), draws are made here.  Each parameter
-draws from its own stream, named by the parameter, so that a row more in a table changes no other draw.  Serial 0 is the
-nominal bench, day 0 the day of the identification.
+Sizes are in the table of parameters (`made`, `daily`), draws are made here. Each parameter draws from a separate
+stream, named by the parameter, so that a further row in a table changes no other draw. Serial 0 is the nominal bench,
+day 0 the session of the identification.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _spreads(tolerance: Callable[[Parameter], Tolerance | None]) -> tuple[Spread
 SERIAL: Final = _spreads(lambda p: p.made)
 """Manufacturing tolerances."""
 DAY: Final = _spreads(lambda p: p.daily)
-"""What changes from day to day."""
+"""Parameters that change from session to session."""
 
 Tables = dict[str, dict[str, float]]
 
@@ -56,7 +56,7 @@ Tables = dict[str, dict[str, float]]
 def scattered(
     nominal: Mapping[str, Mapping[str, float]], serial: int, day: int, steady: Container[str] = ()
 ) -> Tables:
-    """Return the tables of parameters, by group, of bench `serial` on `day`; a day leaves `steady` as they were."""
+    """Return the tables of parameters, by group, of bench `serial` on `day`; the parameters `steady` do not change."""
     tables = {group: dict(values) for group, values in nominal.items()}
     if serial:
         for spread in SERIAL:

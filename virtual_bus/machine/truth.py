@@ -1,7 +1,7 @@
-"""The side file: what no device feels.
+"""The side file with the true signals that no device measures.
 
-The rule of this file: it is written beside the trial, never into it, and writing it moves nothing: the values
-are those of the last drive tick before the SYNC that stamps them.  A disk that is full ends it, and the bench goes on.
+It is written beside the trial, never into it, and writing changes no simulated value: the values are those of the
+last drive tick before the SYNC that stamps them. A full disk ends the file, and the bench goes on.
 """
 
 from __future__ import annotations

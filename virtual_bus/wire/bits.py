@@ -1,8 +1,7 @@
 """The bits of a classical CAN frame: fields, CRC-15, stuffing (ISO 11898-1, 10.4).
 
-The rule of this file: what a frame costs on the wire is counted from its bits, never estimated.
-`sequence` writes them out; `frame_bits` counts them, compiled, because every frame needs it; `bits_of` counts
-those of a whole recording.
+The time of a frame on the wire is counted from its bits, never estimated. `sequence` writes them out; `frame_bits`
+counts them, compiled, because every frame needs it; `bits_of` counts those of a whole recording.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ INTERMISSION_BITS: Final = 3
 ERROR_FRAME_BITS: Final = 20
 """Error flag with its longest superposition (12) and error delimiter (8)."""
 SUSPEND_BITS: Final = 8
-"""What an error-passive transmitter waits besides the intermission."""
+"""Further wait of an error-passive transmitter after the intermission, bits."""
 RECOVERY_BITS: Final = 128 * 11
 """Recessive bits after which a node that is bus-off may take part again."""
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)

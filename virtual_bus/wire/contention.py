@@ -15,7 +15,7 @@ from virtual_bus.wire.station import Station, Waiting
 
 
 class Contention:
-    """The queues of all stations of one wire as one heap of what is coming and one of what contends."""
+    """The queues of all stations of one wire as two heaps: future frames, and frames that contend now."""
 
     __slots__ = ("_coming", "_serial", "contending")
 
@@ -53,7 +53,7 @@ class Contention:
         return min(free, default=None)
 
     def rivals(self, winner: Waiting, now_ns: int) -> list[Waiting]:
-        """Remove and return the frames of other stations that arbitration cannot tell from the winner's."""
+        """Remove and return the frames of other stations that are equal to the winner's in arbitration."""
         contending = self.contending
         first: dict[Station, Waiting] = {winner[2]: winner}
         for entry in sorted(contending):

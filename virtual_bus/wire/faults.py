@@ -1,7 +1,7 @@
-"""Faults of the wire and of what is wired to a node, declared: what, when, to which frames or node.
+"""Faults of the wire and of a node's wiring, declared: kind, time, and the frames or node concerned.
 
-The rule of this file: a fault is a row of `Fault`, effective from `start_s` to before `stop_s` of bus
-time; chance, where one is asked for, is drawn from the bench's seed and the row's place in the list.
+A fault is a row of `Fault`, effective from `start_s` to before `stop_s` of bus time; random faults are drawn from the
+bench's seed and the row's place in the list.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Fault:
         return round(self.stop_s * 1e9) if math.isfinite(self.stop_s) else NEVER
 
     def concerns(self, station: Station, frame: Frame, now_ns: int) -> bool:
-        """Say whether a frame of `station` is one of those it is about."""
+        """Return whether a frame of `station` is one of those it is about."""
         cob_id = 0x080 if self.kind == "late_sync" else self.cob_id
         return (
             self.start_ns <= now_ns < self.stop_ns

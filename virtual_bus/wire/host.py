@@ -1,7 +1,7 @@
 """The computer on the wire: one CAN controller, any number of sockets, as SocketCAN has it.
 
-The rule of this file: a socket gets every frame that its filters match, whether it came over the wire
-or from another socket of this computer, and what it sent itself only if it asked for that.
+A socket receives every frame that its filters match, from the wire and from other sockets of this computer. It
+receives its own frames only on request.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _ERROR_DATA: Final = struct.Struct("6B2B")
 
 
 class BowdenMessage(can.Message):
-    """A message that also knows its exact time; sockets share it, so take a copy before changing it."""
+    """A message with its exact time in ns; sockets share it, so copy it before changing it."""
 
     __slots__ = ("time_ns",)
     time_ns: int
 
 
 def message_of(frame: Frame, time_ns: int, received: bool, channel: str) -> BowdenMessage:
-    """Return `frame` as a message; `received` tells a frame from the wire from one of this computer's own."""
+    """Return `frame` as a message; `received` is True for a frame from the wire, False for one of this computer."""
     message = BowdenMessage.__new__(BowdenMessage)
     can_id, data, remote, extended, error, dlc = frame
     message.time_ns = time_ns
@@ -65,7 +65,7 @@ class Socket:
         self.filters: CanFilters | None = None
 
     def accepts(self, route: int) -> bool:
-        """Say whether one of its filters matches; no filters match everything."""
+        """Return whether one of its filters matches; no filters match everything."""
         if not self.filters:
             return True
         can_id, extended = route & ~EXTENDED, bool(route & EXTENDED)
@@ -76,7 +76,7 @@ class Socket:
 
 
 class Host(Station):
-    """The computer's controller; the frames of its sockets leave in the order they were sent in."""
+    """The computer's controller; frames of its sockets are transmitted in the order of sending."""
 
     def __init__(self, channel: str, node: int, *, limit: int, restart_ns: int) -> None:
         super().__init__("host", self.receive, node=node, limit=limit, fifo=True, restart_ns=restart_ns)
@@ -85,11 +85,11 @@ class Host(Station):
         self._matching: dict[int, tuple[Socket, ...]] = {}
 
     def rematch(self) -> None:
-        """Forget which sockets want what; to be told when sockets or their filters have changed."""
+        """Clear the routes; call it when sockets or their filters have changed."""
         self._matching.clear()
 
     def receive(self, frame: Frame, now_ns: int, received: bool = True, origin: object = None) -> None:
-        """Give a frame to every socket that wants it, except to the socket of its origin."""
+        """Pass a frame to every socket whose filter accepts it, except to the socket of its origin."""
         route = frame.can_id | EXTENDED if frame.extended else frame.can_id
         sockets = self._matching.get(route)
         if sockets is None:
@@ -106,7 +106,7 @@ class Host(Station):
                     socket.lost += 1
 
     def sent(self, frame: Frame, origin: object, now_ns: int) -> None:
-        """Give an own frame, once it is on the wire, to the other sockets, and to its own if it wants that."""
+        """Pass an own frame, once it is on the wire, to the other sockets, and to its sender on request."""
         self.receive(frame, now_ns, False, origin)
 
     def errs(self, kind: ErrorKind, sending: bool, now_ns: int) -> None:
@@ -134,7 +134,7 @@ class Host(Station):
 
 
 class Room:
-    """As long as there is room in a station's transmit queue."""
+    """Buffer that holds as long as a station's transmit queue has room."""
 
     def __init__(self, station: Station) -> None:
         self._station = station

@@ -1,7 +1,7 @@
 """A CANopen device joined to the wire.
 
-The rule of this file: a device is told what happens and the time, nothing else; what it wants sent
-leaves after its stated response time, and it is woken when it said it would have work.
+A device receives frames, states and the time, nothing else. Its frames are transmitted after its stated response
+time, and it is woken at the time that it requested.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from virtual_bus.wire.station import Confinement, Station
 
 
 class BusDevice(Protocol):
-    """What a sans-IO device shows to whoever joins it to a bus; `nodes.core.device.BusDevice` does."""
+    """Protocol of a sans-IO device on a bus; `nodes.core.device.BusDevice` implements it."""
 
     @property
     def node_id(self) -> int:
@@ -23,7 +23,7 @@ class BusDevice(Protocol):
 
     @property
     def filters(self) -> frozenset[int]:
-        """COB-IDs it wants now; a new object whenever they change."""
+        """COB-IDs that it receives now; a new object whenever they change."""
 
     @property
     def outbox(self) -> deque[Frame]:
@@ -36,7 +36,7 @@ class BusDevice(Protocol):
         """Take a frame at its end."""
 
     def poll(self, now_ns: int) -> None:
-        """Run what is due."""
+        """Run all actions that are due."""
 
     def next_ns(self) -> int | None:
         """Say when `poll` has work."""
@@ -71,7 +71,7 @@ class NodeStation(Station):
             self._wake_at(due_ns, now_ns)
 
     def settle(self, now_ns: int) -> None:
-        """After anything the device was told: send its outbox, follow its filter, be there when it has work."""
+        """Update after any call of the device: send its outbox, follow its filter, schedule its next wake-up."""
         device = self.device
         if device.outbox:
             ready_ns = now_ns + self.turnaround_ns
@@ -87,7 +87,7 @@ class NodeStation(Station):
             self._wake_at(due_ns, now_ns)
 
     def look_again(self, now_ns: int) -> None:
-        """Wake the device when it has work now, not when it once said it would have."""
+        """Wake the device at its present next deadline in place of the one scheduled earlier."""
         self.due_ns = NEVER
         self.settle(now_ns)
 

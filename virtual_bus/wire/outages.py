@@ -1,6 +1,6 @@
-"""Faults of whole stations and of what is wired to them: cut, deaf, without supply, babbling; bridges, STO inputs.
+"""Faults of whole stations and of their wiring: cut, deaf, without supply, babbling; bridges, STO inputs.
 
-The rule of this file: each acts at its two instants only and leaves the wire's hot path alone.
+Each acts at its two instants only and costs the wire's hot path nothing.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ _EFFECTS = {"deaf": _deaf, "power_off": _power_off}
 
 
 class _Babbler(Station):
-    """A station that says the same thing over and over."""
+    """A station that sends one frame over and over."""
 
     def __init__(self, kernel: Kernel, fault: Fault) -> None:
         super().__init__("babbler", lambda frame, now_ns: None, filters=frozenset(), limit=2)

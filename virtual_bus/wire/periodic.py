@@ -70,7 +70,7 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
 
     @property
     def sync(self) -> bool:
-        """It sends SYNC without data and nothing else, for good."""
+        """Whether the task sends SYNC without data, and nothing else, without end."""
         message, *more = self.messages
         return not more and self._modifier is None and self._stop_ns == NEVER and message.arbitration_id == SYNC \
             and not (message.is_extended_id or message.is_remote_frame or message.dlc or message.data)

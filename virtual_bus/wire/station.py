@@ -1,7 +1,6 @@
-"""One CAN controller on the wire: what waits in it, what it accepts, how much it errs.
+"""One CAN controller on the wire: its transmit queue, acceptance filter and error counters.
 
-The rule of this file: fault confinement is ISO 11898-1, 12.1.4: the counters say the state, and only
-the wire counts.
+Fault confinement is ISO 11898-1, 12.1.4: the counters determine the state, and only the wire counts.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class Confinement(Enum):
 
 
 class ErrorKind(Enum):
-    """What ended a frame early."""
+    """Cause of a frame's early end."""
 
     BIT = "bit error"
     CRC = "CRC error"
@@ -42,7 +41,7 @@ Deliver = Callable[[Frame, int], None]
 
 
 class Medium(Protocol):
-    """What stations are joined by: `wire.Wire`, or `serve.Outside`."""
+    """Protocol of the medium that joins stations: `wire.Wire`, or `serve.Outside`."""
 
     def attach(self, station: Station) -> None:
         """Join a station."""
@@ -63,10 +62,10 @@ class Medium(Protocol):
 class Station:
     """A controller with a finite transmit queue.
 
-    `fifo` tells which of its frames takes part in arbitration: the oldest (one mailbox behind a driver's
-    queue, as SocketCAN has it) or the one of the smallest identifier (a mailbox each, as devices have it).
-    `filters` are the base-format identifiers it accepts, `None` accepts all; who is `listen_only` acknowledges
-    nothing. `restart_ns` passes after bus-off before it begins to count the recessive bits of its recovery.
+    `fifo` selects which of its frames takes part in arbitration: the oldest (one mailbox behind a driver's queue, as
+    SocketCAN has it) or the one of the smallest identifier (a mailbox each, as devices have it). `filters` are the
+    base-format identifiers it accepts, `None` accepts all; a `listen_only` station acknowledges nothing. `restart_ns`
+    passes after bus-off before it begins to count the recessive bits of its recovery.
     """
 
     def __init__(
@@ -113,7 +112,7 @@ class Station:
         return self.wire.submit(self, frame, ready_ns, origin)
 
     def accepts(self, route: int) -> bool:
-        """Say whether a frame of this identifier (`EXTENDED` set for extended format) gets through the filter."""
+        """Return whether a frame of this identifier (`EXTENDED` set for extended format) gets through the filter."""
         if self.deaf_to is None or route in self.deaf_to:
             return False
         return self.filters is None or route in self.filters
@@ -152,7 +151,7 @@ class Station:
             self.tec += TEC_STEP
 
     def confinement(self) -> Confinement:
-        """Return the state that the counters say."""
+        """Return the state that follows from the counters."""
         if self.tec > BUS_OFF_ABOVE:
             return Confinement.BUS_OFF
         return Confinement.PASSIVE if max(self.tec, self.rec) > PASSIVE_ABOVE else Confinement.ACTIVE

@@ -29,7 +29,7 @@ TO_CRC_ERROR_BITS = -7
 
 
 class FrameFaults(Protocol):
-    """What faults do to frames; see `faults.py`."""
+    """Protocol of faults on frames; see `faults.py`."""
 
     def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
         """Return when the frame takes part in arbitration."""
@@ -88,7 +88,7 @@ class Wire:
         return waiting
 
     def reroute(self) -> None:
-        """Forget who receives what; to be told when a station's filter, deafness or confinement has changed."""
+        """Clear the routes; call it when a station's filter, deafness or confinement has changed."""
         self._participants = sum(
             station.state is not Confinement.BUS_OFF and not station.listen_only for station in self.stations
         )

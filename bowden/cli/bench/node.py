@@ -466,7 +466,7 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
 @contextmanager
 def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
                **guarded: bool) -> Iterator[tuple[Link, DescribedNode]]:
-    """Give a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
+    """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
     from eds.bench.bench_network import wire
     from eds.cia301 import NmtCommand
     from master.network.dcf import NamedNode
@@ -486,7 +486,7 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
 @contextmanager
 def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, force: bool = False,
           acts: bool = False) -> Iterator[NodeAccess]:
-    """Give a node on its bus; `acts`: refuse while another master is there, unless `force`."""
+    """Return a node on its bus; `acts`: refuse while another master is there, unless `force`."""
     from bowden.bench.any_node import dictionary_of, linked
     from master.node_access.remote_node import NodeAccess
 

@@ -60,5 +60,5 @@ def packer(plan: PdoPlan) -> Callable[[dict[int, Value]], bytes]:
 
 
 def process_output(entry: Entry) -> bool:
-    """Say whether an RPDO may write `entry`: it is process data then, not a parameter."""
+    """Return whether an RPDO may write `entry`: it is process data then, not a parameter."""
     return entry.mappable and entry.access in _RPDO_ACCESS

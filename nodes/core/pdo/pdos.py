@@ -78,14 +78,14 @@ class Pdos(Part):
                 yield pdo.can_id, pdo.receive
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Give the identifiers in use."""
+        """Return the identifiers in use."""
         for number, receive in self._receive.items():
             yield key(0x13FF + number, 1), receive.can_id
         for number, transmit in self._transmit.items():
             yield key(0x17FF + number, 1), transmit.can_id
 
     def requestable(self) -> frozenset[int]:
-        """Give the TPDO identifiers whose remote frames are answered now."""
+        """Return the TPDO identifiers whose remote frames are answered now."""
         if self._device.nmt.state is not NmtState.OPERATIONAL:
             return frozenset()
         return frozenset(pdo.can_id for pdo in self._transmit.values() if pdo.requestable)

@@ -1,7 +1,7 @@
 """One RPDO: length, deadline, SYNC window, take-over into the values.
 
-The rule of this file: what a frame brings is in the values of every mapped object before the application hears of
-any of them; a value outside its object's limits leaves that object as it was.
+A frame's data are in the values of every mapped object before the application is informed of any of them; a value
+outside its object's limits is dropped for that object.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nodes.core.parts import FAR_NS, MS
 
 
 class Taken(NamedTuple):
-    """How an RPDO is taken: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
+    """Reception of an RPDO: plan, with SYNC or at once, deadline (0: none), keys that act, (key, least, greatest)."""
 
     pdo: ReceivePdo
     plan: PdoPlan
@@ -70,7 +70,7 @@ class ReceivePdo:
         self._in_time()
 
     def stop(self) -> None:
-        """Forget what arrived and what was awaited."""
+        """Drop received data and pending deadlines."""
         self.due_ns = FAR_NS
         self.data: bytes | None = None
 
@@ -96,7 +96,7 @@ class ReceivePdo:
             self.data = data
 
     def take(self, data: bytes, now_ns: int) -> None:
-        """Write the mapped objects, then tell the application of those it watches."""
+        """Write the mapped objects, then inform the application of those it watches."""
         keys: tuple[int, ...] = self._keys
         raw: Sequence[Value] = self._unpack(data)
         for at, place, bounds in self._judged:
@@ -159,7 +159,7 @@ class ReceivePdo:
 
 
 def _limited(entry: Entry) -> bool:
-    """Say whether the entry's limits are narrower than its type."""
+    """Return whether the entry's limits are narrower than its type."""
     kind = entry.data_type
     low, high = entry.low, entry.high
     if kind.real:

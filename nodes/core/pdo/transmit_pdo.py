@@ -1,7 +1,7 @@
-"""One TPDO: when it is sent.
+"""One TPDO: conditions of its transmission.
 
-The rule of this file: synchronous ones leave at a SYNC; event-driven ones when their content changed, when the
-event timer asks, never sooner than the inhibit time allows.
+Synchronous TPDOs are sent at a SYNC. Event-driven ones are sent when their content changes or the event timer ends,
+never sooner than the inhibit time allows.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class TransmitPdo:
         return self.every > SYNC_MAX
 
     def stop(self) -> None:
-        """Forget what was sent and what was due."""
+        """Drop the last content and pending transmissions."""
         self._last: bytes | None = None
         self._requested = False
         self._timer_due_ns = FAR_NS
@@ -72,7 +72,7 @@ class TransmitPdo:
             self.send(now_ns)
 
     def look(self, now_ns: int) -> None:
-        """Notice an event: content that differs from what was sent last."""
+        """Detect an event: content that differs from the last transmission."""
         if not self._requested and self.payload(self._device.values) != self._last:
             self._requested = True
             self._device.wake(self.poll(now_ns))

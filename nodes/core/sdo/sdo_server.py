@@ -1,7 +1,6 @@
 """SDO server 0x1200 (CiA 301, 7.2.4): one client, one transfer at a time.
 
-The rule of this file: every request gets exactly one answer, the right one or an abort that says what was wrong; after
-an abort the server is idle.
+Every request gets exactly one answer, the right one or an abort with its code; after an abort the server is idle.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from nodes.core.sdo.sdo_segment import SegmentDownload, SegmentUpload
 from nodes.core.sdo.sdo_transfer import Received, Transfer, TransferAbortedError, multiplexer
 
 TIMEOUT_NS: Final = 1000 * MS
-"""Silence of the client after which a transfer is aborted; CiA 301 leaves the time to the device."""
+"""Silence of the client after which a transfer is aborted; CiA 301 makes the time the device's choice."""
 
 _ABORT: Final = 0x80
 _SIZE: Final = 0x01
@@ -41,11 +40,11 @@ class SdoServer(Part):
         }
 
     def reset(self, now_ns: int) -> None:
-        """Drop what was going on."""
+        """Drop a transfer in progress."""
         self._transfer = None
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """A transfer does not outlive a state without SDO."""
+        """Drop a transfer on entering a state without SDO."""
         if state in (NmtState.STOPPED, NmtState.INITIALISING):
             self._transfer = None
 

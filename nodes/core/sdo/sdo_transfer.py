@@ -1,6 +1,6 @@
-"""What every SDO transfer is: the multiplexer it is about, what it answers, when it is over.
+"""Base of all SDO transfers: multiplexer, answers, end.
 
-The rule of this file: a transfer never sends; it returns the frame to send, or raises `TransferAbortedError`.
+A transfer never sends; it returns the frame to send, or raises `TransferAbortedError`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class TransferAbortedError(Exception):
 
 
 class Transfer:
-    """A transfer that takes more than one exchange; `finished` when there is nothing left to say."""
+    """A transfer of more than one exchange; `finished` after its last frame."""
 
     __slots__ = ("due_ns", "finished", "key")
 
@@ -39,12 +39,12 @@ class Transfer:
         raise NotImplementedError
 
     def poll(self, now_ns: int) -> bytes | None:
-        """Return the frame that is due by itself, if any; `due_ns` says when."""
+        """Return a frame that is due without a request, if any; `due_ns` is its time."""
         return None
 
 
 class Received:
-    """The bytes of a download so far, held to what was announced and to what the object can take."""
+    """Bytes of a download so far, checked against the announced size and the object's capacity."""
 
     __slots__ = ("_announced", "_limit", "data")
 
@@ -59,7 +59,7 @@ class Received:
         self._check(len(self.data))
 
     def append_block(self, segment: bytes) -> None:
-        """Take a block's segment: how many bytes of the last one count, only the end of the transfer says."""
+        """Append a block's segment; only the end of the transfer gives the number of valid bytes in the last one."""
         self.data += segment
         self._check(len(self.data) - SEGMENT + 1)
 
