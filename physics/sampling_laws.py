@@ -13,7 +13,7 @@ import numpy as np
 from physics.laws import Array
 
 COUNTED: Final = 24
-"""Largest staleness, in cycles, with a count of its own; older values are counted here."""
+"""Largest staleness that is counted separately, in cycles; older values count as this one."""
 
 
 class Staleness(NamedTuple):

@@ -63,7 +63,7 @@ class StateMachine(Application):
         """The drive function goes off, or a stop takes over."""
 
     def ready(self) -> bool:
-        """Return whether row 4 may turn the drive function on: nobody's release is outstanding, and its master lives."""
+        """Return whether row 4 may turn the drive function on: no release outstanding, and its master is alive."""
         return not self.awaits_release and self.device.consumer.all_live()
 
     def cured(self) -> bool:

@@ -39,7 +39,7 @@ _NOBODY: Final[frozenset[int]] = frozenset()
 
 
 def possible(bench: Bench) -> bool:
-    """Return whether a bench can have steady cycles at all: the plant is the compiled one, and they are not turned off."""
+    """Return whether a bench can run compiled cycles: its plant is the packaged one, and they are not turned off."""
     machine = bench.machine
     if os.environ.get(SWITCH, "1") == "0" or not isinstance(machine, Machine) or type(machine.plant) is not BowdenPlant:
         return False
