@@ -7,15 +7,17 @@ The rule of this file: a group is a named tuple of options with defaults, and kn
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 from bowden.cli import options
+from parameters import InputError
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
+    from bowden.watch.file_watch import WatchedBench
 
 
 class WalkOptions(NamedTuple):
@@ -48,6 +50,44 @@ class SimulatedOptions(NamedTuple):
     plant_model: options.PlantModel = None
 
 
+class WatchOptions(NamedTuple):
+    """Diagnosis while the trial runs."""
+
+    watch: options.Watched = False
+    healthy: options.Healthy = None
+    stop_on: options.StopOn = None
+
+    def bench(self, logbook: Path | None, network: Any) -> WatchedBench | None:
+        """Return the bench that is watched, None where nothing is; reference trials of `logbook` where none is named.
+
+        Raises `InputError` for what contradicts itself.
+        """
+        if not self.watch:
+            for name, value in (("--healthy", self.healthy), ("--stop-on", self.stop_on)):
+                if value:
+                    raise InputError(f"{name} belongs to --watch; add --watch, or leave {name} out.")
+            return None
+        if len(network.bench.force_paths) > 1:
+            raise InputError("--watch: the bench has several force paths; a watch simulates one: leave it out.")
+        return watched_bench(self.healthy, logbook, self.stop_on)
+
+
+def watched_bench(healthy: Sequence[Path] | None, logbook: Path | None, stop_on: Sequence[str] | None = None
+                  ) -> WatchedBench:
+    """Return a bench for a watch by reference trials or a logbook; raises `InputError` where neither is there."""
+    from bowden.models import logbook_entries
+    from bowden.watch.file_watch import WatchedBench, refuse_stop_on
+
+    refuse_stop_on(stop_on or (), "--stop-on")
+    if healthy:
+        deviations = None if logbook is None else logbook_entries.deviations(logbook)
+        return WatchedBench(tuple(healthy), deviations, tuple(stop_on or ()))
+    if logbook is None:
+        raise InputError("a watch compares with reference trials; name at least one with --healthy, or a --logbook.")
+    found, deviations = logbook_entries.reference_trials(logbook)
+    return WatchedBench(tuple(found), deviations, tuple(stop_on or ()))
+
+
 class Bus(NamedTuple):
     """The bus that the bench is on; the virtual one where no interface is named."""
 
@@ -77,7 +117,6 @@ class Bus(NamedTuple):
         """
         from bowden.bench.buses import BENCH, VIRTUAL, bus
         from bowden.bench.buses import simulated as virtual
-        from parameters import InputError
 
         options = dict(_option(text) for text in self.option or ())
         asked: dict[str, Any] = {

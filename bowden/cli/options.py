@@ -29,6 +29,11 @@ Logbook = Annotated[Path | None, typer.Option(
 Session = Annotated[str | None, _given(
     "Session of the logbook (default: the date; simulated: the day).", metavar="LABEL")]
 
+Watched = Annotated[bool, _given("Diagnose while it runs, by gait cycle; needs --healthy or a logbook.", "--watch")]
+Healthy = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Nothing is wrong in it; repeatable.")]
+StopOn = Annotated[list[str] | None, typer.Option(
+    metavar="EFFECT", help="With --watch: safe stop where this effect, or any, costs 2 % of the peak; repeatable.")]
+
 Peak = Annotated[float | None, _given("Peak of the desired force, N (default 40).", metavar="N")]
 Period = Annotated[float | None, _given("Gait period, s (default 2.0, or the knee file's stride).", metavar="S")]
 Cycles = Annotated[int | None, _given("Gait cycles to run (default 10).", metavar="COUNT")]

@@ -62,6 +62,10 @@ class TrialFeed:
         """Return a recorder that also feeds the page."""
         return _Beside(recording, self._page)
 
+    def suspected(self, sentence: str) -> None:
+        """Show what a diagnosis suspects while the trial runs."""
+        self._page.suspected(sentence)
+
     def ended(self, sentence: str) -> None:
         """Say how the trial ended."""
         self._page.status("ended", sentence)

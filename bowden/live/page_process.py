@@ -25,8 +25,9 @@ from trial.mcap_file.cdr import FRAME_STRUCT
 
 BLOCK: Final = struct.Struct("<cI")
 """Head of a block: its kind and length."""
-FRAMES, FORCES, EVENT, STATUS = b"F", b"R", b"E", b"S"
-"""Kinds of block: rows of `FRAME_ROW`, rows of `FORCE`, and JSON lists of the arguments of `event` and of `status`."""
+FRAMES, FORCES, EVENT, STATUS, SUSPICION = b"F", b"R", b"E", b"S", b"D"
+"""Kinds of block: rows of `FRAME_ROW`, rows of `FORCE`, and JSON lists of the arguments of `event`, `status` and
+`suspected`."""
 FORCE: Final = struct.Struct("<q3d")
 """Time, ns, and desired, START and END force, N."""
 SEND_NS: Final = 20_000_000
@@ -106,6 +107,10 @@ class PageProcess:
         """Return whether the trial is running or ended, and how it ended."""
         self._send_rows()
         self._put(STATUS, json.dumps((status, sentence)).encode())
+
+    def suspected(self, sentence: str) -> None:
+        """Show what a diagnosis suspects while the trial runs."""
+        self._put(SUSPICION, json.dumps((sentence,)).encode())
 
     @property
     def waits(self) -> int:
@@ -187,6 +192,8 @@ def take(state: LiveState, kind: bytes, payload: bytes) -> None:
             state.force(*row)
     elif kind == EVENT:
         state.event(*json.loads(payload))
+    elif kind == SUSPICION:
+        state.suspected(*json.loads(payload))
     else:
         state.digest()
         state.status(*json.loads(payload))

@@ -64,7 +64,7 @@ class LiveState:
         self._events: deque[tuple[float, str, str, str]] = deque(maxlen=EVENTS_KEPT)
         self._beats: dict[int, tuple[int, int] | None] = dict.fromkeys(nodes)
         self._loads: deque[tuple[int, int]] = deque()
-        self._status, self._sentence = "waiting", ""
+        self._status, self._sentence, self._suspicion = "waiting", "", ""
         self.watchers = 0
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
@@ -85,6 +85,10 @@ class LiveState:
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Take what happened, in one sentence; any thread."""
         self._told.append((time_ns, kind, source, text))
+
+    def suspected(self, sentence: str) -> None:
+        """Take what a diagnosis suspects now; any thread."""
+        self._suspicion = sentence
 
     def status(self, status: str, sentence: str = "") -> None:
         """Return whether it is waiting, running, paused or ended, and how it ended."""
@@ -119,7 +123,8 @@ class LiveState:
             rows = events = 0
         age = None if self._heard_at is None else self._clock() - self._heard_at
         told = {
-            **self._about, "status": self._status, "sentence": self._sentence, "epoch": self._epoch,
+            **self._about, "status": self._status, "sentence": self._sentence,
+            "suspicion": self._suspicion, "epoch": self._epoch,
             "age_s": age, "now_s": self._seconds(self._now_ns), "load_percent": self._load(), "nodes": self._nodes(),
             "rows": _last(self._rows, self._row_count - rows),
             "events": _last(self._events, self._event_count - events)}

@@ -225,12 +225,12 @@ def known_effects(model: Path | BenchModel | None) -> Effects:
 
 def perform(
     prepared: Prepared, output: Path, picture: Path | None = None, *, overwrite: bool = False,
-    progress: Progress = SILENT, announce: str = "", watch: Watch | None = None,
+    progress: Progress = SILENT, announce: str = "", watch: Sequence[Watch] = (),
 ) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
 
-    `announce` is remarked when the bus is open, before anything is sent; `watch` sees what is recorded while it is
-    (the live page).
+    `announce` is remarked when the bus is open, before anything is sent; each `watch` sees what is recorded while it
+    is: the live page, a diagnosis.
     """
     from bowden.pages import figures as report
     from bowden.trials import provenance
@@ -256,7 +256,8 @@ def perform(
             progress.remark(f"{announce} {planned.pulls}")
         with progress.running("trial") as update, bus.host() as refused:
             sink: CycleSink = Watched(recorder, update, prepared.laps, signals)
-            sink = sink if watch is None else watch.beside(sink)
+            for one in watch:
+                sink = one.beside(sink)
             for sentence in refused:
                 sink.event(bus.clock(), "host", "master", sentence)
             try:
@@ -266,8 +267,8 @@ def perform(
                 raise
         wall_s = time.perf_counter() - began
         result = closed(recorder, result)
-        if watch is not None:
-            watch.ended(result.stop_reason or result.outcome)
+        for one in watch:
+            one.ended(result.stop_reason or result.outcome)
     if result.stop_reason is not None and never_ran(output):
         for path in (output, truth):
             if path is not None:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
-Healthy = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Nothing is wrong in it; repeatable.")]
 Holdout = Annotated[list[Path] | None, typer.Option(metavar="TRIAL", help="Never fitted, only judged; repeatable.")]
 Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 Extended = Annotated[Path | None, typer.Option(
@@ -60,7 +59,7 @@ WIDTH = 80
 def diagnose(
     trials: Trials = None,
     calibration: options.Calibration = None,
-    healthy: Healthy = None,
+    healthy: options.Healthy = None,
     holdout: Holdout = None,
     lowpass: Lowpass = None,
     output: Extended = None,

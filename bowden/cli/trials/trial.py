@@ -10,10 +10,13 @@ import typer
 
 from bowden.cli import options, terminal
 from bowden.cli.app import app
-from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, grouped
+from bowden.cli.option_groups import Bus, SimulatedOptions, WalkOptions, WatchOptions, grouped
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
+    from bowden.live.feeds import TrialFeed
+    from bowden.watch.file_watch import WatchedBench
+    from bowden.watch.watch_process import TrialWatch
 
 Web = Annotated[str | None, typer.Option(
     metavar="[HOST:]PORT", help="Live page with a stop button; port 0: a free one.")]
@@ -40,12 +43,14 @@ def trial(
     web: Web = None,
     logbook: options.Logbook = None,
     label: options.Session = None,
+    watched: WatchOptions,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
     """Run one experiment and record it.
 
-    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.  --watch diagnoses it
+    while it runs, in a process of its own.
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
@@ -61,6 +66,7 @@ def trial(
     sections = reached.sections(config, rate)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
+    bench = watched.bench(entered, sections["network"])
     reference, sections["gait"], notes = session.reference(
         walk.gait(sections["gait"]), knee, desired, period_given=walk.period is not None,
         peak_given=walk.peak is not None)
@@ -69,10 +75,17 @@ def trial(
                                controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
     for note in notes:
         terminal.remark(note)
-    with _page(web, output.name, sections["network"]) as watch:
+    with _watch(bench, output, chosen, json) as watch, _page(web, output.name, sections["network"]) as page:
+        if watch is not None and page is not None:
+            watch.show = page.suspected
         result = session.perform(
             prepared, output, picture, overwrite=overwrite, announce="" if json else _where(chosen),
-            progress=terminal.Terminal(shown=not json), watch=watch)
+            progress=terminal.Terminal(shown=not json and watch is None),
+            watch=[one for one in (page, watch) if one is not None])
+        if watch is not None:
+            with terminal.waiting("diagnosing the whole trial", shown=not json):
+                watch.conclude()
+            result["watch"] = watch.as_json()
     if entered is not None and result["trial"] is not None:
         from bowden.models import logbook_entries
 
@@ -83,6 +96,8 @@ def trial(
     elif result["trial"] is None:
         print(f"Stopped before the first control cycle, {chosen.told}: {result['stop_reason']}; nothing was recorded.")
     else:
+        if "watch" in result:
+            _show_watch(result["watch"])
         _show(result, output, picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
@@ -98,13 +113,32 @@ def _where(chosen: BusSettings) -> str:
     return f"bench on {chosen.told}."
 
 
-def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Any]:
+def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[TrialFeed | None]:
     """The live page of the trial, None where none was asked for."""
     if web is None:
         return nullcontext()
     from bowden.live import feeds
 
     return feeds.of_trial(web, name, network, lambda url: terminal.remark(f"live page: {url}"))
+
+
+def _watch(bench: WatchedBench | None, output: Path, chosen: BusSettings, json: bool
+           ) -> AbstractContextManager[TrialWatch | None]:
+    """The watch of the trial, in a process of its own; None where none was asked for."""
+    if bench is None:
+        return nullcontext()
+    from bowden.watch import watch_process
+
+    return watch_process.beside(output, bench, paced=chosen.simulated, shown=not json)
+
+
+def _show_watch(told: dict[str, Any]) -> None:
+    """Print the diagnosis of the whole trial, or why there is none."""
+    found = told["diagnosis"]
+    if found is None:
+        terminal.remark(f"watch: no diagnosis of the whole trial: {told['remark'] or 'the watch was ended.'}")
+        return
+    print(f"Watch: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
 
 
 FORCE_FIGURES = (

@@ -58,6 +58,8 @@ function take(message) {
   while (at("events").children.length > EVENTS_SHOWN) at("events").lastChild.remove();
   at("none").hidden = at("events").children.length > 0;
   at("name").textContent = message.name;
+  at("suspicion").textContent = message.suspicion;
+  at("suspicion").hidden = !message.suspicion;
   at("kind").textContent = KINDS[message.kind] || message.kind;
   at("stop").disabled = !message.stop.can || message.stop.asked || message.status === "ended";
   at("why").textContent = message.stop.asked ? "Safe stop requested." : message.stop.can ? (message.status === "ended"

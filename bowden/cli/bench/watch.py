@@ -1,0 +1,145 @@
+"""`bowden watch`: diagnosis of a trial that another process writes, or of a bus that is recorded meanwhile."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
+from bowden.cli.option_groups import Bus, grouped, watched_bench
+
+if TYPE_CHECKING:
+    from bowden.watch.file_watch import FileWatch, WatchedBench
+    from bowden.watch.running_evidence import WatchVerdict
+
+Written = Annotated[Path | None, typer.Argument(
+    metavar="TRIAL", help="Trial that is being written, by bowden trial or bowden record.", show_default=False)]
+Recorded = Annotated[Path | None, typer.Option(
+    "-o", "--output", metavar="FILE", help="With --interface: where the bus is recorded.")]
+Book = Annotated[Path | None, typer.Option(
+    metavar="DIR", help="Logbook of the bench, in place of --healthy and for the scatter between sessions.")]
+Seconds = Annotated[float | None, typer.Option("--for", metavar="S", help="End after so many seconds.")]
+LOOK_S = 0.1
+"""Time between two looks at the file, s."""
+
+
+@app.command()
+@grouped
+def watch(
+    trial: Written = None,
+    output: Recorded = None,
+    healthy: options.Healthy = None,
+    logbook: Book = None,
+    *,
+    reached: Bus,
+    seconds: Seconds = None,
+    config: options.Config = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
+) -> int:
+    """Diagnose a trial while it is written, or a bus that is only listened to.
+
+    A line for each gait cycle; the diagnosis of the whole once the file is closed.
+
+    Example: bowden trial --cycles 3 -o good.mcap && bowden watch trial.mcap --healthy good.mcap
+    """
+    from bowden.trials import session
+
+    if (trial is None) == (reached.interface is None):
+        raise NothingGivenError("TRIAL | --interface NAME",
+                                "bowden watch reads a trial or a bus; give either a file or --interface.")
+    session.refuse_no_logbook(logbook)
+    bench = watched_bench(healthy, logbook)
+    if trial is not None:
+        return _file(trial, bench, seconds, json=json)
+    return _bus(reached, config, output, bench, seconds, overwrite=overwrite, json=json)
+
+
+def _file(trial: Path, bench: WatchedBench, seconds: float | None, *, json: bool) -> int:
+    from bowden.watch import file_watch
+
+    deadline = None if seconds is None else time.monotonic() + seconds
+    with terminal.waiting("fitting the reference trials", shown=not json):
+        watched = file_watch.FileWatch(trial, bench)
+    found = [_said(one, json) for one in _looked(
+        watched, lambda: deadline is not None and time.monotonic() >= deadline)]
+    told: dict[str, Any] = {"trial": str(trial), "cycles": [one.as_json() for one in found], "diagnosis": None}
+    if watched.closed:
+        with terminal.waiting("diagnosing the whole trial", shown=not json):
+            told["diagnosis"] = file_watch.as_json(watched.diagnosis())
+    return _tell(told, json=json)
+
+
+def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerdict]:
+    """Yield each suspicion until the file is closed or the time is over."""
+    while not watched.closed and not ended():
+        yield from watched.look()
+        if not watched.closed:
+            time.sleep(LOOK_S)
+    yield from watched.look(last=True)
+
+
+def _bus(reached: Bus, config: Path | None, output: Path | None, bench: WatchedBench, seconds: float | None, *,
+         overwrite: bool, json: bool) -> int:
+    """Record the bus here, and watch the recording in another process."""
+    import can
+
+    from bowden import output_files
+    from bowden.bench import buses
+    from bowden.trials.recording import BusRecording
+    from bowden.watch import watch_process
+    from eds.bench.bench_network import wire
+    from parameters import InputError
+
+    if output is None:
+        raise InputError("bowden watch records the bus that it watches; name the file with -o FILE.")
+    output_files.refuse_ending(output, ".mcap", what="a recording")
+    output_files.refuse([output], overwrite=overwrite)
+    network = reached.sections(config)["network"]
+    about = {"interface": str(reached.interface), "channel": reached.channel or ""}
+    failure = None
+    with watch_process.beside(output, bench, paced=False, shown=not json) as watched, \
+            buses.opened_one(reached.chosen(), network.bitrate) as heard:
+        with BusRecording(output, wire(network), overwrite=overwrite, about=about) as made:
+            terminal.remark(f"watching {reached.interface} {reached.channel or ''}; Ctrl-C ends it.")
+            try:
+                made.listen(heard, seconds, None)
+            except (can.CanError, OSError) as error:
+                failure = str(error)
+            except KeyboardInterrupt:
+                terminal.remark("ended; the whole recording is diagnosed.")
+        watched.ended("recorded")
+        watched.conclude()
+        told = {"trial": str(output), **watched.as_json()}
+    if failure is not None:
+        terminal.remark(f"the bus has failed: {failure}; what it gave is diagnosed.")
+    return max(_tell(told, json=json), int(failure is not None))
+
+
+def _said(one: WatchVerdict, json: bool) -> WatchVerdict:
+    from bowden.watch.file_watch import told
+
+    if not json:
+        print(told(one))
+        sys.stdout.flush()
+    return one
+
+
+def _tell(told: dict[str, Any], *, json: bool) -> int:
+    """Print the diagnosis of the whole; 0 where there is one, 1 where the file was not closed or not diagnosed."""
+    found = told["diagnosis"]
+    if json:
+        terminal.emit(told)
+    elif found is not None:
+        print(f"Verdict: {found['verdict']}" + (f": {', '.join(found['class'])}" if found["class"] else ""))
+    else:
+        terminal.remark(f"{told['trial']}: no diagnosis of the whole: "
+                        f"{told.get('remark') or 'the file is not closed yet.'}")
+    return 0 if found is not None else 1

@@ -1,0 +1,162 @@
+"""A growing trial watched: reference trials fitted once, evidence by gait cycle, the diagnosis of the whole at its end.
+
+The rule of this file: it reads one file and sends nothing to a bus; a stop is asked for by its answer alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bowden.watch.gait_windows import GaitWindow, GaitWindows
+from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
+from diagnosis.data import integrity, scales, table
+from diagnosis.data.table import Table
+from diagnosis.evidence.likelihood_data import SIGNALS, PathRecording, lacking
+from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.evidence.reference_fit import fit_reference
+from diagnosis.finder import Finder
+from diagnosis.findings import Findings
+from parameters import InputError
+from physics.effects.hypotheses import HYPOTHESES
+from trial.growing import GrowingTrial
+
+ANY: Final = "any"
+"""Word of --stop-on for every effect."""
+STOP_PERCENT: Final = 2.0
+"""Error of END, % of the peak, that a named effect must cost for a stop."""
+DRIFT_S: Final = 20.0
+"""Time, s, over which a running trial's drifts are counted: nobody knows its end yet."""
+
+
+@dataclass(frozen=True)
+class WatchedBench:
+    """The bench that is watched: reference trials, 1σ between sessions (None: the published one), stops asked for."""
+
+    healthy: tuple[Path, ...]
+    session_sd: dict[str, float] | None = None
+    stop_on: tuple[str, ...] = ()
+
+
+def refuse_stop_on(names: Sequence[str], where: str) -> None:
+    """Raise `InputError` for names of no effect that the evidence can name."""
+    for name in names:
+        if name != ANY and name not in HYPOTHESES:
+            raise InputError(f"{where} {name}: no effect that a watch can name; expected {ANY} or one of "
+                             f"{', '.join(HYPOTHESES)}.")
+
+
+class FileWatch:
+    """Watches one file; raises `InputError` for reference trials that cannot be used.
+
+    `replaced`: a file that is there already is about to be overwritten.
+    """
+
+    def __init__(self, path: Path, bench: WatchedBench, *, replaced: bool = False) -> None:
+        self._bench, self._file = bench, GrowingTrial(path, replaced=replaced)
+        self._tables = [_usable(path) for path in bench.healthy]
+        self._windows: GaitWindows | None = None
+        self._evidence: dict[tuple[str, ...], RunningEvidence] = {}
+        self._of(tuple(n for n in SIGNALS if all(n in t for t in self._tables)))
+
+    @property
+    def closed(self) -> bool:
+        """Whether the writer has closed the file."""
+        return self._file.closed
+
+    def look(self, last: bool = False) -> Iterator[WatchVerdict]:
+        """Yield the suspicion after each gait cycle that the file has completed since the last call.
+
+        `last`: nothing more comes, and the cycle that was begun counts as complete.
+        """
+        rows = self._file.rows()
+        if self._windows is None and self._file.columns:
+            self._windows = GaitWindows(self._file.columns, _period_s(self._tables))
+        if self._windows is None:
+            return
+        with threadpool_limits(1, user_api="blas"):
+            for window in self._windows.add(rows):
+                yield from self._judged(window)
+            if last:
+                for window in self._windows.rest():
+                    yield from self._judged(window)
+
+    def _judged(self, window: GaitWindow) -> Iterator[WatchVerdict]:
+        outputs = tuple(n for n in SIGNALS if n in window.columns and all(n in t for t in self._tables))
+        found = self._of(outputs).add(*window)
+        if found is not None:
+            yield found
+
+    def stops(self, found: WatchVerdict) -> bool:
+        """Say whether a suspicion asks for a safe stop."""
+        asked = self._bench.stop_on
+        named = ANY in asked or any(name in asked for name in found.suspected)
+        return bool(found.suspected) and named and found.cost_percent >= STOP_PERCENT
+
+    def diagnosis(self) -> Findings:
+        """Return the diagnosis of the whole file, as `bowden diagnose --core evidence` gives it."""
+        finder = Finder(core="evidence", session_sd=self._bench.session_sd).examine(list(self._bench.healthy))
+        return finder.diagnose([self._file.path])
+
+    def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
+        """Return the evidence by these outputs: the reference trials are fitted anew for others."""
+        if outputs not in self._evidence:
+            if "tension_start_n" not in outputs:
+                raise InputError(f"{self._file.path}: no START tension; the watch simulates the force path against it.")
+            with threadpool_limits(1, user_api="blas"):
+                recordings = [PathRecording(_only(t, outputs)) for t in self._tables]
+                fit = fit_reference(PATH_MODEL, recordings, self._bench.session_sd)
+            self._evidence[outputs] = RunningEvidence(fit, DRIFT_S, _missed_n(self._tables))
+        return self._evidence[outputs]
+
+
+def told(found: WatchVerdict) -> str:
+    """Return a suspicion as one line for a terminal."""
+    error = f"END error {found.end_error_n:.2f} N"
+    if not found.suspected:
+        return f"cycle {found.cycle}: nothing suspected ({found.best} {found.nats:.0f} nats); {error}"
+    since = "before the trial" if found.since == 0 else f"cycle {found.since}"
+    return (f"cycle {found.cycle}: suspected {', '.join(found.suspected)}; {found.nats:.0f} nats, "
+            f"since {since}; {error}, {found.cost_percent:.1f} % of the peak beyond the reference")
+
+
+def as_json(found: Findings) -> dict[str, Any]:
+    """Return the part of a diagnosis that a watch reports."""
+    whole = found.as_json()
+    return {name: whole[name] for name in ("verdict", "causes", "class", "experiment", "warnings")}
+
+
+def _usable(path: Path) -> Table:
+    given = table.read(path)
+    refused = [f.text for f in (*integrity.examine(given), *scales.contradictions(given)) if f.refuses]
+    if refused:
+        raise InputError(f"{path}: {refused[0]}")
+    missing = lacking(integrity.usable(given))
+    if missing:
+        raise InputError(f"{path}: has no column {', '.join(missing)}; give reference trials that have.")
+    return integrity.usable(given)
+
+
+def _only(given: Table, outputs: Sequence[str]) -> Table:
+    return replace(given, columns={n: v for n, v in given.columns.items() if n not in SIGNALS or n in outputs})
+
+
+def _period_s(tables: Sequence[Table]) -> float:
+    """Return the length of a gait cycle of the reference trials, s; 2 s where none is numbered."""
+    for given in tables:
+        if "cycle" in given and given["cycle"].max() > given["cycle"].min():
+            spans = given["time_s"][-1] - given["time_s"][0]
+            return float(spans / (given["cycle"].max() - given["cycle"].min() + 1.0))
+    return 2.0
+
+
+def _missed_n(tables: Sequence[Table]) -> float:
+    """Return the RMS, N, by which the reference trials' END misses the desired force; 0 where it is not recorded."""
+    squares = [float(np.nanmean((t["tension_end_n"] - t["desired_force_n"]) ** 2)) for t in tables
+               if "tension_end_n" in t and "desired_force_n" in t]
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0

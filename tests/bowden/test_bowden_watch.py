@@ -1,0 +1,144 @@
+"""A trial is diagnosed while it runs: by its own process, its stop at one row, its end as `bowden diagnose` has it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bowden.cli.app import run
+from bowden.watch.gait_windows import GaitWindows
+from trial import read
+from trial.growing import GrowingTrial
+
+GAIT = ("--cycles", "4", "--period", "1.2", "--serial", "3")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reference trial of a simulated bench, and that bench with a longer pre-sliding distance as a plant model."""
+    folder = tmp_path_factory.mktemp("watch")
+    (folder / "bench.toml").write_text("[effects.presliding]\npresliding = 6e-4\n", encoding="utf-8")
+    assert run(["trial", *GAIT, "-o", str(folder / "good.mcap"), "--json"]) == 0
+    return folder
+
+
+def watched(bowden: Callable[..., Any], place: Path, name: str, *words: object) -> tuple[int, dict[str, Any]]:
+    """Run the changed bench under a watch; return the exit status and the JSON object."""
+    status, out, err = bowden("trial", *GAIT, "--day", 1, "--plant-model", place / "bench.toml", "-o", place / name,
+                              "--watch", "--healthy", place / "good.mcap", *words, "--json")
+    assert out, err
+    found: dict[str, Any] = json.loads(out)
+    return status, found
+
+
+@pytest.mark.exhaustive
+def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bowden: Callable[..., Any]) -> None:
+    status, found = watched(bowden, place, "whole.mcap")
+    assert status == 0
+    cycles = found["watch"]["cycles"]
+    assert [one["cycle"] for one in cycles] == [0, 1, 2, 3]
+    assert "presliding" in cycles[-1]["suspected"]
+    assert cycles[-1]["since"] == 0
+    assert 0.2 < cycles[-1]["end_error_n"] < 3.0
+    _, out, _ = bowden("diagnose", place / "whole.mcap", "--healthy", place / "good.mcap", "--core", "evidence",
+                       "--json")
+    offline = json.loads(out)
+    told = found["watch"]["diagnosis"]
+    assert (told["verdict"], told["class"], told["causes"]) == (offline["verdict"], offline["class"],
+                                                                offline["causes"])
+    _, out, _ = bowden("watch", place / "whole.mcap", "--healthy", place / "good.mcap", "--json")
+    again = json.loads(out)
+    assert (again["cycles"], again["diagnosis"]) == (cycles, told)  # by the file, as while it was written
+
+
+@pytest.mark.exhaustive
+def test_a_named_effect_stops_the_trial_at_the_same_row_in_every_run(place: Path, bowden: Callable[..., Any]) -> None:
+    digests = []
+    for name in ("first.mcap", "second.mcap"):
+        status, found = watched(bowden, place, name, "--stop-on", "presliding")
+        assert status != 0
+        assert found["outcome"] == "stopped"
+        assert "presliding" in found["watch"]["stopped_by"]
+        recorded = read.open(place / name)
+        assert any("requested by the watch" in event.text for event in recorded.events)
+        assert (recorded.columns["cycle"] == 3.0).sum() < 200  # cycle 1 is whole in the file when cycle 3 begins
+        digests.append(recorded.digest())
+    assert digests[0] == digests[1]
+
+
+@pytest.mark.exhaustive
+def test_a_reference_bench_raises_no_suspicion_and_its_trial_is_what_it_is_without_a_watch(
+        place: Path, bowden: Callable[..., Any]) -> None:
+    assert bowden("trial", *GAIT, "--day", 2, "-o", place / "alone.mcap", "--json").status == 0
+    status, out, err = bowden("trial", *GAIT, "--day", 2, "-o", place / "beside.mcap", "--watch", "--healthy",
+                              place / "good.mcap", "--stop-on", "any", "--json")
+    assert status == 0, err
+    told = json.loads(out)["watch"]
+    assert all(one["suspected"] == [] for one in told["cycles"])
+    assert told["diagnosis"]["verdict"] == "none"
+    assert read.open(place / "beside.mcap").digest() == read.open(place / "alone.mcap").digest()
+
+
+GROW = """
+import sys
+from pathlib import Path
+source, target = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2])
+with target.open("wb", buffering=0) as file:
+    for first in range(0, len(source), 70_001):
+        file.write(source[first:first + 70_001])
+        print(first, flush=True)
+        sys.stdin.readline()
+"""
+
+
+def test_rows_of_a_growing_file_are_those_of_the_whole(place: Path, tmp_path: Path) -> None:
+    whole, grown = read.open(place / "good.mcap"), GrowingTrial(tmp_path / "grown.mcap")
+    found = []
+    with subprocess.Popen([sys.executable, "-c", GROW, str(place / "good.mcap"), str(grown.path)], text=True,
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdin is not None
+        assert writer.stdout is not None
+        while not grown.closed:
+            assert writer.stdout.readline()
+            found.append(grown.rows())
+            writer.stdin.write("\n")
+            writer.stdin.flush()
+        writer.communicate("\n" * 1000)
+    rows = np.concatenate([one for one in found if one.size])
+    assert sum(one.size > 0 for one in found) > 3
+    assert grown.columns == tuple(whole.columns)
+    np.testing.assert_array_equal(rows.T, np.array(list(whole.columns.values())))
+
+
+def test_cycles_of_a_bus_without_numbers_are_cut_by_the_period() -> None:
+    time = np.arange(0.0, 7.0, 0.01)
+    rows = np.stack([time, time, time, time], axis=1)
+    windows = GaitWindows(("time_s", "servo_position_m", "knee_angle_rad", "tension_start_n"), 2.0)
+    found = [window for part in np.array_split(rows, 9) for window in windows.add(part)]
+    assert [(window.cycle, window.begins_s) for window in found] == [(0, 0.0), (1, 2.0), (2, 4.0)]
+    assert found[2].columns["time_s"][0] == pytest.approx(1.5)
+    assert found[2].columns["time_s"][-1] == pytest.approx(5.99)
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("trial", "-o", "x.mcap", "--watch"), "name at least one with --healthy"),
+    (("trial", "-o", "x.mcap", "--stop-on", "any"), "--stop-on belongs to --watch"),
+    (("trial", "-o", "x.mcap", "--watch", "--healthy", "none.csv", "--stop-on", "moon"), "--stop-on moon"),
+    (("trial", "-o", "x.mcap", "--watch", "--healthy", "none.mcap"), "none.mcap: no such file"),
+    (("watch", "x.mcap"), "name at least one with --healthy"),
+    (("watch", "--healthy", "x.mcap"), "give either a file or --interface"),
+    (("watch", "--interface", "virtual", "--healthy", "x.mcap"), "name the file with -o FILE"),
+], ids=lambda given: " ".join(given) if isinstance(given, tuple) else "")
+def test_a_watch_that_cannot_watch_is_refused_in_one_sentence(here: Path, bowden: Callable[..., Any],
+                                                              words: tuple[str, ...], said: str) -> None:
+    status, out, err = bowden(*words)
+    assert (status, out) == (2, "")
+    assert said in err
+    assert not (here / "x.mcap").exists()
