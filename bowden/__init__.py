@@ -9,7 +9,7 @@
 
 `docs/library.md` explains it with examples that run.  The rule of this package: a name is imported when it is first
 used, so that `import bowden` and `bowden --help` stay quick; nothing here prints or ends the process.  Bad input
-raises `InputError`, whose text is one sentence: file, key, value, what was expected and what to do.
+raises `InputError`, whose text is one sentence: file, key, value, expected values and remedy.
 """
 
 from __future__ import annotations

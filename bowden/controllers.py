@@ -1,4 +1,4 @@
-"""What a controller plug-in is written with; docs/controllers.md explains it with one that runs."""
+"""Types and base class for a controller plug-in; docs/controllers.md explains them with one that runs."""
 
 from master.control.controller import Column, Conditions, Controller, ControllerInput, ControllerOutput, Trace
 from master.control.gait_table import GaitTable

@@ -1,6 +1,6 @@
 """Bench models for callers of the library: read, written, and handed to simulator, controller and diagnosis.
 
-The rule of this file: it alone knows how each of them takes a model; what a model is, `physics.bench_model` says.
+All conversions of a model for its users are here; `physics.bench_model` defines its content.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Output files: kept when they exist, refused when they cannot be written, before any work is done.
+"""Output files: existing files are kept, and unwritable paths are refused before any work is done.
 
-The rule of this file: an output is never one of the inputs, by whatever name or link it goes; what its ending says is
-what it holds.
+An output is never one of the inputs, by whatever name or link; its content is that of its ending.
 """
 
 from __future__ import annotations
@@ -70,6 +69,6 @@ def refuse_picture(path: Path | None) -> None:
 
 
 def refuse_ending(path: Path | None, *endings: str, what: str) -> None:
-    """Raise `InputError` where a file's ending says that it holds something else than `what`."""
+    """Raise `InputError` if a file's ending is not one for `what`."""
     if path is not None and path.suffix.lower() not in endings:
         raise InputError(f"{path}: {what} is written as {' or '.join(endings)}; give a name that ends so.")

@@ -1,6 +1,6 @@
-"""Whether another program's package or file hides one of this project's.
+"""Detection of a foreign package or file that hides one of this project's.
 
-The rule of this file: it imports nothing of the project, because what it would import may be what is hidden.
+It imports nothing of the project, since the import may be the hidden one.
 """
 
 from __future__ import annotations

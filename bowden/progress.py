@@ -1,6 +1,6 @@
-"""How a long call says how far it has come: a protocol that the caller fills in, and one that says nothing.
+"""Progress of a long call: a protocol that the caller implements, and a silent implementation.
 
-The rule of this file: the library prints nothing and knows no terminal; whoever calls it may hand in a `Progress`.
+The library prints nothing; a caller may hand in a `Progress`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def ignore(share: float) -> None:
 
 
 class Progress(Protocol):
-    """Who is told how a call is getting on."""
+    """Receiver of a call's progress."""
 
     def running(self, what: str) -> AbstractContextManager[Update]:
         """Enter around work whose share done is known; yields what takes that share."""
@@ -31,7 +31,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """A `Progress` that says nothing: the default of every call."""
+    """A `Progress` without output: the default of every call."""
 
     def running(self, what: str) -> AbstractContextManager[Update]:
         """Return a context that ignores the share done."""

@@ -197,7 +197,7 @@ class DeclaredBench:
     def path(self, name: str) -> DeclaredBench:
         """Return the bench of one force path: its devices with their node ids, its joint, and no other.
 
-        The devices have the names of the packaged bench, so that what is recorded of them reads like its trials.
+        The devices have the names of the packaged bench, so that their recordings read like its trials.
         Observers belong to the first path.  Raises `InputError` for a path that is not declared.
         """
         path = next((path for path in self.force_paths if path.name == name), None)

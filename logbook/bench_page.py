@@ -146,7 +146,7 @@ def _changes(state: BenchState) -> str:
 
 
 def _trials(book: Logbook) -> str:
-    """Return the newest trials by session, each a link to its file; a file that is gone is told."""
+    """Return the newest trials by session, each a link to its file; a missing file is marked."""
     groups: dict[int, list[TrialEntry]] = {}
     for entry in book.trials(TRIALS):
         groups.setdefault(entry.session, []).append(entry)

@@ -22,14 +22,15 @@ from physics.path_constants import FREE, SESSION_SD, TABLE, coordinates_of, name
 
 ALARM_NATS: Final = 8.0
 """Log Bayes factor from which a change is an alarm: `python -m benchmarks.logbook --alarms` prints the rate that it
-gives on simulated healthy benches.  Lower, healthy benches alarm; higher, a drift is told some sessions later."""
+gives on simulated benches without a change. If it is too small, such benches alarm; if it is too large, a drift is
+reported some sessions later."""
 SET_SHARE: Final = 0.5
 """Share of the best log Bayes factor from which an effect is in the ambiguity set, as in a single diagnosis."""
 COURSES: Final = ("step", "ramp")
 OTHER_SD: Final = 6.0
 """1σ of a change of a constant that no effect of the catalogue moves, in published session deviations."""
 LEAST_SESSIONS: Final = 3
-"""Sessions before a change can be told."""
+"""Sessions before a change can be detected."""
 
 
 class ChangeCandidate(NamedTuple):
@@ -190,7 +191,7 @@ def forecast(model: SessionModel, bench_q: Array, change: Change, limits: Mappin
 
 
 NEVER: Final = 1e6
-"""Sessions ahead from which a forecast is none."""
+"""Sessions ahead beyond which no forecast is given."""
 LEAST_TREND: Final = 4
 """Sessions since a change began from which a slope is estimated."""
 

@@ -26,7 +26,7 @@ PATIENCE_S: Final = 60.0
 APPLICATION: Final = 0x424F5744
 """SQLite's application_id of a logbook: "BOWD"."""
 REFERENCES: Final = 10
-"""Sessions from the first on that are reference sessions unless `bowden logbook init --references` says otherwise."""
+"""Number of reference sessions, counted from the first, without `bowden logbook init --references`."""
 MIGRATIONS: Final = ("""
 CREATE TABLE setting (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE session (id INTEGER PRIMARY KEY, label TEXT NOT NULL UNIQUE, began TEXT NOT NULL);
@@ -88,7 +88,7 @@ class NewTrial(NamedTuple):
 class Estimate(NamedTuple):
     """Bench constants of one trial: posterior `mean` and `covariance` under the prior N(0, `prior_sd`²).
 
-    Coordinates relative to the reference model; `rmse_n`: RMS of START and END that the model leaves, N.
+    Coordinates relative to the reference model; `rmse_n`: RMS residual of START and END after the fit, N.
     """
 
     mean: Array
@@ -229,7 +229,7 @@ class Logbook:
             db.execute("INSERT OR REPLACE INTO estimate(trial, remark) VALUES (?, ?)", (trial, remark))
 
     def enter_verdict(self, trial: int, content: Mapping[str, Any]) -> None:
-        """Enter what a diagnosis decided of a trial."""
+        """Enter the verdict of a diagnosis of a trial."""
         with self._writing() as db:
             db.execute("INSERT INTO verdict(trial, made, content) VALUES (?, ?, ?)", (trial, now(), _json(content)))
 
@@ -365,7 +365,7 @@ def create(folder: Path, name: str, references: int = REFERENCES) -> None:
 
 
 def open_logbook(folder: Path) -> Logbook:
-    """Open the logbook of a folder, brought to this version's schema; raises `InputError` where there is none."""
+    """Open the logbook of a folder, brought to this version's schema; raises `InputError` if the folder has none."""
     place = folder / FILE
     if not place.is_file():
         raise InputError(f"{folder}: holds no logbook; say bowden logbook init {folder} first.")

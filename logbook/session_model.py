@@ -109,7 +109,7 @@ class SessionDeparture(NamedTuple):
 
 
 def departure_of(model: SessionModel, session: SessionData) -> SessionDeparture:
-    """Return how far a further session, which is none of the model's, lies from the bench."""
+    """Return the distance of a further session, outside the model's, from the bench."""
     last = model.design(len(model.sessions) - 1)
     precision, pull = model.prior(), np.zeros(len(CONSTANTS) + len(model.reset))
     for k, (m, h) in enumerate(zip(model.information, model.pull, strict=True)):

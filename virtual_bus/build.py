@@ -81,7 +81,7 @@ Factory = Callable[[dict[str, float], int], Plant]
 
 
 def build(options: Options, channel: str) -> Bench:
-    """Make the bench that `options` describe, switched on at 0 ns of its own time; raises `InputError`."""
+    """Make the bench that `options` describe, switched on at 0 ns of bench time; raises `InputError`."""
     declaration = packaged() if options.declaration is None else read(options.declaration, where="declaration")
     wire = eds.wire(Network(bitrate=options.bitrate, rate_hz=options.rate_hz, bench=declaration))
     made = [_made(options, wire, number) for number in range(len(declaration.force_paths))]
@@ -171,7 +171,7 @@ def _machine(one: SimulatedPath, options: Options, wire: eds.WireLayout, bench: 
 
 
 def _refuse_misplaced(faults: Sequence[Fault], bench: DeclaredBench) -> None:
-    """Raise `InputError` for a fault of a drive, or of a load cell, at a node that is none of the declared bench."""
+    """Raise `InputError` for a fault of a drive, or of a load cell, at a node that the declared bench does not have."""
     drives = [device.node_id for device in bench.devices if device.type.taken]
     cells = [device.node_id for device in bench.devices if device.type is LOAD_CELL]
     for place, fault in enumerate(faults, start=1):

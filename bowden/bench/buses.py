@@ -31,7 +31,7 @@ _NUMBERS = itertools.count()
 class BusSettings:
     """A bus to open: arguments of `can.Bus`, whether its bench is simulated, and that bench's serial number.
 
-    `own_bench`: each time it is opened there is a new bench, on a channel that nobody else knows.
+    `own_bench`: each opening makes a new bench, on a channel with a random name.
     """
 
     arguments: dict[str, Any]
@@ -41,23 +41,24 @@ class BusSettings:
 
     @property
     def told(self) -> str:
-        """Which bus it is, in words that nobody takes a simulation for a bench by."""
+        """Name of the bus in words that distinguish a simulation from a bench."""
         if self.simulated:
             return "SIMULATED"
         return " ".join(str(self.arguments[name]) for name in ("interface", "channel") if self.arguments.get(name))
 
     @property
     def bench(self) -> str:
-        """The bench's name in a calibration; "" where nobody told."""
+        """The bench's name in a calibration; "" without one."""
         return "" if self.serial is None else f"virtual {self.serial}"
 
 
 class Opened(NamedTuple):
-    """The master's bus, the recorder's tap, the clock, ns, of their stamps, and the computer.
+    """The master's bus, the recorder's monitor socket, the clock, ns, of their stamps, and the computer.
 
-    On the kernel's CAN the bus is the tap too: it keeps every frame that it reads until the recorder takes them.
+    On the kernel's CAN the bus is the monitor socket, too: it keeps every frame that it reads until the recorder
+    takes them.
 
-    `host` is entered around the cycle and yields what the computer does not permit.
+    `host` is entered around the cycle and yields the requests that the computer refused.
     """
 
     bus: Any
@@ -72,11 +73,11 @@ def simulated(
 ) -> BusSettings:
     """Return the virtual bus with a simulated bench on it; raises `InputError` for a number below 0.
 
-    `serial` draws the manufacturing tolerances, `day` what changes from day to day, `seed` the noise.  `plant` is a
-    name of the entry-point group bowden.plants or module:callable; `plant_model` states plant parameters and effects:
-    a TOML file, its tables, or a bench model.  `channel` lets other programs of this process join the bus by name;
-    without one every call opens a bench of its own.  `more`: further options of `virtual_bus.bus_options.Options`, such
-    as `faults`.
+    `serial` draws the manufacturing tolerances, `day` the changes from session to session, `seed` the noise. `plant`
+    is a name of the entry-point group bowden.plants or module:callable; `plant_model` states plant parameters and
+    effects: a TOML file, its tables, or a bench model. `channel` lets other programs of this process join the bus by
+    name; without one every call opens a separate bench. `more`: further options of `virtual_bus.bus_options.Options`,
+    such as `faults`.
     """
     for name, value in {"serial": serial, "day": day, "seed": seed}.items():
         if not isinstance(value, int) or value < 0:
@@ -165,7 +166,8 @@ def clock_of(bus: Any) -> Callable[[], int]:
 
 
 def _open(arguments: dict[str, Any]) -> Any:
-    """The kernel's CAN by the master's own socket, every other interface by python-can; can.conf fills what is left."""
+    """Open the kernel's CAN by the master's own socket, every other interface by python-can; can.conf gives the
+    defaults."""
     import can
 
     if arguments["interface"] != KERNEL:

@@ -1,7 +1,7 @@
-"""bench.toml: one table per room's declaration; nothing here knows a value or a bound.
+"""bench.toml: one table per room's declaration; values and bounds are declared in those rooms.
 
-The rule of this file: a section is a declared dataclass of the room that uses it, found in `SECTIONS`;
-options on the command line replace fields of those dataclasses and are checked by the same bounds.
+A section is a declared dataclass of the room that uses it, found in `SECTIONS`; options on the command line replace
+fields of those dataclasses and are checked by the same bounds.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def override(section: Any, options: Mapping[str, tuple[str, Any]]) -> Any:
 
 
 def as_text(sections: Mapping[str, Any]) -> str:
-    """The configuration that was used, as TOML: what a trial carries with it."""
+    """Return the configuration in use, as TOML, for attachment to a trial."""
     from eds.declaration import as_tables, packaged
 
     bench = sections["network"].bench
@@ -146,7 +146,7 @@ def _quoted(text: str) -> str:
 def as_template(told: Mapping[str, str] | None = None, shape: str = "bench") -> str:
     """Return a commented bench.toml with every default, unit, range and source, and the packaged declaration `shape`.
 
-    `told` fills `[record]`.  Raises `InputError` for a shape that commands do not run.
+    `told` fills `[record]`. Raises `InputError` for a shape without commands.
     """
     from eds.declaration import SHAPES, text_of
 

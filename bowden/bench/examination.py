@@ -1,6 +1,6 @@
-"""What stands between this computer and a trial: computer, timer, interface, bus and nodes, one finding each.
+"""Checks before a trial: computer, timer, interface, bus and nodes, one finding each.
 
-The rule of this file: it looks and never moves anything; a finding that is not good says what to type.
+Checks only read, nothing moves; a finding that is not good names the command to type.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from master.network.doctor import DoctorFinding
 
 WATCHED_S = 5.0
-"""How long the timer is watched unless told, s."""
+"""Default duration of the timer check, s."""
 
 
 def doctor(
     bus: BusSettings | None = None, *, seconds: float = WATCHED_S, config: str | Path | None = None,
 ) -> list[DoctorFinding]:
-    """Return what `bowden doctor` finds at a bus: what was looked at, whether it is good, what was seen, the remedy.
+    """Return the findings of `bowden doctor` at a bus: item, whether it is good, observation, remedy.
 
-    `bus`: `bowden.simulated(…)`, also the default, or `bowden.bus(…)`; `seconds`: how long the timer is watched, s;
-    `config`: a bench.toml.  Raises `InputError` where the bus cannot be opened.
+    `bus`: `bowden.simulated(…)`, also the default, or `bowden.bus(…)`; `seconds`: duration of the timer check, s;
+    `config`: a bench.toml. Raises `InputError` if the bus cannot be opened.
     """
     sections = configuration.read(None if config is None else Path(config))
     return list(examine(sections["network"], bus or buses.simulated(), seconds))

@@ -104,7 +104,7 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _short_help(arguments: Sequence[str], error: Exception) -> int:
-    """Say in short what a command needs that was named and given nothing; 0, and nothing said, where that is not so."""
+    """Print the short help of a command given without its arguments, and return 2; return 0 in any other case."""
     if isinstance(error, InputError) and not isinstance(error, NothingGivenError):
         return 0
     command, alone = found(app, arguments)
@@ -127,7 +127,7 @@ def _failed(error: Exception) -> int:
 
 def _remark(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
             line: str | None = None) -> None:
-    """Say a remark on what was read as one line; any other warning as Python does."""
+    """Print a remark on an input file as one line; any other warning as Python does."""
     if issubclass(category, Remark):
         if str(message) not in _REMARKED:
             print(f"bowden: {message}", file=sys.stderr)

@@ -1,6 +1,6 @@
-"""How a command shows itself: its help, and the short help where it was named and given nothing.
+"""Help of commands: the full help, and the short help of a command given without arguments.
 
-The rule of this file: arguments are shown as words (`TRIAL`, `[TRIAL]`, `TRIAL...`), without the type behind them.
+Arguments are shown as words (`TRIAL`, `[TRIAL]`, `TRIAL...`), without the type behind them.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ def found(application: typer.Typer, words: Sequence[str]) -> tuple[Any, bool]:
 
 
 def short_help(command: Any, path: str, needed: str = "") -> str:
-    """Say what a command does, what it needs (`needed` where the options alone do not say) and one example."""
+    """Return the short help: purpose of a command, its needs (`needed` in addition to required options) and one
+    example."""
     text = (command.help or "").strip()
     first, example = " ".join(text.split("\n\n")[0].split()), " ".join(text.partition("Example:")[2].split())
     below = getattr(command, "commands", {})

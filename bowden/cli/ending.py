@@ -1,7 +1,7 @@
-"""How a command ends when it is told to: Ctrl-C, SIGTERM and SIGHUP alike.
+"""Signals that end a command: Ctrl-C, SIGTERM and SIGHUP alike.
 
-The rule of this file: SIGTERM and SIGHUP do what Ctrl-C would do at that moment, so a trial stops safely and its file
-is whole; the exit status is 128 and the signal's number.
+SIGTERM and SIGHUP act as Ctrl-C would at that moment, so a trial stops safely and its file is complete; the exit
+status is 128 and the signal's number.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from types import FrameType
 LIKE_CTRL_C = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 CTRL_C = 128 + signal.SIGINT
 INTERRUPTED = "interrupted"
-"""What the reason begins with that a run was stopped for by the operator."""
+"""Beginning of the reason of a run that the operator stopped."""
 
 
 class Ending:
-    """Which signal ended the command, if any."""
+    """The signal that ended the command, if any."""
 
     def __init__(self) -> None:
         self.number: int | None = None

@@ -1,7 +1,7 @@
 """Options that belong together, declared once; a command takes each group as one parameter.
 
-The rule of this file: a group is a named tuple of options with defaults, and knows what it makes of a configuration;
-`grouped` spells groups out for the command line and gathers them again.
+A group is a named tuple of options with defaults and a method that applies them to a configuration; `grouped` spells
+groups out for the command line and gathers them again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class WalkOptions(NamedTuple):
-    """What the gait is asked to be; None leaves it to the configuration."""
+    """Options of the gait; None uses the configuration."""
 
     peak: options.Peak = None
     period: options.Period = None
@@ -41,7 +41,7 @@ class WalkOptions(NamedTuple):
 
 
 class SimulatedOptions(NamedTuple):
-    """What belongs to simulated benches only; None where it was not given."""
+    """Options of simulated benches only; None if not given."""
 
     serial: options.Serial = None
     day: options.Day = None
@@ -98,7 +98,7 @@ class Bus(NamedTuple):
     raise_limits: options.RaiseLimits = None
 
     def sections(self, config: Path | None, rate: int | None = None) -> dict[str, Any]:
-        """The checked sections of the configuration in `config`, the network overridden by what was given."""
+        """Return the checked sections of the configuration in `config`, the network overridden by the given options."""
         from bowden.bench import configuration
 
         sections = configuration.read(config)
@@ -177,5 +177,5 @@ def _options(group: Any) -> list[inspect.Parameter]:
 
 
 def _spell(function: Any, annotations: Mapping[str, Any], signature: inspect.Signature) -> None:
-    """What a command line reads a command's options from."""
+    """Set the annotations and signature from which a command line reads a command's options."""
     function.__annotations__, function.__signature__ = dict(annotations), signature

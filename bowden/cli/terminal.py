@@ -1,4 +1,4 @@
-"""What a command says: one JSON object or a table on stdout, progress and remarks on stderr."""
+"""Output of a command: one JSON object or a table on stdout, progress and remarks on stderr."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def emit(result: Mapping[str, Any]) -> None:
-    """Write one JSON object on stdout, keys as given; what is undefined (NaN, infinite) is null."""
+    """Write one JSON object on stdout, keys as given; an undefined number (NaN, infinite) is null."""
     json.dump(_defined(result), sys.stdout, ensure_ascii=False, allow_nan=False)
     sys.stdout.write("\n")
 
@@ -48,7 +48,7 @@ def remark(text: str) -> None:
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Format a figure for a table; what is undefined is a dash."""
+    """Format a figure for a table; an undefined one is a dash."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}f}"
 
 
@@ -73,7 +73,8 @@ class Terminal:
 
 @contextmanager
 def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr that is told the share done, 0…1; silent unless `shown` and stderr is a terminal."""
+    """Show a bar on stderr and yield a function of the share done, 0…1; silent unless `shown` and stderr is a
+    terminal."""
     if not (shown and sys.stderr.isatty()):
         yield lambda share: None
         return

@@ -1,6 +1,6 @@
-"""What feeds the live page: a trial that runs in this process, and a recorded one that is played.
+"""Sources of the live page: a trial that runs in this process, and a recorded one that is played.
 
-The rule of this file: the trial's recorder comes first and hears everything, whatever becomes of the page.
+The trial's recorder comes first and receives everything, whatever happens to the page.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STATUS: Final = {PlayerStatus.READY: "waiting", PlayerStatus.PLAYING: "running",
                  PlayerStatus.ENDED: "ended"}
 FRAME: Final = struct.Struct("<I3?B8s")
 FRAME_AT: Final = 24
-"""Where a `/can/frames` payload's identifier begins: after encapsulation, stamp and frame_id."""
+"""Offset of the identifier in a `/can/frames` payload: after encapsulation, stamp and frame_id."""
 ROW_AT: Final = 12
 OTHER_PROCESS: Final = ("This process only listens to the bus. To stop: press Ctrl-C where the trial runs, the button "
                         "of its own page (bowden trial --web), or the emergency stop.")
@@ -34,7 +34,7 @@ RECORDED: Final = "This is a recorded trial: there is nothing to stop."
 
 
 class TrialRecorder(Protocol):
-    """What a trial is recorded by."""
+    """Interface of a trial's recorder."""
 
     frame: Callable[..., None]
     frames: Callable[..., None]
@@ -43,7 +43,7 @@ class TrialRecorder(Protocol):
 
 
 def setup(name: str, network: Network) -> PageSetup:
-    """Return what a page of a bench with this network is made with."""
+    """Return the settings for the page of a bench with this network."""
     return PageSetup(name, network.bitrate, tuple(wire(network).nodes), network.heartbeat_timeout_ms * 1e-3)
 
 
@@ -53,7 +53,7 @@ def state(name: str, kind: str, network: Network, *, decode_events: bool = False
 
 
 class TrialFeed:
-    """What a trial tells its page."""
+    """Stream of a trial to its page."""
 
     def __init__(self, page: PageProcess) -> None:
         self._page = page
@@ -107,7 +107,7 @@ class _Beside:
 def of_trial(where: str, name: str, network: Network, say: Callable[[str], None]) -> Iterator[TrialFeed]:
     """Serve the page of a trial that runs inside this context, at `where` ([HOST:]PORT).
 
-    `say` is told the address before the trial begins.  Raises `InputError` where it cannot listen.
+    `say` receives the address before the trial begins. Raises `InputError` if the address cannot be used.
     """
     from master.cycle import stop_request
 
@@ -153,7 +153,7 @@ class PagedViewer:
             shown.event(time_ns, *cdr.event_strings(payload))
 
     def time(self, time_ns: int) -> None:
-        """Tell Foxglove the time; the page has it from what it is sent."""
+        """Send Foxglove the time; the page takes it from its messages."""
         if self._viewer is not None:
             self._viewer.time(time_ns)
 

@@ -1,7 +1,7 @@
-"""The live page of a trial in a process of its own, so that no request to it takes time from the control cycle.
+"""The live page of a trial in a separate process, so that no request to it takes time from the control cycle.
 
-The control thread packs what it records and sends it without waiting: what a page cannot take is left out there, never
-in the recording.  The page's process answers requests; what comes back is the stop button's request alone.
+The control thread packs its records and sends them without waiting: records that a page cannot take are dropped
+there, never in the recording. The page's process answers requests; only the stop button's request comes back.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ PATIENCE_S: Final = 3.0
 
 
 class PageSetup(NamedTuple):
-    """What a page of a trial is made with: as `LiveState` takes it."""
+    """Settings of the page of a trial, as `LiveState` takes them."""
 
     name: str
     bitrate: int
@@ -156,7 +156,7 @@ class PageProcess:
 
 
 def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: str) -> None:
-    """Serve the page of a trial until `told` ends; the page's own process."""
+    """Serve the page of a trial until `told` ends; runs in the page's own process."""
     for name in ("SIGINT", "SIGHUP", "SIGQUIT"):  # the trial stops on them, and ends the page afterwards
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

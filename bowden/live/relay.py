@@ -23,7 +23,7 @@ RARE = frozenset((0x000, *range(0x081, 0x100), *range(0x701, 0x780)))
 
 
 class Relay:
-    """Tells what python-can messages say, as a trial's topics, and to a page (`shown`); either may be absent."""
+    """Relay of python-can messages, as a trial's topics, and to a page (`shown`); either may be absent."""
 
     def __init__(self, follower: Follower, viewer: Viewer | None, shown: LiveState | None = None) -> None:
         self._follow, self._viewer, self._shown = follower.frame, viewer, shown

@@ -1,7 +1,7 @@
-"""What the live page shows, gathered from a bus, a trial that runs or a trial that is played.
+"""Content of the live page, gathered from a bus, a trial that runs or a trial that is played.
 
-The rule of this file: what the control thread calls (`frame`, `cycle`, `event`) only appends to a queue; the page's own
-thread counts, decodes and forgets.  Times are those of the bus, ages those of the clock that is handed in.
+The functions for the control thread (`frame`, `cycle`, `event`) only append to a queue; the page's own thread counts,
+decodes and discards. Times are those of the bus, ages those of the clock that is handed in.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ Force = tuple[int, float, float, float]
 class LiveState:
     """The state of one page; `clock` gives seconds that only rise, `bitrate` is in bit/s.
 
-    `nodes` are the node-IDs that should be there; `silent_s` is the age from which a heartbeat counts as lost.
-    `kind`: trial (runs in this process), bus (only listened to) or recorded.  `decode_events`: NMT, EMCY and boot-up
-    frames are told as events; False where whoever feeds the page tells events itself.
+    `nodes` are the expected node-IDs; `silent_s` is the age from which a heartbeat counts as lost. `kind`: trial
+    (runs in this process), bus (only listened to) or recorded. `decode_events`: NMT, EMCY and boot-up frames are
+    decoded into events; False if the source sends events itself.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class LiveState:
             self.changed.notify_all()
 
     def message(self, seen: tuple[int, int, int]) -> tuple[dict[str, Any], tuple[int, int, int]]:
-        """Return what a page lacks that has `seen` (epoch, rows, events), and what it will have seen then.
+        """Return the new content for a page that has `seen` (epoch, rows, events), and its next `seen`.
 
         Call it with `changed` held.
         """
@@ -195,5 +195,5 @@ class LiveState:
 
 
 def _last(kept: deque[Any], count: int) -> list[Any]:
-    """Return the last `count` of what is kept, or all of it."""
+    """Return the last `count` entries, or all if there are fewer."""
     return list(kept)[max(len(kept) - count, 0):]

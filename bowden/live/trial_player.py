@@ -1,6 +1,6 @@
-"""A trial in a viewer: where playing stands, the tape, and the viewer that is told what is due and says what it wants.
+"""A trial in a viewer: the playback, the tape, and the viewer that receives due messages and sends requests.
 
-The rule of this file: a viewer's threads only change the playback, under the lock; messages leave by `look` alone.
+A viewer's threads only change the playback, under the lock; messages are sent by `look` alone.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class TrialPlayback:
         self._sought = False
 
     def asked(self, asked: PlayerRequest) -> Playback:
-        """Take what a viewer's controls ask for; returns where the player stands then."""
+        """Apply a request of a viewer's controls; return the playback after it."""
         with self._lock:
             self._sought = self._sought or asked.seek_ns is not None
             self._playback = self._playback.told(
@@ -34,9 +34,10 @@ class TrialPlayback:
             return self._playback
 
     def look(self, viewer: Viewer | PagedViewer) -> None:
-        """Send what is due, to new subscriptions and after a seek the last message before it too, and a new status.
+        """Send due messages, and a new status; new subscriptions and a seek also get the last message before.
 
-        A playback that is READY begins when the subscriptions are the same at two looks: clients subscribe one by one.
+        A playback that is READY begins when the subscriptions are the same at two looks: clients subscribe one by
+        one.
         """
         topics = viewer.wanted()
         with self._lock:

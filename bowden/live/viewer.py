@@ -27,7 +27,7 @@ def installed() -> bool:
 
 
 class PlayerRequest(NamedTuple):
-    """What a viewer's player controls ask for."""
+    """Request of a viewer's player controls."""
 
     control: PlayerControl
     speed: float

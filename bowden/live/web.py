@@ -1,8 +1,8 @@
-"""The live page's server: one page, a stream of what it shows (Server-Sent Events), and the stop button's request.
+"""Server of the live page: the page, a stream of its content (Server-Sent Events), and the stop button's request.
 
-The rule of this file: whoever may not watch is told why and nothing else.  Listens at loopback unless told otherwise;
-Host and Origin are checked (a page of another site, or a name that points here, gets nothing); anywhere but loopback
-the address carries a random token.  A stop needs the token and the page's own origin, always.
+A client without access receives the reason and nothing else. The server listens at loopback by default. Host and
+Origin are checked (a page of another site, or a name that points here, gets nothing); anywhere but loopback the
+address carries a random token. A stop needs the token and the page's own origin, always.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ LOOPBACK: Final = "127.0.0.1"
 TICK_S: Final = 0.1
 """Between two messages of the stream."""
 PATIENCE_S: Final = 10.0
-"""How long a client may take to say what it wants, or to take what it is sent."""
+"""Time limit for a client to send its request, or to accept the answer."""
 MOST_WATCHERS: Final = 8
 MOST_PENDING: Final = 32
-"""Connections that have not said yet what they want; one more closes the oldest of them."""
+"""Connections without a complete request; one more closes the oldest of them."""
 BACKLOG: Final = 128
 """Connections that the kernel keeps until they are taken."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
@@ -46,10 +46,10 @@ def address(text: str) -> tuple[str, int]:
 
 
 class LivePage:
-    """The server of one page, on threads of its own, from when it is made until `close`.
+    """The server of one page, in separate threads, from construction until `close`.
 
-    `stop` asks for the safe stop from any thread; None where this process cannot stop the bench, and `no_stop` then
-    says why and what to do instead.  Raises `InputError` where `where` (`[HOST:]PORT`) cannot be listened at.
+    `stop` requests the safe stop from any thread; None if this process cannot stop the bench, and `no_stop` is then
+    the reason and the remedy. Raises `InputError` if `where` (`[HOST:]PORT`) cannot be used.
     """
 
     def __init__(self, state: LiveState, where: str, stop: Callable[[], None] | None = None, no_stop: str = "") -> None:
@@ -104,7 +104,7 @@ class LivePage:
             return name in self._names
 
     def knows(self, token: str) -> bool:
-        """Whether a token is this page's, in a time that tells nothing of it."""
+        """Whether a token is this page's, compared in constant time."""
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def ask_to_stop(self) -> None:

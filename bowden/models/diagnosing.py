@@ -24,11 +24,11 @@ Given = Trial | str | Path
 
 
 class Diagnosis:
-    """Finds what the simulation gets wrong about trials of one bench, as an estimator of scikit-learn does.
+    """Diagnosis of trials of one bench, with the interface of a scikit-learn estimator.
 
-    `model`: what the bench was identified to be, or its calibration.toml (None: what each trial carries with it).
-    `lowpass_hz`: cut-off of the zero-phase low-pass put on every signal first.  `core`: evidence or relations, as of
-    `bowden diagnose`.
+    `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
+    cut-off of the zero-phase low-pass put on every signal first. `core`: evidence or relations, as of `bowden
+    diagnose`.
     """
 
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str = "relations") -> None:
@@ -46,11 +46,11 @@ class Diagnosis:
         return self
 
     def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = ()) -> DiagnosisResult:
-        """Say what is wrong in `trials`, and why; nothing is fitted on `holdout`.
+        """Return the causes of faults in `trials`; nothing is fitted on `holdout`.
 
-        Without a model or healthy trials, trials that ran on the packaged calibration get no cause named: see
-        `on_its_footing`.  Raises `InputError` for files that cannot be used; data that contradict themselves give the
-        verdict `refused`.
+        Without a model or reference trials, trials that ran on the packaged calibration get no cause named: see
+        `on_its_footing`. Raises `InputError` for files that cannot be used; inconsistent data give the verdict
+        `refused`.
         """
         given = _several(trials)
         asked, unseen = [_table(trial) for trial in given], [_table(trial) for trial in _several(holdout)]
@@ -60,11 +60,11 @@ class Diagnosis:
 
 
 class DiagnosisResult:
-    """What a diagnosis found.
+    """Result of a diagnosis.
 
-    `verdict`: none, found, ambiguous, unexplained or refused.  `causes`: one dict an effect, with its site, its
-    parameters (value, low, high, unit) and its gain, %.  `rivals`: effects that these data cannot tell apart, the
-    chosen ones first.  `experiment`: what would tell them apart.  `relations`: figures by relation.  `warnings`:
+    `verdict`: none, found, ambiguous, unexplained or refused. `causes`: one dict an effect, with its site, its
+    parameters (value, low, high, unit) and its gain, %. `rivals`: effects that these data cannot separate, the chosen
+    ones first. `experiment`: the experiment that would separate them. `relations`: figures by relation. `warnings`:
     sentences for the reader.
     """
 
@@ -85,9 +85,9 @@ class DiagnosisResult:
 
     @property
     def model(self) -> BenchModel:
-        """The bench model with what was found in it: for `bowden.simulate`, `bowden.simulated` and `Experiment`.
+        """Return the bench model with the effects found: for `bowden.simulate`, `bowden.simulated` and `Experiment`.
 
-        Raises `InputError` where the trials were refused.
+        Raises `InputError` if the trials were refused.
         """
         from diagnosis import extension
 
@@ -107,10 +107,10 @@ class DiagnosisResult:
 
 
 def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -> Findings:
-    """Return what was found; without a cause named where nothing says what this bench is by itself.
+    """Return the findings; without a named cause if no data describe this bench without the fault.
 
-    That is so where every trial ran on the packaged calibration; `measured`: a calibration or healthy trials were given
-    beside them.
+    This is so if every trial ran on the packaged calibration; `measured`: a calibration or reference trials were
+    given.
     """
     from diagnosis.data.table import NOMINAL
     from trial.read import open as opened

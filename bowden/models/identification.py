@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class StoppedError(Exception):
-    """The bench stopped before there was a result; the text says why, in one sentence."""
+    """The bench stopped before there was a result; the text is the reason, in one sentence."""
 
 
 class Identified(NamedTuple):
@@ -127,10 +127,10 @@ def identify(
 ) -> BenchModel:
     """Measure a bench by the paper's procedures and return its model; or, with `trials`, fit recorded ones again.
 
-    `what`: stiffness, swing, friction, sensors or all.  `bus`: `bowden.simulated(…)`, also the default, or
-    `bowden.bus(…)`.  `model`: what it starts from (None: the packaged nominal one); `config`: a bench.toml.
-    `output`: the file that keeps the recording (None: it is not kept).  `date`: ISO date for the evidence (today).
-    Raises `InputError` for bad input, `StoppedError` where the bench stopped.
+    `what`: stiffness, swing, friction, sensors or all. `bus`: `bowden.simulated(…)`, also the default, or
+    `bowden.bus(…)`. `model`: starting point (None: the packaged nominal one); `config`: a bench.toml. `output`: the
+    file that keeps the recording (None: it is not kept). `date`: ISO date for the evidence (today). Raises
+    `InputError` for bad input, `StoppedError` if the bench stopped.
     """
     date = datetime.date.today().isoformat() if date is None else date
     guess = None if model is None else model_files.given(model).calibration
@@ -161,12 +161,11 @@ def fit(
     trials: Sequence[Trial | str | Path], *, model: Model | None = None, lowpass_hz: float | None = None,
     progress: Progress = SILENT,
 ) -> BenchModel:
-    """Fit the simulation's constants to healthy trials of one bench, as `bowden fit` does.
+    """Fit the simulation's constants to reference trials of one bench, as `bowden fit` does.
 
     `trials`: any motion, own or imported, with rope position and START, END or both; `model`: the point that the fit
-    starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz.  What the fit says of trials that
-    it had not seen is in `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`.  Raises
-    `InputError`.
+    starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz. Errors on held-out trials are in
+    `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
     import tomllib
 

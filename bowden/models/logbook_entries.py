@@ -128,7 +128,7 @@ def against_history(folder: Path, path: Path) -> dict[str, Any]:
 
 
 def add_verdict(folder: Path, path: Path, content: Mapping[str, Any]) -> None:
-    """Enter what a diagnosis decided of a trial; the trial is entered too where it was not."""
+    """Enter the verdict on a trial; the trial is entered, too, if it is new."""
     entry = add(folder, path)
     with open_logbook(folder) as book:
         book.enter_verdict(entry.id, content)
@@ -205,7 +205,7 @@ def bench_coordinates(model: ReferenceFit) -> Any:
 
 
 def reference_model(book: Logbook) -> tuple[int, ReferenceFit] | None:
-    """Return number and content of the newest reference model; None where there is none yet."""
+    """Return number and content of the newest reference model; None before the first one."""
     kept = book.reference()
     if kept is None:
         return None
@@ -253,7 +253,7 @@ def _recording(path: Path, entry: TrialEntry) -> Recording:
 
 
 def _recording_of(path: Path, outcome: str | None) -> Recording:
-    """Read what the likelihood needs; raises `InputError` where it is not there."""
+    """Read the inputs of the likelihood; raises `InputError` if one is missing."""
     from diagnosis.data import integrity, scales, table
     from diagnosis.evidence.path_model import PATH_MODEL
 

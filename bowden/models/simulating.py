@@ -1,7 +1,7 @@
-"""What the simulation says of a recorded trial: its commands, or its motion, into a simulated bench, residuals beside.
+"""Simulation of a recorded trial: its commands, or its motion, into a simulated bench, with residuals.
 
-The rule of this file: the bench is that of the model, without the scatter of a serial number; SI throughout.  A trial
-with CAN frames plays what the master sent; one without (lab data) leads rope and knee where they were measured.
+The bench is that of the model, without the scatter of a serial number; SI throughout. A trial with CAN frames plays
+the master's commands; one without (lab data) imposes the measured motion of rope and knee.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ class Simulation:
 
 
 def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progress = SILENT) -> Simulation:
-    """Play what the master sent in `trial` to a simulated bench of `model`; raises `InputError`.
+    """Play the master's commands in `trial` to a simulated bench of `model`; raises `InputError`.
 
-    A trial without CAN frames (MCAP or CSV) is simulated under its measured rope and knee motion, START and END alone.
+    A trial without CAN frames (MCAP or CSV) is simulated under its measured rope and knee motion, START and END
+    alone.
     """
     from bowden.replay import onto_plant
 

@@ -1,6 +1,6 @@
-"""The figures of `trial --json`, from the closed file, and the picture.
+"""Figures of `trial --json`, from the closed file, and the picture.
 
-The rule of this file: what was not recorded has no figure; a disk that was full is no error here.
+A signal that was not recorded has no figure; a full disk is no error here.
 """
 
 from __future__ import annotations

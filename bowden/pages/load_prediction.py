@@ -1,4 +1,4 @@
-"""How full the bus was: the recorded frames' own bits, stuffing included."""
+"""Measured bus load: the recorded frames' own bits, stuffing included."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def frame_bits(frames: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def measured_percent(recorded: Trial, bitrate: int) -> float:
-    """Bits of the frames between the first and the last control cycle, % of what the bus could carry; NaN without."""
+    """Return the bits of the frames between the first and the last control cycle, % of the bus's capacity; NaN
+    without."""
     if len(recorded.time_ns) < 2:
         return math.nan
     first, last = int(recorded.time_ns[0]), int(recorded.time_ns[-1])

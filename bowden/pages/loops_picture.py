@@ -17,7 +17,7 @@ from master.identification.calibration_fit import Segment
 from physics import laws
 
 SWING_STEP, PULL_STEP = 20, 5
-"""One point in so many is drawn: fewer than a page can show, all that the eye can tell."""
+"""Steps at which points are drawn: fewer points than a page has room for, as many as the eye can separate."""
 
 
 def stiffness(axes: Any, segments: Sequence[Segment]) -> str:

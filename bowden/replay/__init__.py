@@ -3,7 +3,7 @@
     bowden.replay.onto("controller", trial)                        # its inputs, stepped again: bit for bit the same?
     bowden.replay.onto("plant", trial, bus=bowden.simulated(3))    # its commands, to a simulated bench: residuals
 
-The rule of this package: `onto` is its public name, imported without what it uses.
+`onto` is the public name of this package; its imports wait until the call.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def onto(
 ) -> ControllerComparison | Residuals:
     """Replay a trial and return the comparison with its recording (`same`: bit for bit).
 
-    `target`: "controller", the trial's measurements to its controller's steps, or "plant", what the master sent to a
-    simulated bench, `bus` (None: the one of serial number 1).  `allow`: a controller outside of this package that the
-    trial names and that may be imported.  Raises `InputError`; replay onto a real bus is `bowden replay`.
+    `target`: "controller", the trial's measurements to its controller's steps, or "plant", the master's commands to a
+    simulated bench, `bus` (None: the one of serial number 1). `allow`: a controller outside of this package that the
+    trial names and that may be imported. Raises `InputError`; replay onto a real bus is `bowden replay`.
     """
     from bowden.bench import buses
     from bowden.trials import recorded
@@ -54,7 +54,7 @@ def onto(
 
 
 def refuse_imported(recorded: Recorded, onto: str) -> None:
-    """Raise `InputError`, with what can be done instead, for what a log or table of others cannot be replayed onto."""
+    """Raise `InputError`, with an alternative, for an imported log or table that cannot be replayed onto `onto`."""
     source = recorded.metadata.get("imported_from")
     if source is None:
         return

@@ -1,6 +1,6 @@
-"""What a replay compared with the recording: the parts that every comparison has.
+"""Comparison of a replay with the recording: the parts that every comparison has.
 
-The rule of this file: a comparison is bit for bit; it counts what differs by name and keeps the first difference.
+A comparison is bit for bit; it counts differences by name and keeps the first one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Difference = TypeVar("Difference")
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(Generic[Difference]):
-    """`differing`: how many of each name differ; `first`: the first difference, None where there is none."""
+    """`differing`: number of differences by name; `first`: the first difference, None if all agree."""
 
     differing: Mapping[str, int]
     first: Difference | None

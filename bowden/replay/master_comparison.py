@@ -1,7 +1,7 @@
-"""What a live master sent against the recorded one, COB-ID by COB-ID.
+"""Frames of a live master against those of the recorded one, COB-ID by COB-ID.
 
-The rule of this file: both are counted from their first frame; the n-th frame of one is compared with the n-th of the
-other; times are told, not judged.
+Both are counted from their first frame; the n-th frame of one is compared with the n-th of the other; times are
+reported, not judged.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class FrameDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class MasterComparison(Comparison[FrameDifference]):
-    """What a live master sent against the recorded one: frames compared; frames that differ by COB-ID.
+    """Frames of a live master against the recorded ones: frames compared; frames that differ by COB-ID.
 
-    `beyond` counts what it sent after the recording's end; `timing_max_us` is the largest difference in time, both
-    counted from the first frame.
+    `beyond` counts frames after the recording's end; `timing_max_us` is the largest difference in time, both counted
+    from the first frame.
     """
 
     frames: int

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Played:
-    """What was played: frames sent, passes begun, frames that restored what was before, frames not taken by the bus.
+    """Result of playing: frames sent, passes begun, frames that restored the state before, frames the bus refused.
 
-    `left_out` counts by kind what cannot be sent; `lateness` is how late frames were handed to the bus.
+    `left_out` counts unsendable frames by kind; `lateness` is the delay of frames at the bus.
     """
 
     frames: int
@@ -77,7 +77,7 @@ class Playing:
 
     @property
     def position_ns(self) -> int:
-        """Where in the window it is."""
+        """Position in the window."""
         return self.player.position_ns(self.clock())
 
     @property

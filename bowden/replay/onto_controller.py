@@ -1,7 +1,7 @@
-"""The controller once more over what a trial recorded: the same steps, and whether they say the same.
+"""The controller run again over a recorded trial, with a comparison of its outputs.
 
-The rule of this file: the steps are the walk's own (`experiment.Planned.walk`), fed with recorded inputs from its
-first row on, so that what a controller remembers is made again; every output is compared bit for bit.
+The steps are those of the gait itself (`experiment.Planned.walk`), fed with recorded inputs from its first row on, so
+that the controller's memory is rebuilt; every output is compared bit for bit.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class OutputDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerComparison(Comparison[OutputDifference]):
-    """What was stepped again: rows, and frames of targets compared; rows that differ by signal."""
+    """Steps run again: rows, and frames of targets compared; rows that differ by signal."""
 
     controller: str
     rows: int
@@ -67,9 +67,9 @@ class EndedError(Exception):
 
 
 class RecordedInputs:
-    """A recorded trial as the cycle that a walk runs in; `made` and `frames` are what it was told, by row.
+    """A recorded trial as the control cycle of a gait; `made` and `frames` are the controller's outputs, by row.
 
-    It begins at the first row of the walk and raises `EndedError` after its last.
+    It begins at the first row of the gait and raises `EndedError` after its last.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ def replay(
 ) -> ControllerComparison:
     """Step the controller of `experiment` again over a trial of it, and compare.
 
-    Raises `InputError` where the trial does not hold what is needed.
+    Raises `InputError` if the trial lacks a needed signal.
     """
     recording = step_again(recorded, experiment, progress)
     cob_id = wire(experiment.network).targets.cob_id
@@ -164,7 +164,7 @@ def whole_rows(recorded: Trial) -> int:
 
 
 def _day(recorded: Trial, experiment: ExperimentSetup, kind: Kind) -> HomingFit:
-    """What homing found; the default for a controller that does not use it."""
+    """Return the homing fit; the default for a controller that does not use it."""
     found = (recorded.result or {}).get("day")
     if isinstance(found, list) and 4 <= len(found) <= len(HomingFit._fields):
         return HomingFit(*map(float, found))
@@ -177,7 +177,7 @@ def _day(recorded: Trial, experiment: ExperimentSetup, kind: Kind) -> HomingFit:
 def compare(
     recorded: Trial, rows: range, targets_cob_id: int, controller: str, recording: RecordedInputs
 ) -> ControllerComparison:
-    """Compare what the steps gave with what was recorded, bit for bit; one NaN is like another."""
+    """Compare the steps' outputs with the recorded ones, bit for bit; NaN equals NaN."""
     count = len(recording.made)
     stepped = slice(rows.start, rows.start + count)
     then = {name: recorded.columns[name][stepped] for name in recording.outputs if name in recorded.columns}
@@ -217,7 +217,7 @@ def _told(recorded: Trial, stepped: slice) -> list[int]:
 
 
 def _frames_by_row(recorded: Trial, cob_id: int) -> list[bytes | None]:
-    """Payload of the last frame `cob_id` between a row's SYNC and the next one's, None where there is none."""
+    """Payload of the last frame `cob_id` between a row's SYNC and the next one's, None without one."""
     frames = recorded.frames
     frames = frames[(frames["can_id"] == cob_id) & (frames["flags"] == 0)]
     found: list[bytes | None] = [None] * len(recorded.time_ns)

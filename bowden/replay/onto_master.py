@@ -1,7 +1,7 @@
-"""The recorded nodes before a running master, and what it answers.
+"""The recorded nodes with a running master, and a comparison of its frames.
 
-The rule of this file: on the virtual bus the master is this process's own and runs the recorded experiment; on a real
-bus it is another program.
+On the virtual bus the master is this process's own and runs the recorded experiment; on a real bus it is another
+program.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from trial.read import Trial
 
 SILENCE_NS = 3_000_000_000
-"""A master that says nothing for so long has finished."""
+"""Silence of a master after which it has finished."""
 
 
 def replay(recorded: Trial, chosen: BusSettings, bitrate: int, *, progress: Progress = SILENT) -> MasterComparison:
-    """Let a master run against the recorded nodes; says where it differs from the recorded master.
+    """Let a master run against the recorded nodes; return its differences from the recorded master.
 
     Raises `InputError` for a trial without frames.
     """
@@ -66,7 +66,7 @@ def _own(recorded: Trial, nodes: RecordedNodes, channel: str, bitrate: int) -> N
 
 
 def _theirs(nodes: RecordedNodes, chosen: BusSettings, bitrate: int, progress: Progress) -> None:
-    """The recorded nodes on a real bus, until nothing is left to say or the master has finished."""
+    """Run the recorded nodes on a real bus, until all frames are sent or the master has finished."""
     from virtual_bus.bench import Bench
     from virtual_bus.serve import serve
 

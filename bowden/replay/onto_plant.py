@@ -1,4 +1,4 @@
-"""The recorded commands into a simulated bench: what it answers, and the residuals."""
+"""The recorded commands into a simulated bench: its responses, and the residuals."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def replay(
     recorded: Trial, chosen: BusSettings, output: Path | None = None, *, overwrite: bool = False,
     progress: Progress = SILENT,
 ) -> Residuals:
-    """Play what the master sent to a simulated bench, and compare what its nodes answer with what was recorded.
+    """Play the master's commands to a simulated bench, and compare its nodes' responses with the recording.
 
-    `output` gets the residuals as a trial of its own.
+    `output` gets the residuals as a separate trial.
     """
     from bowden.replay.plant_residuals import residuals
     from eds.bench.bench_network import wire
@@ -41,7 +41,7 @@ def replay(
 
 
 def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progress: Progress = SILENT) -> Rows:
-    """Every frame of a simulated bench that is told what the recorded one was told, at the same bus times."""
+    """Return every frame of a simulated bench under the recorded commands, at the same bus times."""
     from bowden.replay import plant_residuals, playing_bus
     from bowden.replay.player import Player
     from bowden.replay.schedule import plan
@@ -68,7 +68,7 @@ def simulate(recorded: Trial, chosen: BusSettings, described: WireLayout, progre
 
 
 def lengths_ns(frames: Rows, bitrate: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """How long each recorded frame was on the wire."""
+    """Duration of each recorded frame on the wire."""
     from trial.mcap_file import cdr
     from virtual_bus.wire.bits import bits_of
 

@@ -1,7 +1,7 @@
-"""A trial's commands into a simulated bench, and how far what it answers is from what was recorded.
+"""Residuals between recorded responses and those of a simulated bench under the same commands.
 
-The rule of this file: pure.  A command is played where its first bit was on the recorded wire; both sides are decoded
-from frames by the same plans, row k from SYNC k, so that the same bits give no residual, exactly.
+Pure functions. A command is played at the time of its first bit on the recorded wire. Both sides are decoded from
+frames by the same plans, row k from SYNC k, so that the same bits give no residual, exactly.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BOOT_NS = 50_000_000
 """A bench that was just switched on is given so long before the first command."""
 PREFIX = "residual_"
 _KEPT = ("time_s", "gait_percent", "cycle", "desired_force_n")
-"""What a file of residuals keeps of the trial beside them, as far as it is there."""
+"""Signals of the trial that a file of residuals keeps, as far as they exist."""
 _NOT_COMPARED = ("time_s",)
 
 
@@ -92,7 +92,7 @@ def origin_ns(first_ns: int, first_command_ns: int) -> int:
 
 
 def residuals(recorded: Trial, simulated: Rows, described: WireLayout) -> Residuals:
-    """Compare what the nodes said in a trial with what they say in `simulated` frames, row by row."""
+    """Compare the nodes' signals in a trial with those in `simulated` frames, row by row."""
     frames = recorded.frames
     channel = decode.bench_channel(frames, described)
     then = decode.cycles(frames[frames["channel"] == channel], described)
@@ -119,7 +119,7 @@ def residuals(recorded: Trial, simulated: Rows, described: WireLayout) -> Residu
 
 
 def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Rows that are in a gait cycle, all where the trial does not say."""
+    """Return the rows in a gait cycle, all if the trial has no numbers of gait cycles."""
     if "cycle" not in recorded.columns:
         return np.ones(len(time_ns), np.bool_)
     return np.isin(time_ns, recorded.time_ns[recorded.columns["cycle"] >= 0])
@@ -128,7 +128,7 @@ def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 def figure(
     signal: Signal, one: Floats, other: Floats, time_ns: NDArray[np.int64], gait: NDArray[np.bool_]
 ) -> SignalResidual:
-    """Return the figures of one signal from what was recorded, `one`, and simulated, `other`, NaN where unknown."""
+    """Return the figures of one signal from recorded values, `one`, and simulated ones, `other`, NaN where unknown."""
     error = one - other
     known = np.flatnonzero(np.isfinite(error))
     one_sided = int(np.count_nonzero(np.isnan(one) != np.isnan(other)))

@@ -1,7 +1,7 @@
 """The player: a schedule of frames, played, paused, stepped, sought and repeated.
 
-The rule of this file: `trial.playback` says where it stands, and time goes in as an argument; whoever owns a bus asks
-`next_ns`, waits by receiving, and calls `poll`.
+`trial.playback` holds its state, and time is an argument; the owner of a bus asks `next_ns`, waits by receiving, and
+calls `poll`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from trial.playback import SPEEDS, TRANSITIONS, PlayerControl, PlayerStatus, rea
 
 
 class Lateness(NamedTuple):
-    """How late frames were handed to the bus, ns: over all of them."""
+    """Delays of frames at the bus, ns: over all of them."""
 
     frames: int
     median_ns: int
@@ -50,7 +50,7 @@ class Player:
 
     @property
     def status(self) -> PlayerStatus:
-        """Where playing stands."""
+        """State of the playback."""
         return self._playback.status
 
     @property
@@ -59,11 +59,11 @@ class Player:
         return self._playback.speed
 
     def position_ns(self, now_ns: int) -> int:
-        """Where in the window it is."""
+        """Position in the window."""
         return self._playback.position_ns(now_ns)
 
     def share(self, now_ns: int) -> float:
-        """How much of all its passes is played, 0 … 1."""
+        """Share of all passes that is played, 0 … 1."""
         played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
         return (self.pass_ + played) / self._loops
 
@@ -78,7 +78,7 @@ class Player:
         self._told(PlayerControl.PLAY, now_ns)
 
     def pause(self, now_ns: int) -> None:
-        """Send nothing until it is played again; the bus keeps what it was told last."""
+        """Send nothing until it is played again; the bus keeps the last commands."""
         self._told(PlayerControl.PAUSE, now_ns)
 
     def set_speed(self, speed: float, now_ns: int) -> None:
@@ -86,9 +86,9 @@ class Player:
         self._playback = replace(self._playback.at(self.position_ns(now_ns), now_ns), speed=checked_speed(speed))
 
     def seek(self, position_ns: int, now_ns: int) -> list[Frame]:
-        """Go to a position of this pass: the nodes are told the NMT state of then, and the last PDOs are sent again.
+        """Go to a position of this pass: the nodes get the NMT state of that time, and the last PDOs are sent again.
 
-        Returns what was sent for that.
+        Returns the frames sent for that.
         """
         if not 0 <= position_ns <= self.schedule.length_ns:
             raise InputError(f"seek to {position_ns / 1e9:g} s: expected 0 … {self.schedule.length_ns / 1e9:g} s.")

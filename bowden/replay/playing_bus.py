@@ -1,7 +1,6 @@
 """A player on python-can buses.
 
-The rule of this file: waiting is receiving; what is heard meanwhile goes to `heard`, and time is the clock's that is
-handed in, virtual or wall.
+Waiting is receiving; frames received meanwhile go to `heard`, and time is that of the given clock, virtual or wall.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from trial.playback import PlayerStatus
 
 NS = 1_000_000_000
 LINGER_NS = 10_000_000
-"""How long it stays after the last frame, so that it is on the bus before the bus is closed."""
+"""Time before the bus is closed after the last frame, so that the frame is transmitted."""
 ROOM_S = 0.1
-"""How long a full queue is waited for."""
+"""Time limit for room in a full queue."""
 Heard = Callable[[can.Message], None]
 
 
 class Outlet:
-    """Sends frames of recorded channels to the buses they are mapped to; `lost` counts what a bus did not take.
+    """Sender of frames of recorded channels to the buses they are mapped to; `lost` counts frames a bus refused.
 
     `buses` maps a recorded channel to its bus; a channel without one goes to `others`, or nowhere.
     """

@@ -1,7 +1,7 @@
-"""Which recorded frames are played, when, and what the bus must be told before playing goes on elsewhere.
+"""Selection and times of the recorded frames to play, and the frames that restore the bus after a jump.
 
-The rule of this file: pure; frames are `trial.mcap_file.cdr.FRAME_ROW` rows in the order of the recording, times are
-ns from the recording's first frame.
+Pure functions; frames are `trial.mcap_file.cdr.FRAME_ROW` rows in the order of the recording, times are ns from the
+recording's first frame.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Integers = NDArray[np.int64]
 BROADCAST = 0
 """The node of NMT, SYNC and TIME, which belong to no node."""
 DIRECTIONS = {"rx": False, "tx": True}
-"""As the recorder heard them: from the bus, or sent by the computer it ran on."""
+"""Direction as recorded: received from the bus, or sent by the recording computer."""
 _TIME_COB_ID = 0x100
 _NODE_MASK = 0x7F
 _COMMANDS = {
@@ -48,10 +48,11 @@ _STATES = {
 
 @dataclass(frozen=True)
 class Selection:
-    """What is played; None and empty mean all.  `from_s` and `to_s` count from the recording's first frame.
+    """Selection of the frames to play; None and empty mean all. `from_s` and `to_s` count from the recording's first
+    frame.
 
-    `nodes` are those of the pre-defined connection set, 0 for NMT, SYNC and TIME.  `channels` says which recorded
-    channels are played.
+    `nodes` are those of the pre-defined connection set, 0 for NMT, SYNC and TIME. `channels` are the recorded
+    channels to play.
     """
 
     nodes: frozenset[int] = frozenset()
@@ -64,9 +65,9 @@ class Selection:
 
 @dataclass(frozen=True)
 class Schedule:
-    """What is to be played: frame i at `times[i]` ns of the window, which is `length_ns` long.
+    """Frames to play: frame i at `times[i]` ns of the window, which is `length_ns` long.
 
-    `before` are the frames ahead of the window that pass the same filters; `left_out` counts what cannot be sent.
+    `before` are the frames ahead of the window that pass the same filters; `left_out` counts unsendable frames.
     """
 
     times: Integers
@@ -80,9 +81,9 @@ class Schedule:
 
 
 def plan(frames: Rows, selection: Selection, lead_ns: Integers | int = 0) -> Schedule:
-    """Choose frames and say when each is sent: `lead_ns` (one for all, or one a frame) before its recorded time.
+    """Choose frames and their times: `lead_ns` (one for all, or one a frame) before the recorded time.
 
-    Raises `InputError` where nothing is left to play.
+    Raises `InputError` if no frame remains to play.
     """
     if not len(frames):
         raise InputError("the trial holds no CAN frames; give one that was recorded on a bus.")
@@ -163,10 +164,10 @@ def nmt_states(frames: Rows) -> dict[int, NmtState]:
 
 
 def restoration(schedule: Schedule, count: int, master: int = 127) -> list[tuple[Frame, int]]:
-    """Frames, each with its channel, that bring the bus to where it was after `count` frames of the schedule.
+    """Frames, each with its channel, that restore the bus to its state after `count` frames of the schedule.
 
-    On every channel NMT commands for every node but `master`, then the last PDO of each COB-ID in the order they came
-    in.  What the filters keep out is not sent.
+    On every channel NMT commands for every node but `master`, then the last PDO of each COB-ID in the order of
+    arrival. Filtered frames are not sent.
     """
     past = np.concatenate([schedule.before, schedule.frames[:count]])
     found = []

@@ -2,7 +2,7 @@
 
     rows = bowden.sweep.over({"peak": [40, 50], "serial": range(1, 6)}, "table.csv")
 
-The rule of this package: `over` is its public name, imported without what it uses.
+`over` is the public name of this package; its imports wait until the call.
 """
 
 from __future__ import annotations

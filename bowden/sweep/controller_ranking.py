@@ -1,7 +1,7 @@
-"""The controllers of a sweep, ranked by what END's force misses of what is desired.
+"""The controllers of a sweep, ranked by the error of END's force against the desired one.
 
-The rule of this file: a controller whose trials stopped ranks behind every one whose trials completed; a figure is the
-median over the trials that completed, the true END's where the sweep knows it.
+A controller whose trials stopped ranks behind every one whose trials completed; a figure is the median over the
+trials that completed, the true END's if the sweep has it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RankedController(NamedTuple):
 
 
 def read(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a sweep's table; raises `InputError` where it is none, or of one controller."""
+    """Return the rows of a sweep's table; raises `InputError` for any other file, or if it has one controller only."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the table that bowden sweep --grid controller=… wrote.")
     header, *lines = lines_of(path) or [[]]

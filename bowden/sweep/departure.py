@@ -1,6 +1,6 @@
-"""A knee that does not do what the reference says: off in angle, off in tempo.
+"""A knee that departs from the reference: in angle, and in tempo.
 
-The rule of this file: only the knee's motion departs; what force is desired, and when, stays the reference's.
+Only the knee's motion departs; the desired force and its time remain the reference's.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from physics.reference import Reference
 
 @dataclass(frozen=True)
 class Departure:
-    """How the knee departs from its reference; the defaults are no departure."""
+    """Departure of the knee from its reference; the defaults are no departure."""
 
     angle_rad: float = parameter(
         0.0, "rad", "amplitude of a sine, once a gait cycle, on top of the reference", low=-0.3, high=0.3,
@@ -27,7 +27,7 @@ class Departure:
 
 
 def motion(reference: Reference, departure: Departure) -> Reference | None:
-    """Return what the knee does instead of `reference`; None where it does not depart."""
+    """Return the knee's motion in place of `reference`; None without a departure."""
     if departure == Departure():
         return None
     phase = np.linspace(0.0, 1.0, CYCLE_POINTS + 1)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Given:
-    """What every trial is diagnosed with."""
+    """Settings common to the diagnoses of all trials."""
 
     calibration: Path | None
     healthy: tuple[Path, ...]
@@ -68,7 +68,7 @@ def _state(given: Given) -> tuple[tuple[int, int], ...]:
 
 def each(trials: Sequence[Path], given: Given, workers: run.Workers, update: Callable[[float], None]
          ) -> dict[str, Mapping[str, Any]]:
-    """Diagnose every trial for itself; the order is that of `trials`.  `update` is told the share done."""
+    """Diagnose every trial for itself; the order is that of `trials`. `update` receives the share done."""
     asked = {workers.executor.submit(perform, trial, given): trial for trial in trials}
     told: dict[Path, Mapping[str, Any]] = {}
     for future in as_completed(asked):

@@ -29,7 +29,7 @@ FIGURES = (
     "missed_cycles", "stale_inputs", "bus_load_percent", "bus_load_bound_percent", "simulated_s", "wall_s", "outcome",
     "stop_reason",
 )
-"""What a row yields: the keys of `bowden trial --json`, in their order."""
+"""Figures of a row: the keys of `bowden trial --json`, in their order."""
 COMMIT = "commit"
 """And the commit that it was made by."""
 BENCH_TABLES = ("bench", "network", "limits", "homing", "plant", "start_sensor", "end_sensor", "servo_drive")
@@ -42,7 +42,8 @@ def digest(row: Row) -> str:
 
 
 def bench_of(row: Row) -> Row:
-    """Return what a calibration belongs to: the bench of a row on day 0, and how the master treats it."""
+    """Return the parameters that a calibration belongs to: the bench of a row on day 0, and its treatment by the
+    master."""
     kept = {name: value for name, value in row.items()
             if name.partition(".")[0] in BENCH_TABLES and name not in CHANGING}
     return {**kept, "bench.day": 0, "bench.seed": 0, "bench.steady": ""}
@@ -109,7 +110,7 @@ def attached(row: Row) -> dict[str, bytes]:
 
 
 def chosen(row: Row) -> buses.BusSettings:
-    """Return the virtual bus of a row, on a channel of its own."""
+    """Return the virtual bus of a row, on a separate channel."""
     bench = table(row, "bench")
     return buses.simulated(
         bench.serial, bench.day, bench.seed, plant=bench.plant, plant_model=plant_model(row) or None,

@@ -1,7 +1,7 @@
-"""What a sweep varies: rows of parameters, each the whole description of one trial.
+"""Parameters of a sweep: rows, each the complete description of one trial.
 
-The rule of this file: a row names every parameter as "table.key", with a value of its declared type, and has been
-checked by the declaration; two rows that say the same are the same trial.
+A row names every parameter as "table.key", with a value of its declared type, and has been checked by the
+declaration; two equal rows are the same trial.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def full_name(name: str) -> str:
 
 
 def value(name: str, text: str) -> Value:
-    """Return the value of the parameter `name` that `text` says; raises `InputError`."""
+    """Return the value of the parameter `name` from its text; raises `InputError`."""
     kind = kinds()[name]
     try:
         return typing.cast(Value, kind(text.strip()))
@@ -133,7 +133,7 @@ def axis(text: str) -> tuple[str, list[Value]]:
 
 
 def draw(text: str) -> Draw:
-    """Return what "NAME=LOW:HIGH" or "NAME=LOW:HIGH:log" says."""
+    """Return the draw described by "NAME=LOW:HIGH" or "NAME=LOW:HIGH:log"."""
     name, limits = _split(text, "--draw", "NAME=LOW:HIGH")
     low, _, rest = limits.partition(":")
     high, _, log = rest.partition(":")
@@ -238,7 +238,7 @@ def checked_row(row: Row, varied: Container[str]) -> Row:
 
 
 def reference(row: Row, varied: Container[str]) -> tuple[Reference, Gait]:
-    """Return a row's reference, and its gait with the period and peak that its files say and `varied` does not."""
+    """Return a row's reference, and its gait with the period and peak of its files unless they are `varied`."""
     files = table(row, "files")
     knee, desired = (Path(file) if file else None for file in (files.knee, files.desired))
     built, gait, _ = session.reference(table(row, "gait"), knee, desired, period_given="gait.period_s" in varied,

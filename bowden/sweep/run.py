@@ -1,7 +1,7 @@
-"""A sweep: rows that are not in the table yet are run by an executor, and are in it as soon as they are done.
+"""A sweep: rows that are not in the table yet are run by an executor, and entered as soon as they are done.
 
-The rule of this file: it knows `concurrent.futures.Executor` and nothing else of who does the work; little is under
-way at a time, so that an interruption has little to wait for.
+It uses `concurrent.futures.Executor` only, whoever runs the tasks. Few rows are submitted at a time, so that an
+interruption need not wait for many.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Workers(NamedTuple):
 
 @contextmanager
 def local(count: int | None = None) -> Iterator[Workers]:
-    """Give processes on this machine, as many as it has processors unless told."""
+    """Yield processes on this machine, by default as many as it has processors."""
     count = count or os.cpu_count() or 1
     with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_aside) as executor:
         yield Workers(executor, count)
 
 
 def _aside() -> None:
-    """Leave the terminal's process group: Ctrl-C is the sweep's, which lets a trial under way end."""
+    """Put this process into another process group: Ctrl-C goes to the sweep alone, which lets a running trial end."""
     if hasattr(os, "setpgid"):
         os.setpgid(0, 0)
 
@@ -83,7 +83,7 @@ def _certificates(folder: Path) -> dict[str, str]:
 
 
 def calibrations_beside(table: Path, overwrite: bool) -> Path:
-    """Return the folder beside a table that keeps what was identified for it; emptied with `overwrite`."""
+    """Return the folder beside a table that keeps its calibrations; emptied with `overwrite`."""
     folder = table.with_suffix(".calibrations")
     for stale in folder.glob("serial-*.toml") if overwrite else ():
         stale.unlink()
@@ -96,7 +96,7 @@ def sweep(
 ) -> None:
     """Run the rows that `table` lacks; calibrations that they need are identified once and kept in `calibrations`.
 
-    On `KeyboardInterrupt` what is under way is finished and put in the table before it goes on.
+    On `KeyboardInterrupt` running rows are finished and entered in the table before it is raised again.
     """
     run = _Sweep(rows, table, workers, calibrations, keep, update)
     try:
@@ -150,7 +150,7 @@ class _Sweep:
                 self._take(future)
 
     def wind_up(self) -> None:
-        """Let go what has not begun, and take what is under way when it is done."""
+        """Cancel rows that have not begun, and enter running ones when they are done."""
         for future in list(self.under_way):
             if future.cancel():
                 del self.under_way[future]

@@ -22,12 +22,12 @@ FORMS = (".csv", ".parquet")
 
 
 def text(value: object) -> str:
-    """Return how a cell says `value`; None, the undefined, is empty."""
+    """Return the text of a cell with `value`; None, the undefined, is empty."""
     return "" if value is None else repr(value) if isinstance(value, float) else str(value)
 
 
 class SweepTable:
-    """Rows by their parameters, all of them text; opened, it takes what a partial file has."""
+    """Rows by their parameters, all of them text; opening continues a partial file."""
 
     def __init__(self, path: Path, parameters: Sequence[str], *, overwrite: bool = False) -> None:
         """Open `path`; raises `InputError` where it cannot be written or has other parameters."""
@@ -55,7 +55,7 @@ class SweepTable:
         self._file.close()
 
     def key(self, row: Mapping[str, Any]) -> Key:
-        """Return what tells a row of parameters from all others."""
+        """Return the parameters that identify a row."""
         return tuple(text(row[name]) for name in self.parameters)
 
     def append(self, row: Mapping[str, Any], figures: Mapping[str, Any]) -> None:
@@ -72,7 +72,7 @@ class SweepTable:
         return None if line is None else dict(zip(self.columns, line, strict=True))
 
     def finish(self, order: Iterable[Mapping[str, Any]]) -> None:
-        """Put the rows in `order`, those of earlier sweeps behind them, in the form that the file's name says."""
+        """Put the rows in `order`, those of earlier sweeps behind them, in the format of the file's ending."""
         first = [self.rows[key] for key in map(self.key, order) if key in self.rows]
         wanted = {tuple(line[: len(self.parameters)]) for line in first}
         lines = first + [line for key, line in self.rows.items() if key not in wanted]

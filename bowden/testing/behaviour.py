@@ -1,7 +1,7 @@
-"""What a virtual node does beyond its EDS: functions at writes and reads, a state table, refusals.
+"""Behaviour of a virtual node beyond its EDS: functions at writes and reads, a state table, refusals.
 
-The rule of this file: it adds to a device profile (`nodes.Application`) and replaces none of it; a function is called
-with raw values, in the order in which it was given.
+It adds to a device profile (`nodes.Application`) and replaces none of it; functions are called with raw values, in
+the order of their declaration.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Behaviour(Application):
         self.profile.reset(now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Let the profile do what is due."""
+        """Let the profile run all due actions."""
         self.profile.poll(now_ns)
 
     def next_ns(self) -> int | None:

@@ -70,7 +70,7 @@ class FrameRecorder(Station):
 class CanBus:
     """A virtual CAN bus; time starts at 0 ns and passes only while somebody waits.
 
-    `bitrate` in bit/s; turnarounds in ns pass between what a node (or the computer) receives and its answer. `seed`
+    `bitrate` in bit/s; turnarounds in ns pass between a frame at a node (or the computer) and its answer. `seed`
     seeds `random`. Raises `InputError` for a bit rate that the wire does not have.
     """
 
@@ -100,7 +100,7 @@ class CanBus:
         self, eds: str | Path | Dictionary, node_id: int | None = None, *, profile: Application | None = None,
         store: Path | None = None, mechanics: DriveLoad | None = None, serial: int | None = None,
     ) -> CanopenNode:
-        """Add a node that boots now, as its EDS or DCF says; `profile` puts `nodes.Drive` or the like behind it.
+        """Add a node that boots now, by its EDS or DCF; `profile` puts `nodes.Drive` or the like behind it.
 
         `node_id` 255 is a node without one, which only LSS reaches. `store` is the file of 0x1010 and of LSS;
         `mechanics` is what a drive moves; `serial` is the serial number, 0x1018:04. Raises `InputError` for an unusable
@@ -154,7 +154,7 @@ class CanBus:
         return self.kernel.now_ns
 
     def run(self, seconds: float) -> None:
-        """Let bus time pass; a python-can bus that is open keeps what it receives."""
+        """Let bus time pass; an open python-can bus keeps the frames that it receives."""
         self.kernel.run(self.now_ns + round(seconds * 1e9))
 
     def after(self, seconds: float, function: Callable[[], object]) -> None:

@@ -35,7 +35,7 @@ STRINGS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
 
 
 class DriveLoad(Protocol):
-    """What a drive moves: torque in, position and velocity out, SI at the axis."""
+    """Load of a drive: torque in, position and velocity out, SI at the axis."""
 
     def step(self, torque: float, for_ns: int) -> tuple[float, float]:
         """Advance by `for_ns` under `torque` (N·m) and return position and velocity."""
@@ -65,7 +65,7 @@ class SwitchedStation(NodeStation):
         self._bus, self._lss = bus, device.lss
 
     def settle(self, now_ns: int) -> None:
-        """Send and receive where the bit rates agree; what the device wants sent elsewhere is lost."""
+        """Send and receive if the bit rates agree; frames sent at another bit rate are lost."""
         off = self._lss.muted or self._lss.bitrate not in (None, self._bus.bitrate)
         if off:
             self.device.outbox.clear()
@@ -79,7 +79,7 @@ class SwitchedStation(NodeStation):
 class CanopenNode:
     """A node on a `CanBus`; made by the fixture `canopen_node` or by `CanBus.add_node`.
 
-    `eds_faults` lists what the EDS does wrong, one sentence each. `node[object]` reads and sets raw values: numbers,
+    `eds_faults` lists the faults of the EDS, one sentence each. `node[object]` reads and sets raw values: numbers,
     text for strings, bytes for domains. Setting a value sends the event-driven TPDOs that carry it.
     """
 
@@ -110,7 +110,7 @@ class CanopenNode:
 
     @cached_property
     def eds_faults(self) -> list[str]:
-        """What the EDS does wrong, one sentence each, as `bowden check eds` lists it."""
+        """Faults of the EDS, one sentence each, as `bowden check eds` lists them."""
         path = Path(self.dictionary.path)
         found = [str(fault) for fault in check.findings(path)] if path.exists() else []
         return [*found, *self._mended]
@@ -217,7 +217,7 @@ class CanopenNode:
         self._settle()
 
     def recover(self, code: int) -> None:
-        """Send the EMCY that says that an error is gone."""
+        """Send the EMCY for the end of an error."""
         self.device.now_ns = self.bus.now_ns
         self.device.recover(code)
         self._settle()

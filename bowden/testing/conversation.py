@@ -1,4 +1,4 @@
-"""SDO conversations: steps that a client takes, and what a server answers to each."""
+"""SDO conversations: a client's steps, and a server's answer to each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SdoStep:
-    """One transfer: a read where `data` is None, else a write of these bytes; `block` asks for block transfer."""
+    """One transfer: a read without `data`, else a write of these bytes; `block` requests block transfer."""
 
     index: int
     subindex: int
@@ -24,7 +24,7 @@ class SdoStep:
 
 
 class SdoAnswer(NamedTuple):
-    """What came of a step: `data` read (None for a write), or `abort`, the abort code; `silent` where nothing came."""
+    """Outcome of a step: `data` read (None for a write), or `abort`, the abort code; `silent` if no answer came."""
 
     data: bytes | None = None
     abort: int | None = None

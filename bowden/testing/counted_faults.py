@@ -39,7 +39,7 @@ class CountedFault:
 
     @property
     def done(self) -> bool:
-        """It acts on no further frame."""
+        """Whether it has acted on its number of frames."""
         return self.count is not None and self.struck >= self.count
 
     def stop(self) -> None:

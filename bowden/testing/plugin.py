@@ -34,7 +34,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def can_bus(request: pytest.FixtureRequest) -> Iterator[CanBus]:
-    """A virtual CAN bus of its own for this test, at 0 ns; its seed is that of the test's name."""
+    """A virtual CAN bus for this test alone, at 0 ns; its seed is that of the test's name."""
     from bowden.testing.can_bus import CanBus
 
     marker = request.node.get_closest_marker("can_bus")

@@ -144,7 +144,7 @@ class Over:
 
 
 class TurnNotifier:
-    """What `can.Notifier` is in virtual time: messages reach its listeners while the thread waits."""
+    """`can.Notifier` in virtual time: messages reach its listeners while the thread waits."""
 
     exception: Exception | None = None
 
@@ -157,7 +157,7 @@ class TurnNotifier:
 
     @property
     def stopped(self) -> bool:
-        """It hands out no more messages."""
+        """Whether it has stopped handing out messages."""
         return self not in self._time._notifiers
 
     def stop(self, timeout: float = 5.0) -> None:

@@ -1,7 +1,7 @@
 """One experiment, described by its numbers, and run on a bus into a recorded trial.
 
-The rule of this file: it turns plain arguments into the checked sections that `session` runs; what a command line
-would print is in the trial that comes back.
+It turns plain arguments into the checked sections that `session` runs; the output of the command line is in the
+returned trial.
 """
 
 from __future__ import annotations
@@ -27,15 +27,14 @@ _OF_NETWORK = ("rate_hz", "bitrate")
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """What is to be run; None leaves a number to the configuration, whose defaults are the paper's.
+    """An experiment to run; None uses the configuration, whose defaults are the paper's.
 
-    `peak_n`: peak of the desired force, N.  `period_s`: gait period, s.  `cycles`: gait cycles; the first `settle` of
-    them are left out of every figure; `soft_start` more come before, over which the peak rises.  `controller`: a name
-    of the entry-point group bowden.controllers, "module:Class", or the class itself.  `rate_hz`: control cycles per
-    second.  `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the paper's.
-    `name`: "gait", or an experiment of `bowden trial --experiment`.  `model`: what the controller works from, a bench
-    model or its file (None: the packaged nominal one).  `dry_run`: everything on the bus, drives never enabled.
-    `configuration`: a bench.toml.
+    `peak_n`: peak of the desired force, N. `period_s`: gait period, s. `cycles`: gait cycles; the first `settle` of
+    them are left out of every figure; `soft_start` more come before, over which the peak rises. `controller`: a name
+    of the entry-point group bowden.controllers, "module:Class", or the class itself. `rate_hz`: control cycles per
+    second. `knee`, `desired`: CSV files of the knee motion and of the desired force, in place of the paper's. `name`:
+    "gait", or an experiment of `bowden trial --experiment`. `model`: the controller's bench model or its file (None:
+    the packaged nominal one). `dry_run`: everything on the bus, drives never enabled. `configuration`: a bench.toml.
     """
 
     peak_n: float | None = None
@@ -77,7 +76,7 @@ class Experiment:
                                                 for name, value in given.items()})
 
     def _model(self, bus: BusSettings) -> model_files.BenchModel:
-        """The model, of this bench where it says which one it belongs to."""
+        """Return the model, checked to be of this bench if it names one."""
         if isinstance(self.model, str | Path):
             return model_files.read(self.model, bench=bus.bench)
         return model_files.given(self.model)
@@ -112,10 +111,10 @@ def run(
 
 @dataclass(frozen=True)
 class Verified:
-    """One experiment twice: the controller not told (`before`) and told (`after`) of a model's effects.
+    """One experiment twice: without (`before`) and with (`after`) compensation of a model's effects.
 
-    `judged_by`: the figure that is compared, of the true END where the bench is simulated, else of its sensor;
-    `gain_percent`: by how much it fell, None where a trial has no such figure.
+    `judged_by`: the figure compared, of the true END if the bench is simulated, else of its sensor; `gain_percent`:
+    its reduction, None if a trial has no such figure.
     """
 
     before: Trial

@@ -30,7 +30,7 @@ def file_of(given: Path, path: str) -> Path:
 
 
 def bench_of(bench: str, path: str) -> str:
-    """Return the bench name that a path's calibration carries; "" where nobody told the bench's."""
+    """Return the bench name that a path's calibration carries; "" without a bench name."""
     return f"{bench} {path}" if bench else ""
 
 

@@ -1,4 +1,4 @@
-"""What an experiment would show: it is run on the nominal simulated bench, then looked at as a trial would be."""
+"""Expected result of an experiment: a run on the nominal simulated bench, examined as a trial would be."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GAIT = "gait"
 
 
 class WalkPlan(NamedTuple):
-    """How the planned experiment is walked; None leaves a number to the configuration's default.
+    """Gait of the planned experiment; None uses the configuration's default.
 
     `noise_n` is 1σ of both tension sensors.
     """
@@ -33,10 +33,10 @@ AS_CONFIGURED = WalkPlan()
 
 def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = None,
          healthy: Sequence[Path] = ()) -> Plan:
-    """Simulate the experiment `name` ("gait", or one of the catalogue) and say what it would show.
+    """Simulate the experiment `name` ("gait", or one of the catalogue) and return its expected result.
 
-    `calibration` is that of the bench to be examined (none: the nominal bench, which is what is simulated), `healthy`
-    its trials with nothing wrong.  Raises `InputError`.
+    `calibration` is that of the bench to be examined (None: the nominal bench, which is the one simulated), `healthy`
+    its reference trials. Raises `InputError`.
     """
     from diagnosis.data import table as data
     from diagnosis.judgement.plan import plan as planned

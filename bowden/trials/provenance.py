@@ -1,7 +1,7 @@
-"""What a trial carries with it: who ran what, with which devices, configuration, calibration and software.
+"""Provenance of a trial: operator, devices, configuration, calibration and software.
 
-The rule of this file: nothing wall-timed, no output path and nothing of a simulated bench's truth goes in, so
-that one configuration and seed give one file.
+No wall time, no output path and no truth of a simulated bench is included, so that one configuration and seed give
+one file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "
 
 
 def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
-    """What identifies the trial, as text; `script` names what was run in place of the gait."""
+    """Return the identity of the trial, as text; `script` names the experiment run in place of the gait."""
     gait = experiment.gait
     return {
         "experiment": script or "gait",
@@ -80,7 +80,7 @@ def curves(**files: Path | None) -> dict[str, bytes]:
 
 
 def controller_model(given: Path | BenchModel | None) -> dict[str, bytes]:
-    """The effects that the controller was told of, under their part's name."""
+    """Return the effects given to the controller, under their part's name."""
     if given is None:
         return {}
     return {CONTROLLER_MODEL: given.read_bytes() if isinstance(given, Path) else given.text().encode()}
@@ -94,7 +94,7 @@ def _version(name: str) -> str:
 
 
 def commit() -> str:
-    """The commit of the source tree this runs from, "+" behind it where the tree differs; "" where there is none."""
+    """Return the commit of the source tree in use, "+" behind it if the tree differs; "" outside a repository."""
     here = Path(__file__).resolve().parent.parent
     if not (here / ".git").exists():  # installed: a repository around it is not this project's
         return ""

@@ -1,7 +1,6 @@
-"""The experiment that a trial recorded, from what it carries with it.
+"""The experiment of a recorded trial, from its attachments and metadata.
 
-The rule of this file: everything comes out of the file's attachments and metadata, read by those who read it when
-the trial was run; nothing is taken from the machine.
+Everything comes out of the file, read by the same code as when the trial was run; nothing is taken from the machine.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""A recorded trial in the hands of a program: its columns, what it was run with, and how it ended.
+"""A recorded trial for programs: its columns, its settings, and its outcome.
 
-The rule of this file: the file is the trial; everything here is read from it, and a file that nobody named is removed
-with the object that owns it.
+The file is the trial; everything here is read from it, and a temporary file is removed with the object that owns it.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class Trial:
 
     @property
     def outcome(self) -> str | None:
-        """How it ended: "completed" or "stopped"; None where the recording does not say."""
+        """Outcome: "completed" or "stopped"; None without one in the recording."""
         return self._result("outcome")
 
     @property
@@ -173,9 +172,9 @@ def export(
 
 
 def compare(a: Trial | str | Path, b: Trial | str | Path) -> TrialComparison:
-    """Return what differs between two trials, A − B: metadata, attached files, results and signals.
+    """Return the differences between two trials, A − B: metadata, attached files, results and signals.
 
-    Signals are compared row by row, by gait phase or by time; `matched` says which.  Raises `InputError`.
+    Signals are compared row by row, by gait phase or by time; `matched` names which. Raises `InputError`.
     """
     from trial.compare import compare as compared
 

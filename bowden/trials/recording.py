@@ -34,9 +34,9 @@ LOOK_FRAMES = 256  # frames between two looks at the size of the file
 
 
 class BusRecording:
-    """Takes messages as `can.BusABC.recv` gives them; use it in a `with`, or call `close`.
+    """Recorder of messages from `can.BusABC.recv`; use it in a `with`, or call `close`.
 
-    `max_bytes` is of what is on disk, which a writer that is `threaded` may bring there later.
+    `max_bytes` limits the bytes on disk, which a `threaded` writer may bring there later.
     """
 
     def __init__(
@@ -122,11 +122,11 @@ class BusRecording:
                 self.take(message)
 
     def close(self) -> None:
-        """Write what is waiting and close the file."""
+        """Write pending messages and close the file."""
         self._finish()
 
     def as_json(self) -> dict[str, object]:
-        """Return what was recorded."""
+        """Return the counts of the recording."""
         return {"files": [str(path) for path in self.files], "frames": self.frames, "cycles": self.cycles,
                 "left_out": self.left_out}
 
@@ -143,10 +143,11 @@ def record(
     bus: BusSettings, output: str | Path, *, seconds: float | None = None, frames: int | None = None,
     config: str | Path | None = None, overwrite: bool = False,
 ) -> BusRecording:
-    """Record a real bus, listening only, until `seconds` of wall time or `frames` frames; return what was recorded.
+    """Record a real bus, listening only, until `seconds` of wall time or `frames` frames; return the recording.
 
-    `bus`: `bowden.bus(…)`; a simulated bench moves only while a master asks, and `bowden.run` records that.  A bus that
-    fails ends it: what it gave is in the file.  Raises `InputError`, also where neither limit is given.
+    `bus`: `bowden.bus(…)`; a simulated bench moves only while a master asks, and `bowden.run` records that. A bus
+    failure ends the recording, with all frames up to it in the file. Raises `InputError`, also if neither limit is
+    given.
     """
     if bus.simulated:
         raise InputError("record: a simulated bench is recorded by bowden.run; give a real bus, bowden.bus(…).")

@@ -38,7 +38,7 @@ class Watch(Protocol):
     """Who sees a trial while it is recorded."""
 
     def beside(self, recording: CycleSink) -> CycleSink:
-        """Return a recorder that records in `recording` and shows what it records."""
+        """Return a recorder that records in `recording` and shows its records."""
 
     def ended(self, sentence: str) -> None:
         """Take how the trial ended."""
@@ -65,7 +65,7 @@ class Prepared:
 
     @property
     def laps(self) -> int:
-        """How many gait cycles, or laps of the script, are numbered."""
+        """Number of gait cycles, or laps of the script."""
         from master.motion.scripted_experiments import laps
 
         cycles = self.experiment.gait.cycles
@@ -135,10 +135,10 @@ def prepare(
     *, dry_run: bool, controller_model: Path | BenchModel | None = None, files: Mapping[str, bytes] | None = None,
     script: str | None = None,
 ) -> Prepared:
-    """Join sections to an experiment that can be run; raises `InputError` where it cannot.
+    """Join sections to an experiment that can be run; raises `InputError` if it cannot.
 
-    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it knows of
-    too: files, or what is in them.
+    `calibration` is the bench model that the controller works from, `controller_model` one whose effects it
+    compensates, too: files, or their content.
     """
     from bowden.trials import provenance
     from eds.bench import bus_load
@@ -176,7 +176,7 @@ def _several_paths(
     controller_model: Path | BenchModel | None, chosen: BusSettings, dry_run: bool, script: str | None,
     files: Mapping[str, bytes],
 ) -> Prepared:
-    """Join sections to an experiment of several force paths; each path has a calibration file of its own."""
+    """Join sections to an experiment of several force paths; each path has its calibration file."""
     from master.control import controller
     from master.motion.experiment_run import ExperimentSetup
     from physics.bench_model import nominal
@@ -207,7 +207,7 @@ def _read(given: Path | BenchModel | None, bench: str = "") -> BenchModel | None
 
 
 def _bench(chosen: BusSettings) -> str:
-    """The bench that a calibration must belong to: one simulated from what was measured on a bench is that bench."""
+    """The bench that a calibration must belong to: one simulated from measurements of a bench is that bench."""
     from physics import bench_model
 
     simulated = chosen.arguments.get("plant_model")
@@ -297,7 +297,7 @@ def never_ran(output: Path) -> bool:
 
 
 def closed(recorder: Recorder, result: Result) -> Result:
-    """Close the recording; where its end found no room, the result says that instead of "completed"."""
+    """Close the recording; if its end found no room, the result has that reason instead of "completed"."""
     from trial.record import RecordingError
 
     try:
@@ -310,7 +310,7 @@ def closed(recorder: Recorder, result: Result) -> Result:
 
 @contextmanager
 def discarding(recorder: Recorder) -> Iterator[None]:
-    """Leave no file of a run that is refused before it starts."""
+    """Remove the file of a run that is refused before it starts."""
     try:
         yield
     except InputError:
@@ -319,7 +319,7 @@ def discarding(recorder: Recorder) -> Iterator[None]:
 
 
 def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
-    """Compile the laws where this machine has not yet; say so with the seconds it took."""
+    """Compile all numba functions that are not cached on this machine; remark the seconds it took."""
     import nodes
     from physics import inverse
     from physics.plant import bench_plant
@@ -338,7 +338,7 @@ def compile_laws(*, simulated: bool, progress: Progress = SILENT) -> None:
 
 
 class Watched:
-    """A recorder that tells how far the gait has come, once in `EVERY` rows."""
+    """A recorder that reports the progress of the gait, once in `EVERY` rows."""
 
     EVERY = 200
 

@@ -96,7 +96,7 @@ class BowdenPlant:
         return JointState(float(memory[SLOT.leg_q]), float(memory[SLOT.leg_w]), float(memory[SLOT.leg_a]))
 
     def advance_led(self, until_ns: int, servo_torque_nm: float, joint: JointState) -> Outputs:
-        """Run to `until_ns` with a joint that another plant moves; at the end the leg is where `joint` says."""
+        """Run to `until_ns` with a joint that another plant moves; at the end the leg is at the angle of `joint`."""
         self.advance(until_ns, servo_torque_nm, 0.0)
         memory = self._memory
         memory[SLOT.leg_q] = memory[SLOT.motor_q] = memory[SLOT.out_leg_q] = joint.angle_rad

@@ -111,7 +111,7 @@ def release(
 ) -> int:
     """Take the tension off.
 
-    The servo alone pays the rope out until START is slack.
+    The servo alone unwinds the rope until START is slack.
 
     Example: bowden release --interface socketcan --channel can0
     """
@@ -129,7 +129,7 @@ class _Bench:
         self.chosen, self.path = reached.chosen(), path
 
     def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
-        """Run one procedure and say what it found."""
+        """Run one procedure and print its result."""
         from bowden.trials import commissioning
 
         with terminal.waiting(what, shown=not json):
@@ -158,7 +158,7 @@ def acknowledge(
 ) -> int:
     """Release drives after an emergency stop.
 
-    A drive that had its emergency stop (STO) stays off until an operator says so; nothing is enabled by it.
+    A drive that had its emergency stop (STO) stays off until an operator releases it; nothing is enabled by this.
 
     Example: bowden acknowledge --interface socketcan --channel can0
     """

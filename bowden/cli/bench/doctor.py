@@ -24,9 +24,9 @@ def doctor(
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
-    """Look at the bench; say what to type.
+    """Check the bench; name the commands to type.
 
-    At interface, computer, bus and nodes: each finding has its remedy.
+    Of interface, computer, bus and nodes: each finding has its remedy.
 
     Example: bowden doctor --interface socketcan --channel can0
     """

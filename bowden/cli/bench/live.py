@@ -1,8 +1,8 @@
-"""`bowden live`: a trial played, or a running bus followed, for Foxglove and others that speak its WebSocket protocol.
+"""`bowden live`: a trial played, or a running bus followed, for Foxglove and other clients of its WebSocket protocol.
 
-The rule of this file: it listens and tells.  It never sends a frame, and a viewer's wishes reach the player only.
-Loopback is the default of both servers.  The page beyond it has a token in its address; the Foxglove server has none
-(its SDK takes none), and says so.
+It receives and shows; it never sends a frame, and a viewer's requests reach the player only. Both servers listen at
+loopback by default. The page beyond it has a token in its address; the Foxglove server has none (its SDK has no
+option for it), and the output warns of that.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ def live(
 
 
 class LiveAddress(NamedTuple):
-    """Where it is shown: Foxglove's host and port, the page's address (None: no page), and how to say so."""
+    """Addresses of the viewers: Foxglove's host and port, the page's address (None: no page), and the form of output.
+    """
 
     host: str
     port: int

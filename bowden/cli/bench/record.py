@@ -1,6 +1,6 @@
-"""`bowden record`: everything that is on a bus into MCAP, listening only.
+"""`bowden record`: everything on a bus into MCAP, listening only.
 
-The rule of this file: it never sends a frame, so a master may run or not; every file that it leaves is whole.
+It never sends a frame, so a master may run or not; every file is complete whenever the command ends.
 """
 
 from __future__ import annotations

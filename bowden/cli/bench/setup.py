@@ -1,4 +1,4 @@
-"""`bowden init` and `bowden check`: a configuration to begin with, and what is wrong before anything runs."""
+"""`bowden init` and `bowden check`: a first configuration, and its faults before anything runs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def init(
 
 
 def _asked(record: type[Any]) -> dict[str, str]:
-    """What the operator says of each field; Enter leaves it empty."""
+    """Ask the operator for each field; Enter alone keeps a field empty."""
     from parameters import declarations
 
     return {name: typer.prompt(f"{name} ({told.text})", default="", show_default=False).strip()
@@ -104,7 +104,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
 
 @check.command("eds")
 def check_eds(files: Files, json: options.Json = False) -> int:
-    """List what is wrong with EDS or DCF files, with the place and the remedy.
+    """List the faults of EDS or DCF files, with the place and the remedy.
 
     Example: bowden check eds my_drive.eds
     """

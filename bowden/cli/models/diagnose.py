@@ -1,4 +1,5 @@
-"""`bowden diagnose`: what the simulation gets wrong about measured trials, and what an experiment would show."""
+"""`bowden diagnose`: causes of the simulation's errors on measured trials, and the simulated result of an experiment.
+"""
 
 from __future__ import annotations
 
@@ -82,9 +83,9 @@ def diagnose(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Say what the simulation gets wrong, and why.
+    """Name the causes of the simulation's errors.
 
-    From measured trials: the cause by name, with intervals, on data that no fit has seen.
+    From measured trials: the cause by name, with intervals, on held-out data.
 
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
@@ -175,7 +176,7 @@ def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     core: str, where: tuple[str | None, int | None, Path | None], json: bool,
 ) -> int:
-    """Every trial for itself: 0 where something is said of all, 1 where some were refused, 2 where all were."""
+    """Diagnose every trial for itself; return 0 with a result for each, 1 if some were refused, 2 if all were."""
     from bowden.sweep import diagnose_each
 
     given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass, core)
@@ -204,7 +205,7 @@ def _tell_each(told: dict[str, Any], lowpass: float | None) -> None:
 
 @contextmanager
 def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar on stderr that is told what is done now and the share that is done, 0…1."""
+    """Show a bar on stderr; yields a function of the present step and the share done, 0…1."""
     if not (shown and sys.stderr.isatty()):
         yield lambda what, share: None
         return
@@ -223,7 +224,7 @@ def _diagnosed(
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
     figures: Path | None, core: str, deviations: dict[str, float] | None, *, overwrite: bool,
 ) -> Findings:
-    """Diagnose, and write what was asked for; a refused diagnosis writes nothing."""
+    """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
     from diagnosis import extension
     from diagnosis.data import table
@@ -277,7 +278,7 @@ def _tell(found: Findings, result: dict[str, Any]) -> None:
 
 
 def _tell_relations(relations: dict[str, Any], word: str, before: str) -> None:
-    """Print what is left of each relation, or signal, RMS; names are never cut at 80 columns."""
+    """Print the residual of each prediction equation, or signal, RMS; names are never cut at 80 columns."""
     figure = terminal.number
     checked = {name: row for name, row in relations.items() if row["checked"]}
     if not checked:

@@ -154,7 +154,7 @@ def export_logbook(folder: Folder, output: options.Output, table: Table = "trial
 
 @logbook.command("note")
 def note_maintenance(folder: Folder, text: Text, resets: Resets = None, json: options.Json = False) -> int:
-    """Enter maintenance; what it names is a new part from the next session on.
+    """Enter maintenance; a part that it names is new from the next session on.
 
     Example: bowden logbook init bench1 && bowden logbook note bench1 "cable replaced"
     """

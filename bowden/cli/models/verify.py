@@ -1,4 +1,4 @@
-"""`bowden verify`: the closed loop before and after the controller is told what a diagnosis found."""
+"""`bowden verify`: the closed loop without and with compensation of a diagnosis's effects."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def verify(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Show what a found effect gains in the loop.
+    """Measure the gain of a found effect in the control loop.
 
-    One experiment twice on a bench, the controller not told and told of the effects in EXTENDED.
+    One experiment twice on a bench, without and with compensation of the effects in EXTENDED.
 
-    The controller is the extended one where no other is named.
+    The controller is the extended one unless another is named.
 
     Example: bowden verify extended.toml --plant-model bench.toml --cycles 4 -o verify.mcap
     """

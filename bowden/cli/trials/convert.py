@@ -45,8 +45,8 @@ def import_(
 ) -> int:
     """Make a trial of a table or a CAN log.
 
-    Foreign MCAP files too; every change is counted.  How a table is written (encoding, delimiter, decimal sign, units,
-    kind of time) is detected and said.
+    Foreign MCAP files, too; every change is counted. The format of a table (encoding, delimiter, decimal sign, units,
+    kind of time) is detected and printed.
 
     Example: bowden import candump.log -o trial.mcap
     """
@@ -212,7 +212,7 @@ def _rank_controllers(table: Path, other: Path | None, picture: Path | None, *, 
 
 
 RARE = 1e-3
-"""Share of healthy sessions that depart as far as one that is told apart: one session in a thousand."""
+"""Share of sessions without a change that depart as far as one that is marked: one session in a thousand."""
 
 
 def _against_history(trial: Path, logbook: Path | None, report: Path | None, json: bool) -> int:

@@ -25,7 +25,7 @@ Gait = Annotated[str | None, typer.Option(metavar="A-B", help="Gait cycles A to 
 
 @app.command()
 def info(file: Any_, json: options.Json = False) -> int:
-    """Tell what is in a file of any format.
+    """List the contents of a file of any format.
 
     Streams with rates and gaps, columns with units and ranges, who recorded it.
 

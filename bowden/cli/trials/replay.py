@@ -31,7 +31,7 @@ TAKES = {
     "bus": FRAMES | BUS | SIMULATED,
     "bus --nodes-only": BUS,
 }
-"""Options by what a trial is replayed onto; the others are refused."""
+"""Options by target of the replay; all others are refused."""
 Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
 Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
@@ -211,7 +211,7 @@ def _position(word: str) -> int:
 
 
 def _played(recorded: Trial, played: Played, *, json: bool) -> int:
-    """Say what was played; 1 where the bus did not take all of it."""
+    """Print the figures of a replay; return 1 if the bus refused some frames."""
     result = played.as_json()
     if json:
         terminal.emit({"trial": str(recorded.path), "onto": "bus", **result})
