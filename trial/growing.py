@@ -1,7 +1,7 @@
-"""A trial that another process still writes: its rows as far as whole records reach.
+"""A trial that another process still writes: its complete rows so far.
 
-The rule of this file: only whole records count, and each is read once; what is behind the last whole record is looked
-at again when the file has grown.
+Only complete records count, and each is read once; bytes behind the last complete record are read again when the file
+has grown.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class GrowingTrial:
 
 
 def _identity(path: Path) -> tuple[int, int, int] | None:
-    """Return inode, size and time of change of a file; None where there is none."""
+    """Return inode, size and time of change of a file; None if it does not exist."""
     try:
         told = path.stat()
     except OSError:

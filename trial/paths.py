@@ -1,7 +1,7 @@
 """One force path of a recorded trial of several, as a trial of a single path.
 
-Columns `<path>.<name>`, attachments `<path>.<file>` and metadata `<path>.<key>` lose their prefix; what has none holds
-for every path.  Whatever reads a trial so reads a path of one, and knows nothing of benches of several.
+Columns `<path>.<name>`, attachments `<path>.<file>` and metadata `<path>.<key>` lose their prefix; entries without a
+prefix hold for every path. So any reader of trials can read one path, without code for benches of several.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str,
 
 
 def write_path(trial: Trial, path: str, target: Path, *, overwrite: bool = False) -> Trial:
-    """Write one force path of a trial as a trial of its own, and return it; raises `InputError`."""
+    """Write one force path of a trial as a separate trial, and return it; raises `InputError`."""
     found = one_path(trial, path)
     signals = [Signal(name, found.units[name], "", name in found.derived) for name in found.columns]
     events = [(event.time_ns, event.kind, event.source, event.text) for event in map(Event._make, found.events)]

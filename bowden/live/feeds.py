@@ -63,7 +63,7 @@ class TrialFeed:
         return _Beside(recording, self._page)
 
     def suspected(self, sentence: str) -> None:
-        """Show what a diagnosis suspects while the trial runs."""
+        """Show the present suspicion of a diagnosis while the trial runs."""
         self._page.suspected(sentence)
 
     def ended(self, sentence: str) -> None:

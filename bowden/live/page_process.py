@@ -109,7 +109,7 @@ class PageProcess:
         self._put(STATUS, json.dumps((status, sentence)).encode())
 
     def suspected(self, sentence: str) -> None:
-        """Show what a diagnosis suspects while the trial runs."""
+        """Show the present suspicion of a diagnosis while the trial runs."""
         self._put(SUSPICION, json.dumps((sentence,)).encode())
 
     @property

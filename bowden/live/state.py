@@ -87,7 +87,7 @@ class LiveState:
         self._told.append((time_ns, kind, source, text))
 
     def suspected(self, sentence: str) -> None:
-        """Take what a diagnosis suspects now; any thread."""
+        """Set the present suspicion of a diagnosis; any thread."""
         self._suspicion = sentence
 
     def status(self, status: str, sentence: str = "") -> None:

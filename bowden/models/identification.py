@@ -44,9 +44,9 @@ def perform(
     what: str, sections: Mapping[str, Any], guess: Path | Calibration | None, chosen: BusSettings, recording: Path, *,
     date: str, overwrite: bool = False, progress: Progress = SILENT,
 ) -> list[Identified]:
-    """Run the experiments of `what` on a bus, recorded in `recording`; what each force path was identified to be.
+    """Run the experiments of `what` on a bus, recorded in `recording`; return the calibration of each force path.
 
-    On a bench of several paths a file `guess` stands for one file of each path (`force_paths.file_of`).
+    On a bench of several paths a file `guess` names one file of each path (`force_paths.file_of`).
     """
     from master.identification import identify
     from master.network.link import Link

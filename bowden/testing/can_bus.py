@@ -103,8 +103,8 @@ class CanBus:
         """Add a node that boots now, by its EDS or DCF; `profile` puts `nodes.Drive` or the like behind it.
 
         `node_id` 255 is a node without one, which only LSS reaches. `store` is the file of 0x1010 and of LSS;
-        `mechanics` is what a drive moves; `serial` is the serial number, 0x1018:04. Raises `InputError` for an unusable
-        file or a node id that is taken.
+        `mechanics` is the load of a drive; `serial` is the serial number, 0x1018:04. Raises `InputError` for an
+        unusable file or a node id that is taken.
         """
         node = CanopenNode(self, eds, node_id, profile, store, mechanics, self._turnaround_ns, serial)
         if node.node_id in self.nodes and node.node_id != UNCONFIGURED:

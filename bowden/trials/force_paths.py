@@ -1,4 +1,4 @@
-"""Force paths of a bench of several: what each is run with, what a trial carries of each, and its figures."""
+"""Force paths of a bench of several: settings, attachments and figures of each."""
 
 from __future__ import annotations
 

@@ -229,8 +229,8 @@ def perform(
 ) -> dict[str, Any]:
     """Run the experiment into `output`; returns the figures of `trial --json` in its order of keys.
 
-    `announce` is remarked when the bus is open, before anything is sent; each `watch` sees what is recorded while it
-    is: the live page, a diagnosis.
+    `announce` is remarked when the bus is open, before anything is sent; each `watch` receives the records during the
+    run: the live page, a diagnosis.
     """
     from bowden.pages import figures as report
     from bowden.trials import provenance

@@ -31,7 +31,7 @@ ANY: Final = "any"
 STOP_PERCENT: Final = 2.0
 """Error of END, % of the peak, that a named effect must cost for a stop."""
 DRIFT_S: Final = 20.0
-"""Time, s, over which a running trial's drifts are counted: nobody knows its end yet."""
+"""Time, s, over which a running trial's drifts are counted, since its end is unknown yet."""
 
 
 @dataclass(frozen=True)

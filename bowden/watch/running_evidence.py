@@ -38,7 +38,7 @@ MOST_CYCLES: Final = 64
 FOREMOST: Final = 6
 """Variants by the whole trial, and as many by the latest cycle, for which beginnings are compared."""
 CREEP_AT: Final = 1.5e-5
-"""Creep, m/N, at which the slope by its time constant is taken: without creep there is none."""
+"""Creep, m/N, at which the slope by its time constant is taken: at zero creep the slope is zero."""
 LARGEST_SIZE: Final = 2.5
 """Most σ of an effect at which its END force is simulated, as at the start of a fit."""
 MOTION_COLUMNS: Final = ("time_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",
@@ -221,7 +221,8 @@ class RunningEvidence:
 
     def _end_error(self, window: Mapping[str, Array], recording: PathRecording, inside: Flags,
                    part: EffectColumns | None, sizes: Array) -> tuple[float, float]:
-        """Return the RMS error of END in the latest cycle as it is simulated, N, and the peak of what it should be."""
+        """Return the RMS error of END in the latest cycle as it is simulated, N, and the peak of the undisturbed END.
+        """
         q = self._coordinates(self._x)
         reference = q.copy()
         if part is not None:
@@ -283,7 +284,7 @@ def _moved(q: Array, constant: int) -> Array:
 
 
 def _origin(q: Array, variant: Variant, names: set[str]) -> Array:
-    """Return coordinates with what a variant sets, and with creep where its time constant is varied."""
+    """Return coordinates with the constants that a variant sets, and with creep if its time constant is varied."""
     at = q.copy()
     for name, value in variant.at.items():
         at[INDEX[name]] = CONSTANTS.coordinate(name, value)

@@ -1,7 +1,7 @@
-"""A watch in a process of its own, and the recorder that hears it: the control cycle never waits for it on hardware.
+"""A watch in a separate process, and the recorder that receives from it: on hardware the control cycle never waits.
 
-The rule of this file: the watch reads the file that the recorder writes; between the processes go only words.  On a
-simulated bench the trial waits at each gait cycle for the watch, so that a stop comes at the same row in every run.
+The watch reads the file that the recorder writes; the processes exchange only words. On a simulated bench the trial
+waits at each gait cycle for the watch, so that a stop comes at the same row in every run.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def run(path: Path, bench: WatchedBench, words: Connection, shown: bool) -> None
 
 
 def _follow(watch: FileWatch, words: Connection, shown: bool) -> None:
-    """Look at the file whenever it may have grown, until the trial says that it has ended."""
+    """Read the file whenever it may have grown, until the trial reports its end."""
     asked = None
     while asked != END:
         asked = words.recv() if words.poll(LOOK_S) else None
@@ -60,10 +60,10 @@ def _follow(watch: FileWatch, words: Connection, shown: bool) -> None:
 
 
 class TrialWatch:
-    """The watch of a trial that this process runs: `beside` is its recorder; `cycles`: what was suspected after each.
+    """The watch of a trial that this process runs: `beside` is its recorder; `cycles`: the suspicion after each.
 
-    `paced`: the trial waits for the watch at each gait cycle.  `stop` asks for the safe stop; `show`, where it is set,
-    takes each suspicion as a sentence.
+    `paced`: the trial waits for the watch at each gait cycle. `stop` requests the safe stop; `show`, if set, receives
+    each suspicion as a sentence.
     """
 
     def __init__(self, words: Connection, paced: bool, stop: Callable[[], None]) -> None:
@@ -88,7 +88,7 @@ class TrialWatch:
             self._words.send(word)
 
     def hear(self, until: str | None) -> None:
-        """Take what the watch has said; `until`: wait for that word, None: wait for nothing."""
+        """Receive the messages of the watch; `until`: wait for that word, None: wait for nothing."""
         try:
             while not self.lost and (until is not None or self._words.poll()):
                 word, content = self._words.recv()
@@ -116,7 +116,8 @@ class TrialWatch:
             self.lost = content
 
     def as_json(self) -> dict[str, Any]:
-        """Return what was suspected after each cycle, the diagnosis of the whole, and why there is none."""
+        """Return the suspicion after each cycle, the diagnosis of the complete trial, and the reason if it is
+        missing."""
         return {"cycles": self.cycles, "stopped_by": self.stopped_by or None, "diagnosis": self.diagnosis,
                 "remark": self.lost or None}
 

@@ -190,7 +190,7 @@ class NmtRestart(NmtStateOf, Protocol):
 
 
 class LssHost(HasObjects, CanSend, CanWake, Protocol):
-    """What the LSS slave needs."""
+    """Needs of the LSS slave."""
 
     @property
     def nmt(self) -> NmtRestart: ...

@@ -1,7 +1,7 @@
-"""LSS slave (CiA 305): node id and bit timing from a master that knows the device's identity, or finds it by fastscan.
+"""LSS slave (CiA 305): node id and bit timing from a master that has the device's identity, or finds it by fastscan.
 
-The rule of this file: a new node id is in force after the next NMT reset, a new bit timing after its activation or the
-next power-on; only what was stored outlasts a power cycle.
+A new node id is in force after the next NMT reset, a new bit timing after its activation or the next power-on; only
+stored values outlast a power cycle.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _OUT_OF_RANGE, _NOT_STORED = 1, 2
 class LssSlave(Part):
     """Answers the LSS master; `pending` is the node id that the next NMT reset puts in force.
 
-    `bitrate` is the bit rate in force, bit/s: None for that of the bus, until LSS sets one. `muted` while a bit timing
-    is being switched. With a path, what is stored outlasts a power cycle.
+    `bitrate` is the bit rate in force, bit/s: None for that of the bus, until LSS sets one. `muted` while a bit
+    timing is being switched. With a path, stored values outlast a power cycle.
     """
 
     service = Service.LSS
@@ -48,7 +48,7 @@ class LssSlave(Part):
         self._delay_ns = 0
 
     def load(self) -> None:
-        """Read at power-on what was stored; a file that cannot be read counts as none."""
+        """Read the stored values at power-on; a file that cannot be read counts as absent."""
         if self._path is not None and self._path.exists():
             try:
                 found = json.loads(self._path.read_text(encoding="utf-8"))
@@ -95,7 +95,7 @@ class LssSlave(Part):
             self._configure(data, now_ns)
 
     def poll(self, now_ns: int) -> int:
-        """Switch the bit timing after the switch delay, and speak again one delay later."""
+        """Switch the bit timing after the switch delay, and transmit again one delay later."""
         if self._switch_ns <= now_ns:
             self._speak_ns, self._switch_ns = self._switch_ns + self._delay_ns, FAR_NS
             self.bitrate = self._pending_rate

@@ -49,8 +49,8 @@ def trial(
 ) -> int:
     """Run one experiment and record it.
 
-    --web shows it while it runs, with a button for the safe stop; the address goes to stderr.  --watch diagnoses it
-    while it runs, in a process of its own.
+    --web shows it while it runs, with a button for the safe stop; the address goes to stderr. --watch diagnoses it
+    while it runs, in a separate process.
 
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
@@ -124,7 +124,7 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
 
 def _watch(bench: WatchedBench | None, output: Path, chosen: BusSettings, json: bool
            ) -> AbstractContextManager[TrialWatch | None]:
-    """The watch of the trial, in a process of its own; None where none was asked for."""
+    """The watch of the trial, in a separate process; None without --watch."""
     if bench is None:
         return nullcontext()
     from bowden.watch import watch_process
@@ -133,7 +133,7 @@ def _watch(bench: WatchedBench | None, output: Path, chosen: BusSettings, json: 
 
 
 def _show_watch(told: dict[str, Any]) -> None:
-    """Print the diagnosis of the whole trial, or why there is none."""
+    """Print the diagnosis of the complete trial, or the reason for its absence."""
     found = told["diagnosis"]
     if found is None:
         terminal.remark(f"watch: no diagnosis of the whole trial: {told['remark'] or 'the watch was ended.'}")
