@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration
+from physics import calibration, end_discrepancy
 from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
+from physics.end_discrepancy import EndDiscrepancy
 from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
 
 FITTED: Final = "fitted"
@@ -28,7 +29,8 @@ RIG: Final = "rig"
 """The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
 OLDER: Final = "constants"
 """Former name of the table `[parameters.NAME]` of `bowden fit`."""
-TABLES: Final = ("version", "bench", "parameters", "scalars", TABLE, EVIDENCE, FITTED, RIG, OLDER)
+TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
+                 OLDER)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -41,7 +43,7 @@ class BenchModel:
     date and trial by the same names; `effects`: name → parameter → value; `found`: the data that the effects were
     found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
     another kind by name, each with value, unit and interval; `bench`: the bench's name ("": none); `label`: the file,
-    or "nominal".
+    or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END.
     """
 
     values: Values = field(default_factory=dict)
@@ -52,11 +54,13 @@ class BenchModel:
     label: str = calibration.NOMINAL
     fitted: Mapping[str, Any] = field(default_factory=dict)
     rig: Mapping[str, Any] = field(default_factory=dict)
+    discrepancy: EndDiscrepancy | None = None
 
     @property
     def calibration(self) -> Calibration:
         """Return the controller's view; an unknown scalar has its assumed value and is named in `lacking`."""
-        return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench)
+        return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench,
+                                     beyond=self.discrepancy)
 
     def simulated(self) -> dict[str, dict[str, float]]:
         """Return the values that the simulation runs on, table → key → value, without effects.
@@ -92,7 +96,8 @@ class BenchModel:
 
     def text(self) -> str:
         """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
-        lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence)]
+        lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence),
+                 *end_discrepancy.rows(self.discrepancy)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
         for name, row in self.rig.items():
@@ -123,7 +128,8 @@ def nominal() -> BenchModel:
 def of_calibration(known: Calibration, effects: Mapping[str, Values] | None = None) -> BenchModel:
     """Return the model of a calibration, with `effects` beyond it."""
     values, evidence = calibration.values_of(known)
-    return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label)
+    return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label,
+                      discrepancy=known.discrepancy)
 
 
 def read(path: str | Path, *, bench: str = "") -> BenchModel:
@@ -157,4 +163,5 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
     if rig and not rigs:
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
-    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig)
+    return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
+                      end_discrepancy.stated(tables, where))

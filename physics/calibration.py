@@ -1,8 +1,8 @@
-"""Calibration of a bench: at most thirty measured scalars, each with its evidence.
+"""Calibration of a bench: at most thirty measured scalars, each with its evidence, and a discrepancy beyond them.
 
-A calibration is the controller's view of a bench model (`physics.bench_model`): scalars only, never a sequence; the
-controller has no other data of the plant. `bowden identify` measures it. The packaged nominal one has the paper's
-numbers if the paper gives them, else assumptions, marked so.
+A calibration is the controller's view of a bench model (`physics.bench_model`): scalars and the posterior of a
+discrepancy, never a force over time; the controller has no other data of the plant. `bowden identify` measures it. The
+packaged nominal one has the paper's numbers if the paper gives them, else assumptions, marked so.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from parameters import InputError, Remark, checked, declarations, read_toml
-from physics import stretch
+from physics import end_discrepancy, stretch
 from physics.conversions import UNRELATED, converted, to_scalars
+from physics.end_discrepancy import EndDiscrepancy
 from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS, PARAMETERS, Parameter, assumed, current_names
 
 VERSION = 2
@@ -59,7 +60,10 @@ class ScalarEvidence:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to."""
+    """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to.
+
+    `discrepancy`: START → END beyond what the scalars give; None where no gait trial told of it.
+    """
 
     stiffness_a: float = assumed("stiffness_a")
     stiffness_b: float = assumed("stiffness_b")
@@ -96,6 +100,7 @@ class Calibration:
     label: str = NOMINAL
     bench: str = ""
     lacking: tuple[str, ...] = ()
+    discrepancy: EndDiscrepancy | None = None
 
     @property
     def turning_point_n(self) -> float:
@@ -143,7 +148,7 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
         raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
     if tables.get("version") == 1:
         _whole(values, where)
-    return of_values(values, evidence, label=where, bench=owner)
+    return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where))
 
 
 def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
@@ -216,8 +221,9 @@ def _whole(values: Mapping[str, float], where: str) -> None:
 
 def of_values(
     values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], *, label: str, bench: str = "",
+    beyond: EndDiscrepancy | None = None,
 ) -> Calibration:
-    """Return the controller's view of a bench's `values`, by name of the table and in any form.
+    """Return the controller's view of a bench's `values`, by name of the table and in any form, and its discrepancy.
 
     A scalar that does not follow from them has its assumed value and is named in `lacking`.
     """
@@ -230,7 +236,8 @@ def of_values(
         warnings.warn(f"{label}: says nothing of {', '.join(untold)}; taken as assumed.", Remark, stacklevel=2)
     known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
     fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
-    return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking), where=label)
+    return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking,
+                               discrepancy=beyond), where=label)
 
 
 def _inside(name: str, value: float) -> float:
@@ -265,7 +272,7 @@ def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence]) ->
 def write(calibration: Calibration) -> str:
     """Return the calibration as the TOML text of a bench model; `read` gives the same one back."""
     return "\n".join([f"version = {VERSION}", f'bench = "{calibration.bench}"',
-                      *rows(*values_of(calibration))]) + "\n"
+                      *rows(*values_of(calibration)), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
 
 
 def said_of(calibration: Calibration, start_n: float) -> list[str]:

@@ -31,6 +31,7 @@ class StoppedError(Exception):
 class Identified(NamedTuple):
     """Why it stopped (None: it did not), the calibration, and the experiments that it was fitted to.
 
+    With a reason and a calibration a gait trial stopped: the discrepancy is of the gait trials before it, if any.
     `path` is the force path that was identified, "" on a bench of a single one.
     """
 
@@ -42,11 +43,12 @@ class Identified(NamedTuple):
 
 def perform(
     what: str, sections: Mapping[str, Any], guess: Path | Calibration | None, chosen: BusSettings, recording: Path, *,
-    date: str, overwrite: bool = False, progress: Progress = SILENT,
+    date: str, gait: bool = True, overwrite: bool = False, progress: Progress = SILENT,
 ) -> list[Identified]:
     """Run the experiments of `what` on a bus, recorded in `recording`; return the calibration of each force path.
 
-    On a bench of several paths a file `guess` names one file of each path (`force_paths.file_of`).
+    On a bench of several paths a file `guess` names one file of each path (`force_paths.file_of`). "all" ends with gait
+    trials if `gait`; if one stops, the calibration has the discrepancy of those before it.
     """
     from master.identification import identify
     from master.network.link import Link
@@ -54,6 +56,9 @@ def perform(
     from trial.record import Recorder, RecordingError
 
     network = sections["network"]
+    if what == "gait" and not (gait and identify.with_gait(what, network)):
+        raise InputError("identify gait: needs one force path with END, a knee drive and no --no-gait; give identify "
+                         "all instead.")
     paths = [path.name for path in network.bench.force_paths] if force_paths.several(network.bench) else [""]
     guesses = {path: _calibration(force_paths.file_of(guess, path) if path and isinstance(guess, Path) else guess)
                or nominal() for path in paths}
@@ -71,22 +76,39 @@ def perform(
             attachments={**provenance.attachments(wanted.guess, sections),
                          **{f"{path}.calibration.toml": write(guesses[path]).encode() for path in paths if path}},
             threaded=not chosen.simulated, overwrite=overwrite, signals=of_bench(network.bench))
+        link = Link(bus.bus, bus.clock)
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
-            outcome, segments = identify.run(Link(bus.bus, bus.clock), bus.tap, recorder, wanted,
-                                             lambda _part, share: update(share))
+            outcome, segments = identify.run(link, bus.tap, recorder, wanted, lambda _part, share: update(share))
+        found = [Identified(outcome.reason, None, own, path)
+                 for path, own in zip(paths, segments.values(), strict=True)]
+        if outcome.reason is None:
+            with progress.waiting("fitting"):
+                found = [each._replace(calibration=identify.calibrate(
+                    what, each.segments, guesses[each.path],
+                    bench=force_paths.bench_of(chosen.bench, each.path) if each.path else chosen.bench,
+                    date=date, trial=recording.name)) for each in found]
+            if gait and identify.with_gait(what, network):
+                with progress.running("gait trials") as update:
+                    found = [_walked(identify.walk(link, bus.tap, recorder, wanted, each.calibration or nominal(),
+                                                   lambda _part, share: update(share)), each) for each in found]
         try:
-            recorder.close(dataclasses.asdict(outcome))
+            recorder.close(dataclasses.asdict(dataclasses.replace(outcome, reason=found[0].reason)))
         except RecordingError as error:
-            outcome = dataclasses.replace(outcome, reason=outcome.reason or f"recording failed: {error}")
-    found = list(zip(paths, segments.values(), strict=True))
-    if outcome.reason is not None:
-        if session.never_ran(recording):
-            recording.unlink(missing_ok=True)
-        return [Identified(outcome.reason, None, own, path) for path, own in found]
-    with progress.waiting("fitting"):
-        return [Identified(None, identify.calibrate(
-            what, own, guesses[path], bench=force_paths.bench_of(chosen.bench, path) if path else chosen.bench,
-            date=date, trial=recording.name), own, path) for path, own in found]
+            found = [each._replace(reason=each.reason or f"recording failed: {error}", calibration=None)
+                     for each in found]
+    if outcome.reason is not None and session.never_ran(recording):
+        recording.unlink(missing_ok=True)
+    return found
+
+
+def _walked(walked: tuple[str | None, list[Segment]], found: Identified) -> Identified:
+    """Return an identification with what its gait trials told."""
+    from master.identification import identify
+
+    reason, gaits = walked
+    segments = [*found.segments, *gaits]
+    known = None if found.calibration is None else identify.with_discrepancy(found.calibration, segments)
+    return found._replace(reason=reason, calibration=known, segments=segments)
 
 
 def again(
@@ -109,9 +131,9 @@ def again(
     start = _calibration(guess) or recorded.calibration(given[0])
     inverse.prepare()
     with progress.waiting("fitting"):
-        return Identified(None, identify.calibrate(
-            what, segments, start, bench=next(iter(benches), ""), date=date,
-            trial=", ".join(path.name for path in trials)), segments)
+        found = identify.calibrate(what, segments, start, bench=next(iter(benches), ""), date=date,
+                                   trial=", ".join(path.name for path in trials))
+        return Identified(None, identify.with_discrepancy(found, segments), segments)
 
 
 def _calibration(given: Path | Calibration | None) -> Calibration | None:
@@ -123,14 +145,15 @@ def _calibration(given: Path | Calibration | None) -> Calibration | None:
 def identify(
     what: str = "all", *, bus: BusSettings | None = None, trials: Sequence[Trial | str | Path] = (),
     model: Model | None = None, config: str | Path | None = None, output: str | Path | None = None,
-    overwrite: bool = False, date: str | None = None, progress: Progress = SILENT,
+    gait: bool = True, overwrite: bool = False, date: str | None = None, progress: Progress = SILENT,
 ) -> BenchModel:
     """Measure a bench by the paper's procedures and return its model; or, with `trials`, fit recorded ones again.
 
-    `what`: stiffness, swing, friction, sensors or all. `bus`: `bowden.simulated(…)`, also the default, or
-    `bowden.bus(…)`. `model`: starting point (None: the packaged nominal one); `config`: a bench.toml. `output`: the
-    file that keeps the recording (None: it is not kept). `date`: ISO date for the evidence (today). Raises
-    `InputError` for bad input, `StoppedError` if the bench stopped.
+    `what`: stiffness, swing, friction, sensors, gait or all. `bus`: `bowden.simulated(…)`, also the default, or
+    `bowden.bus(…)`. `model`: starting point (None: the packaged nominal one); `config`: a bench.toml. `gait`: whether
+    "all" ends with gait trials, which measure the discrepancy START → END. `output`: the file that keeps the recording
+    (None: it is not kept). `date`: ISO date for the evidence (today). Raises `InputError` for bad input,
+    `StoppedError` if the bench stopped.
     """
     date = datetime.date.today().isoformat() if date is None else date
     guess = None if model is None else model_files.given(model).calibration
@@ -141,8 +164,9 @@ def identify(
         return _model(again(what, paths, guess, date=date, progress=progress))
     folder = TemporaryFolder()
     recording = folder.path / "identification.mcap" if output is None else Path(output)
-    found, *others = perform(what, configuration.read(None if config is None else Path(config)), guess,
-                    bus or buses.simulated(), recording, date=date, overwrite=overwrite, progress=progress)
+    found, *others = perform(
+        what, configuration.read(None if config is None else Path(config)), guess, bus or buses.simulated(), recording,
+        date=date, gait=gait, overwrite=overwrite, progress=progress)
     folder.remove()
     if others:
         raise InputError("identify: the bench has several force paths, and a model has one; say bowden identify.")

@@ -13,7 +13,7 @@ import json
 import math
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bowden.bench import buses
 from bowden.models import identification
@@ -21,6 +21,9 @@ from bowden.sweep.departure import motion
 from bowden.sweep.rows import IDENTIFIED, NOMINAL, Row, plant_model, reference, table
 from bowden.trials import provenance, session
 from parameters import InputError
+
+if TYPE_CHECKING:
+    from physics.calibration import Calibration
 
 FIGURES = (
     "trial", "peak_n", "period_s", "cycles", "rate_hz", "serial", "controller", "calibration",
@@ -49,19 +52,22 @@ def bench_of(row: Row) -> Row:
     return {**kept, "bench.day": 0, "bench.seed": 0, "bench.steady": ""}
 
 
-def identify(bench: Row) -> tuple[str | None, str]:
-    """Identify a bench; returns the reason of a stop, or None and the calibration's text."""
+def identify(bench: Row, what: str = "all", guess: Calibration | None = None) -> tuple[str | None, str]:
+    """Identify a bench; returns the reason why there is no calibration, or None and its text.
+
+    `guess`: what a procedure that does not identify all starts from.
+    """
     from physics.calibration import write
 
     sections = {name: table(bench, name) for name in ("network", "limits", "homing")}
     with tempfile.TemporaryDirectory() as folder:
         try:
             found, *_ = identification.perform(
-                "all", sections, None, chosen(bench), Path(folder, "identification.mcap"),
+                what, sections, guess, chosen(bench), Path(folder, "identification.mcap"),
                 date=datetime.date.today().isoformat())
         except InputError as error:
             return str(error), ""
-    return found.reason, "" if found.calibration is None else write(found.calibration)
+    return (found.reason, "") if found.calibration is None else (None, write(found.calibration))
 
 
 def perform(row: Row, calibration: str, label: str, keep: str | None) -> dict[str, Any]:

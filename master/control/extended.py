@@ -25,9 +25,10 @@ from master.control.friction_following import (
 from master.control.gait_table import GaitTable
 from master.control.homing_fit import HomingFit
 from master.settings import Impedance
-from physics import inverse
+from physics import end_discrepancy, inverse
 from physics.calibration import Calibration
 from physics.inverse import Law
+from physics.laws import Array
 
 NAN = math.nan
 DEPARTURES = 9
@@ -46,7 +47,8 @@ TARGET_CYCLES = 2
 
 class Ahead(NamedTuple):
     """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
-    exponents, slowness, slips; how far the leg is from the knee's drive, rad, by the play."""
+    exponents, slowness, slips; how far the leg is from the knee's drive, rad, by the play; the identified discrepancy
+    of ln(START/END) and its standard deviation."""
 
     position: float
     start: float
@@ -58,6 +60,8 @@ class Ahead(NamedTuple):
     rope_slip: float
     fabric_slip: float
     leg: float
+    discrepancy: float
+    doubt: float
 
     @property
     def settled(self) -> bool:
@@ -93,7 +97,10 @@ class ExtendedState(NamedTuple):
 
 @dataclass(frozen=True)
 class ExtendedConfig:
-    """Constants of `step`; `ahead` is the delay, `lag` the drive's and `start_lag` START's, in control cycles."""
+    """Constants of `step`; `ahead` is the delay, `lag` the drive's and `start_lag` START's, in control cycles.
+
+    `beyond` is the identified discrepancy, packed; None where the calibration has none.
+    """
 
     gait: GaitTable
     law: Law
@@ -109,6 +116,7 @@ class ExtendedConfig:
     start_lag: float
     start_gain: float
     least_n: float
+    beyond: Array | None
 
 
 def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedance: Impedance) -> ExtendedConfig:
@@ -131,6 +139,7 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
         start_gain=calibration.start_gain,
         least_n=LEAST_SHARE * max(gait.desired),
+        beyond=None if calibration.discrepancy is None else calibration.discrepancy.packed(gait.period_s),
     )
 
 
@@ -141,11 +150,11 @@ def step(
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples
     if now == 0 and state.history is not None:
-        state = _on_cycle_end(state, config)
+        state = on_cycle_end(state, config)
     departures = (*state.departures, seen.knee_angle_rad - gait.knee[now])[-DEPARTURES:]
-    paths, slip, leg = _look_ahead(state, config, now, departures)
+    paths, slip, leg = look_ahead(state, config, now, departures)
     here = paths[0]
-    ratio = math.exp(here.by_sheath + here.by_knee)
+    ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
     desired = gait.desired[now]
     start = (seen.start_n - config.start_offset_n) / config.start_gain
     rate = paths[min(1, len(paths) - 1)].start - here.start
@@ -203,7 +212,7 @@ def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float
     return -math.copysign(1.0, moved) if moved else 0.0
 
 
-def _look_ahead(
+def look_ahead(
     state: ExtendedState, config: ExtendedConfig, now: int, departures: tuple[float, ...]
 ) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, float]]:
     """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
@@ -220,9 +229,14 @@ def _look_ahead(
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
         state.law, state.slip, gait.desired[then], knee + behind)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
+    beyond, doubt = 0.0, 0.0
+    if config.beyond is not None:
+        moved = 0.0 if math.isnan(state.slip[2]) else slip[2] - state.slip[2]
+        beyond, doubt = end_discrepancy.evaluate(
+            config.beyond, gait.desired[then], knee, slip[0], slip[1], sheath_slow, knee_slow, moved)
     answer = Ahead(
         position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
-        behind)
+        behind, beyond, doubt)
     return (*state.paths, answer)[-(config.ahead + 2):], slip, (behind, knee)
 
 
@@ -235,11 +249,11 @@ def _half_width(force: float, ratio: float, rate: float, resting: float, here: A
     whole = law.cable_exponent + law.fabric_offset + 0.5 * law.fabric_slope
     turning = TURNING * whole * max(1.0 - abs(here.rope_slip), 1.0 - abs(here.fabric_slip), resting)
     known = FOLLOWED * (abs(here.by_sheath) + abs(here.by_knee))
-    relative = math.sqrt(turning * turning + known * known + GAIN_ERROR * GAIN_ERROR)
+    relative = math.sqrt(turning * turning + known * known + GAIN_ERROR * GAIN_ERROR + here.doubt * here.doubt)
     return NORMAL_95 * math.hypot(config.noise_n / ratio, relative * force, 0.5 * config.start_lag * rate / ratio)
 
 
-def _on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
+def on_cycle_end(state: ExtendedState, config: ExtendedConfig) -> ExtendedState:
     """A gait cycle is over: its feedback and the drive's errors are learnt, its evidence moves the friction."""
     followed = follow(state.followed, evidence_of(state.history))
     feedback, missed = learning.columns(state.history, config.gait.samples)

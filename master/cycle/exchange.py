@@ -193,8 +193,10 @@ class Exchange:
         self.targets = (servo_m, knee_rad)
         self._step_ns = self.link.clock() - self._answered_ns
         if self.kept is not None and not inputs.missing:
+            said = annotations or NOTHING
             self.kept.append(KeptCycle(target=servo_m, position=inputs.servo_position_m, knee=inputs.knee_angle_rad,
-                                       start=inputs.start_n, end=inputs.end_n))
+                                       start=inputs.start_n, end=inputs.end_n, desired=said.desired_force_n,
+                                       estimated=said.estimated_end_force_n))
 
     def _at_once(self, complete: CompleteCycle, annotations: CycleAnnotations | None) -> Inputs:
         """Record a complete cycle that the bus has run, and return its inputs."""

@@ -82,10 +82,15 @@ NOTHING = CycleAnnotations()
 
 
 class KeptCycle(NamedTuple):
-    """One complete cycle that an identification keeps: target and position of the rope, m, knee, rad, tensions, N."""
+    """One complete cycle that an identification keeps: target and position of the rope, m, knee, rad, tensions, N.
+
+    `desired` and `estimated` are the controller's END forces, N; NaN outside of a gait.
+    """
 
     target: float
     position: float
     knee: float
     start: float
     end: float
+    desired: float
+    estimated: float

@@ -42,7 +42,10 @@ The controller undoes the rest by a derivative, which cannot undo a delay; count
 
 
 class Segment(NamedTuple):
-    """One experiment: its kind (rest, stiffness, ramp, swing) and columns by control cycle; m, rad, N."""
+    """One experiment: its kind (rest, stiffness, ramp, swing, gait) and columns by control cycle; m, rad, N.
+
+    `desired` and `estimated` are the controller's END forces in a gait, else NaN or empty.
+    """
 
     kind: str
     period_s: float
@@ -51,6 +54,8 @@ class Segment(NamedTuple):
     knee: Array
     start: Array
     end: Array
+    desired: Array = np.zeros(0)
+    estimated: Array = np.zeros(0)
 
 
 LAPS = 10
@@ -178,7 +183,7 @@ def loops(
     Breakaway whose speed ends there is no breakaway, but what the model lacks about a reversal: it is left out.
     Where there is some, the search starts once more from a long memory of it, and the better fit is kept.
     """
-    data = [_averaged(segment, offsets) for segment in segments if segment.kind != "rest"]
+    data = [_averaged(segment, offsets) for segment in segments if segment.kind not in ("rest", "gait")]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
     low, high = (np.array([getattr(unknown, side) for unknown in _UNKNOWNS]) for side in ("low", "high"))
     doubt = np.array([unknown.doubt for unknown in _UNKNOWNS])
@@ -243,7 +248,7 @@ def _averaged(segment: Segment, offsets: Rest) -> Segment:
     """Points of about `POINT_M` of rope travel, at least one control cycle, each a mean; offsets taken off."""
     travel = float(np.median(np.abs(np.diff(segment.target)))) or POINT_M
     points = int(np.clip(round(POINT_M / travel), 1, 25))
-    columns = [smoothed(column, points) for column in segment[2:]]
+    columns = [smoothed(column, points) for column in segment[2:7]]
     return Segment(segment.kind, segment.period_s * points, columns[0], columns[1], columns[2],
                    columns[3] - offsets.start_offset, columns[4] - offsets.end_offset)
 

@@ -1,6 +1,7 @@
 """The experiments that a calibration is measured by, over the bus, in the paper's own words where it has any.
 
-The rule of this file: motions only; what they tell is `fits`' business, and the desired-force curve is never run.
+The rule of this file: motions only; what they tell is for `calibration_fit` and `discrepancy_fit`.  The gait is run at
+other peaks and cadences than a controller is judged at, and only its discrepancy by motion and load is kept.
 
 | kind | what is done | what it tells |
 |---|---|---|
@@ -8,6 +9,8 @@ The rule of this file: motions only; what they tell is `fits`' business, and the
 | stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
 | swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
 | ramp | pulls and releases from slack to the top and to 45 N at three knee angles, 0.015…0.12 m/s | friction, lags |
+| pull | two pulls and releases to the top, on a calibration that is there | END's lag |
+| gait | two gait cycles at 36 N and 1.6 s and two at 62 N and 1.2 s, on what the others told | the discrepancy |
 
 The ramps are ours, the paper gives none for friction.  Pulling and releasing slide rope and fabric both ways, so
 START by END force is e^(±(μ1θ + μ2φ)); three knee angles tell the part that grows with the wrap from the part that
@@ -27,14 +30,14 @@ from dataclasses import dataclass, field, replace
 import can
 import numpy as np
 
-from eds.bench.bench_network import Network
+from eds.bench.bench_network import END, KNEE, Network, wire
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle
 from master.cycle.log import CycleSink
 from master.cycle.run_safely import Outcome, run_safely
 from master.cycle.shared_exchange import Running
-from master.identification import calibration_fit
+from master.identification import calibration_fit, discrepancy_fit, gait_trials
 from master.identification.calibration_fit import Segment
 from master.identification.jackknife import LineFit
 from master.motion import moves
@@ -50,8 +53,10 @@ from trial.read import Trial
 KINDS = ("rest", "stiffness", "swing", "ramp")
 PROCEDURES: Mapping[str, tuple[str, ...]] = {
     "sensors": ("rest",), "stiffness": ("rest", "stiffness"), "swing": ("rest", "swing"),
-    "friction": ("rest", "stiffness", "ramp"), "all": KINDS,
+    "friction": ("rest", "stiffness", "ramp"), "gait": ("rest", "pull"), "all": KINDS,
 }
+WALKED = ("gait", "all")
+"""Procedures that end with gait trials."""
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
 SLACK_N = 3.0
 TOP_END_N, TOP_SHARE, HALF_N = 62.0, 0.7, 45.0
@@ -64,7 +69,8 @@ SWINGS, SWING_S = 10, 4.0
 SWING_FROM_RAD, SWING_TO_RAD = math.radians(-5.0), math.radians(-65.0)
 REST_S, REACH_M, SLACK_M, SAME_KNEE_RAD = 1.0, 0.12, 4e-3, 0.05
 
-COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
+COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",
+           "desired_force_n", "estimated_end_force_n")
 """Columns of a segment, in a trial."""
 
 Progress = Callable[[str, float], None]
@@ -117,6 +123,36 @@ def run(
 
 def _shared(progress: Progress, done: float, part: float, what: str, share: float) -> None:
     progress(what, done + part * share)
+
+
+def walk(
+    link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
+    calibration: Calibration, progress: Progress = lambda what, share: None,
+) -> tuple[str | None, list[Segment]]:
+    """Run the gait trials on what the experiments told; returns why they stopped, if they did, and their segments."""
+    top_n = TOP_SHARE * identification.limits.start_n
+    segments: list[Segment] = []
+    trials = gait_trials.run(link, tap, recorder, identification.network, identification.limits,
+                             identification.homing, calibration, _recorded, top_n)
+    for i, (reason, walked) in enumerate(trials, 1):
+        if reason is not None:
+            return reason, segments
+        segments += walked
+        progress("gait", i / len(gait_trials.GAITS))
+    return None, segments
+
+
+def with_gait(what: str, network: Network) -> bool:
+    """Say whether a procedure ends with gait trials: they need one force path, its END sensor and its knee drive."""
+    described = wire(network)
+    return (what in WALKED and len(network.bench.force_paths) == 1 and END in described.nodes
+            and KNEE in described.drives)
+
+
+def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> Calibration:
+    """Return the calibration with the discrepancy that the gait trials among the segments tell, if there are any."""
+    return dataclasses.replace(
+        calibration, discrepancy=discrepancy_fit.fit(segments, calibration, calibration_fit.rest(segments)))
 
 
 def procedure(what: str) -> tuple[str, ...]:
@@ -198,6 +234,20 @@ def recorded(trial: Trial) -> list[Segment]:
     return segments
 
 
+def _recorded(exchange: Exchange, kind: str, motion: Callable[[], object]) -> Segment:
+    """Run a motion and return its columns; events mark its begin and end in the trial."""
+    kept: list[KeptCycle] = []
+    exchange.kept = kept
+    exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"begin {kind}")
+    try:
+        motion()
+    finally:
+        exchange.kept = None
+        exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"end {kind}")
+    columns = dict(zip(KeptCycle._fields, np.array(kept).T, strict=True))
+    return Segment(kind=kind, period_s=exchange.wire.period_ns * 1e-9, **columns)
+
+
 class _Experiments:
     """The experiments of one procedure, in order; what they record is in `segments`."""
 
@@ -205,7 +255,8 @@ class _Experiments:
         self.identification = identification
         self.segments: list[Segment] = []
         self._progress = progress
-        self._steps = {"rest": self._rest, "stiffness": self._stiffness, "swing": self._swing, "ramp": self._ramp}
+        self._steps = {"rest": self._rest, "stiffness": self._stiffness, "swing": self._swing, "ramp": self._ramp,
+                       "pull": self._pull}
 
     def perform(self, exchange: Exchange) -> None:
         """Home, and run what the procedure asks for; the drives are enabled."""
@@ -219,16 +270,7 @@ class _Experiments:
         self._progress("done", 1.0)
 
     def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:
-        kept: list[KeptCycle] = []
-        exchange.kept = kept
-        exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"begin {kind}")
-        try:
-            motion()
-        finally:
-            exchange.kept = None
-            exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name, f"end {kind}")
-        columns = dict(zip(KeptCycle._fields, np.array(kept).T, strict=True))
-        self.segments.append(Segment(kind=kind, period_s=exchange.wire.period_ns * 1e-9, **columns))
+        self.segments.append(_recorded(exchange, kind, motion))
 
     def _slacken(self, exchange: Exchange) -> None:
         moves.reel(exchange, -SPEED_M_S, lambda inputs: inputs.start_n < 1.0, REACH_M, "the rope does not go slack")
@@ -250,6 +292,11 @@ class _Experiments:
             for whole, speed in RAMPS:
                 self._record(exchange, "ramp", functools.partial(self._pulled, exchange, whole, speed))
             self._slacken(exchange)
+
+    def _pull(self, exchange: Exchange) -> None:
+        swing_to(exchange, RAMP_KNEES_RAD[1], self.identification.guess, self.identification.homing)
+        for _ in range(2):
+            self._record(exchange, "ramp", functools.partial(self._pulled, exchange, True, SPEED_M_S))
 
     def _pulled(self, exchange: Exchange, whole: bool, speed_m_s: float) -> None:
         """Pull to the top, or to half the load, and release to slack."""

@@ -45,10 +45,10 @@ def test_the_picture_is_drawn(measured: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "said"), [
     (("swing",), "no swing experiment among those recorded"),
-    (("knees",), "identify knees: expected one of sensors, stiffness, swing, friction, all"),
+    (("knees",), "identify knees: expected one of sensors, stiffness, swing, friction, gait, all"),
     (("stiffness", "--serial", 3), "--serial belongs to measuring a bench; leave it out with --from"),
     (("stiffness", "--interface", "socketcan"), "--interface belongs to measuring a bench"),
-    (("sensors", "--picture", "p.png"), "pulls and swings nothing that could be drawn"),
+    (("sensors", "--picture", "p.png"), "measures no loop of Figs. 9 and 10"),
 ])
 def test_what_the_recording_does_not_tell_is_refused(
     bowden: Callable[..., Told], measured: Path, here: Path, arguments: tuple[object, ...], said: str

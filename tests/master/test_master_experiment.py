@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 
 from eds.cia402 import State, state_of
 from master import settings
+from physics.calibration import nominal
+from physics.end_discrepancy import COUNT, EndDiscrepancy
 from trial.signals import COLUMNS
 
 if TYPE_CHECKING:
@@ -81,6 +84,20 @@ def test_end_is_out_of_the_loop(composer: Composer) -> None:
     assert "START is 2" in str(lying.result.stop_reason)
     until = int(np.searchsorted(lying.trial.time_ns, _stopped_ns(lying))) - 1
     np.testing.assert_array_equal(plain.sent(TARGETS)[:until], lying.sent(TARGETS)[:until])
+
+
+def test_end_is_out_of_the_loop_of_a_calibration_with_a_discrepancy(composer: Composer) -> None:
+    """What identification told of END is in every target; what END says in the trial is in none."""
+    covariance = tuple(tuple(row) for row in (1e-6 * np.eye(COUNT)).tolist())
+    told = EndDiscrepancy((0.03,) * COUNT, covariance, (5.0, 60.0), (0.1, 1.0), 0.5, 0.03, 0.01)
+    given = {"controller": "extended", "experiment": {"calibration": replace(nominal(), discrepancy=told)}}
+    plain = composer.run(**given)
+    noisy = composer.run(**given, plant_model={"end_sensor": {"noise_n": 1.0, "gain": 0.95}})
+    assert not np.array_equal(plain.sent(END_TPDO), noisy.sent(END_TPDO))
+    for can_id in (TARGETS, CONTROLWORDS):
+        np.testing.assert_array_equal(plain.sent(can_id), noisy.sent(can_id))
+    without = composer.run(controller="extended")
+    assert not np.array_equal(plain.sent(TARGETS), without.sent(TARGETS))
 
 
 def _stopped_ns(ran: Ran) -> int:

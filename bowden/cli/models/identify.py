@@ -19,12 +19,15 @@ if TYPE_CHECKING:
     from bowden.models.identification import Identified
     from physics.calibration import Calibration
 
-What = Annotated[str, typer.Argument(metavar="WHAT", help="stiffness, swing, friction, sensors or all.")]
+What = Annotated[str, typer.Argument(
+    metavar="WHAT", help="stiffness, swing, friction, sensors, gait (on a calibration) or all.")]
 Guess = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="What it starts from.")]
 From = Annotated[list[Path] | None, typer.Option(
     "--from", metavar="TRIAL", help="Fit recorded experiments in place of measuring; repeatable.")]
 Picture = Annotated[Path | None, typer.Option(
     metavar="FILE", help="Draw the paper's Figs. 9 and 10 (png, svg, pdf).")]
+NoGait = Annotated[bool, typer.Option(
+    "--no-gait", help="Leave out the gait trials that end identify all: the calibration has no discrepancy then.")]
 
 
 @app.command()
@@ -36,6 +39,7 @@ def identify(
     recorded: From = None,
     picture: Picture = None,
     *,
+    no_gait: NoGait = False,
     rate: options.Rate = None,
     simulated: SimulatedOptions,
     reached: Bus,
@@ -47,6 +51,7 @@ def identify(
     """Measure a bench and write its calibration.
 
     The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus.
+    identify all ends with two short gait trials, which tell what END is beyond the calibrated model.
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
@@ -62,7 +67,8 @@ def identify(
     today = datetime.date.today().isoformat()
     progress = terminal.Terminal(shown=not json)
     if recorded:
-        _no_bench({"rate": rate, "config": config, **reached._asdict(), **simulated._asdict()})
+        _no_bench({"no-gait": no_gait or None, "rate": rate, "config": config,
+                   **reached._asdict(), **simulated._asdict()})
         output_files.refuse([output, picture], overwrite=overwrite, inputs=[*recorded, calibration])
         again = identification.again(what, recorded, calibration, date=today, progress=progress)
         status = _ended([again], output, ", ".join(map(str, recorded)), picture, json)
@@ -78,7 +84,8 @@ def identify(
     if len(paths) > 1:
         output_files.refuse([file_of(output, path) for path in paths], overwrite=overwrite)
     found = identification.perform(
-        what, sections, calibration, chosen, recording, date=today, overwrite=overwrite, progress=progress)
+        what, sections, calibration, chosen, recording, date=today, gait=not no_gait, overwrite=overwrite,
+        progress=progress)
     status = _ended(found, output, str(recording), picture, json)
     for one in found:
         _enter(logbook, one, _file(output, one))
@@ -96,8 +103,8 @@ def _enter(logbook: Path | None, found: Identified, output: Path) -> None:
 
 
 def _drawable(what: str, picture: Path | None) -> None:
-    if picture is not None and what == "sensors":
-        raise InputError(f"--picture {picture}: identify sensors pulls and swings nothing that could be drawn; "
+    if picture is not None and what in ("sensors", "gait"):
+        raise InputError(f"--picture {picture}: identify {what} measures no loop of Figs. 9 and 10; "
                          "leave it out.")
 
 
@@ -153,6 +160,8 @@ def _object(found: Identified, output: Path, source: str) -> dict[str, Any]:
         "calibration": None if made is None else str(output), "trial": source,
         "outcome": "completed" if found.reason is None else "stopped", "stop_reason": found.reason,
         "scalars": {} if made is None else _rows(made),
+        "discrepancy": None if made is None or made.discrepancy is None else {
+            "prior": made.discrepancy.prior, "residual": made.discrepancy.residual},
     }
 
 
@@ -160,7 +169,13 @@ def _tell(found: Identified, output: Path, source: str) -> None:
     if found.calibration is None:
         print(f"Stopped: {found.reason}; no calibration was written. Trial: {source}")
         return
+    if found.reason is not None:
+        print(f"Stopped in a gait trial: {found.reason}; the discrepancy is of the trials before it.")
     terminal.table(f"{output}, measured in {source}", ("scalar", "unit", "value", "95 % low", "high", "R²"), [
         (name, row["unit"] or "1", f"{row['value']:.4g}",
          *("–" if row[key] != row[key] else f"{row[key]:.4g}" for key in ("low", "high", "r_squared")))
         for name, row in _rows(found.calibration).items()])
+    known = found.calibration.discrepancy
+    if known is not None:
+        print(f"Discrepancy START → END in the gait trials: {100.0 * known.prior:.1f} % of END, its model leaves "
+              f"{100.0 * known.residual:.1f} %.")

@@ -1,0 +1,115 @@
+"""The discrepancy START → END from gait trials: a Bayesian linear model of the controller's simulated state.
+
+One control cycle says y = ln(estimated END / measured END): the controller's own estimate from START against END.
+The features are those that the controller computes again in its cycle, from the desired force and the knee's angle.
+Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: what the fit leaves of y,
+which is systematic, so that a gait trial counts as `WORTH` independent control cycles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+from scipy.signal import butter, sosfiltfilt
+
+from master.control.homing_fit import lag_compensated
+from master.identification.calibration_fit import Rest, Segment
+from physics import end_discrepancy, inverse
+from physics.calibration import Calibration
+from physics.end_discrepancy import EndDiscrepancy
+from physics.laws import Array
+
+LOWPASS_HZ: Final = 25.0
+"""Zero-phase low-pass of both estimates of END: above it END's noise is larger than what friction changes."""
+LOADED: Final = 0.15
+"""Share of the peak from which a control cycle counts: below, offsets of START and END decide."""
+TURNING_S: Final = 0.3
+"""Time, s, by which START and END may be apart per unit of y: where friction turns over, an instant's error counts."""
+WORTH: Final = 60.0
+LEAST: Final = 2e-3
+"""Least standard deviation of the noise: START's gain is not known better."""
+ROUNDS: Final = 4
+TURN: Final = 21
+"""Control cycles at 1 kHz over which the speed of the friction's turning is averaged."""
+
+
+def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> EndDiscrepancy | None:
+    """Fit the discrepancy to the gait segments of an identification; None where there is none.
+
+    The ramps among `segments` tell END's lag.
+    """
+    gaits = [segment for segment in segments if segment.kind == "gait"]
+    if not gaits:
+        return None
+    lag_s = _end_lag(segments, calibration, still)
+    parts = [_rows(segment, calibration, still, lag_s) for segment in gaits]
+    at, y, weight = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    prior = max(LEAST, math.sqrt(float(np.average(y**2, weights=weight))))
+    noise = prior
+    for _ in range(ROUNDS):
+        precision = (at * (weight / noise**2)[:, None]).T @ at + np.eye(end_discrepancy.COUNT) / prior**2
+        mean = np.linalg.solve(precision, at.T @ (weight * y) / noise**2)
+        noise = max(LEAST, math.sqrt(float(np.average((y - at @ mean) ** 2, weights=weight))))
+    covariance = np.linalg.inv(precision)
+    ranges = np.array([part[3] for part in parts])
+    return EndDiscrepancy(
+        tuple(mean.tolist()), tuple(tuple(row) for row in covariance.tolist()),
+        (float(ranges[:, 0].min()), float(ranges[:, 1].max())), (float(ranges[:, 2].min()), float(ranges[:, 3].max())),
+        float(ranges[:, 4].max()), prior, noise)
+
+
+def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float) -> tuple[Array, Array, Array, Any]:
+    """Return features, y and weights of the loaded control cycles of one gait trial, and the ranges seen."""
+    period_s = segment.period_s
+    desired, estimated = np.nan_to_num(segment.desired), np.nan_to_num(segment.estimated)
+    state = np.zeros((desired.size, end_discrepancy.COUNT + 2))
+    _along(inverse.law(calibration, period_s), tuple(inverse.Slip()), desired, segment.knee, state)
+    smooth = butter(2, 2.0 * LOWPASS_HZ * period_s, output="sos")
+    end = lag_compensated(sosfiltfilt(smooth, segment.end - still.end_offset), period_s, lag_s)
+    y = np.log(np.maximum(sosfiltfilt(smooth, estimated), 0.1) / np.maximum(end, 0.1))
+    loaded = desired > LOADED * desired.max()
+    turning = np.gradient(state[:, -1], period_s) ** 2
+    points = max(1, round(TURN * 1e-3 / period_s))
+    speed = np.sqrt(np.convolve(turning, np.full(points, 1.0 / points), "same"))
+    weight = 1.0 / (1.0 + (TURNING_S * speed) ** 2)
+    force, flexion = desired[loaded], np.abs(segment.knee[loaded])
+    return (state[loaded, :end_discrepancy.COUNT], y[loaded], weight[loaded] * WORTH / np.count_nonzero(loaded),
+            (force.min(), force.max(), flexion.min(), flexion.max(),
+             np.abs(state[loaded, -2]).max() / period_s))
+
+
+@njit(cache=True)
+def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
+    """Write features, travel in the sheath and the sum of the exponents by control cycle."""
+    for i in range(force.size):
+        before = slip[2]
+        _position, _start, by_sheath, by_knee, sheath_slow, fabric_slow, slip = inverse.inverse(
+            law, slip, force[i], knee[i])
+        at = end_discrepancy.features(force[i], knee[i], slip[0], slip[1], sheath_slow, fabric_slow)
+        for j in range(len(at)):
+            out[i, j] = at[j]
+        out[i, len(at)] = slip[2] - before if i > 0 else 0.0
+        out[i, len(at) + 1] = by_sheath + by_knee
+
+
+def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> float:
+    """Return END's lag, s, by the ramps: its tension against the model's behind START, over its rate."""
+    lag, whole = 0.0, 0.0
+    for ramp in (segment for segment in segments if segment.kind == "ramp"):
+        smooth = butter(2, 2.0 * LOWPASS_HZ * ramp.period_s, output="sos")
+        start, end = (sosfiltfilt(smooth, column) for column in (
+            (ramp.start - still.start_offset) / calibration.start_gain, ramp.end - still.end_offset))
+        start = lag_compensated(start, ramp.period_s, calibration.start_lag)
+        model, _ = inverse.end_from_start(inverse.law(calibration, ramp.period_s), ramp.position, start, ramp.knee)
+        rate, taut = np.gradient(end, ramp.period_s), end > 2.0 * still.start_noise + 3.0
+        lag += float(np.sum((rate * (model - end))[taut]))
+        whole += float(np.sum(rate[taut] ** 2))
+    return min(max(lag / whole, 0.0), MOST_LAG_S) if whole else calibration.start_lag
+
+
+MOST_LAG_S: Final = 5e-3
+"""Largest lag of END that is believed."""

@@ -1,0 +1,89 @@
+"""Two short gait trials that end an identification: START and END under the motion that a controller will run.
+
+Their peaks and cadences are others than those that a controller is judged at, below and above them.  What is kept of
+them is START against END by motion and load (`discrepancy_fit`), and no force over time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import can
+
+from eds.bench.bench_network import Network
+from master.control.gait_table import samples_of
+from master.cycle.log import CycleSink
+from master.identification.calibration_fit import Segment
+from master.motion import gait
+from master.motion.experiment_run import ExperimentSetup, Planned
+from master.network.link import Link
+from master.settings import Gait, Homing, Limits
+from physics import inverse
+from physics.calibration import Calibration
+from physics.reference import Reference, paper_reference
+
+GAITS: Final = ((36.0, 1.6), (62.0, 1.2))
+"""Peak, N, and period, s, of each trial: below and above 40…60 N, and about as fast as 60 N at 1.1 s."""
+CYCLES: Final = 2
+"""Gait cycles of each trial: a third would be held against the second, and learning moves it."""
+WITHIN: Final = 0.9
+"""Share of a limit, and of the turning point of (10), that a trial stays within."""
+Record = Callable[[Any, str, Callable[[], object]], Segment]
+
+
+class _Recorded(Planned):
+    """A gait trial whose gait is recorded as a segment."""
+
+    def __init__(self, experiment: ExperimentSetup, record: Record, segments: list[Segment]) -> None:
+        super().__init__(experiment)
+        self._record, self._segments = record, segments
+
+    def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
+        """Run the gait and keep its columns."""
+        self._segments.append(self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before)))
+
+
+def run(
+    link: Link, tap: can.BusABC | None, recorder: CycleSink | None, network: Network, limits: Limits, homing: Homing,
+    calibration: Calibration, record: Record, top_start_n: float,
+) -> Iterator[tuple[str | None, list[Segment]]]:
+    """Run the trials by the `extended` controller on a calibration; yields after each why it stopped, and its segments.
+
+    `top_start_n`: tension at START, N, that no trial is to need.
+    """
+    for peak_n, period_s in GAITS:
+        reference = _reachable(calibration, peak_n, _slowed(period_s, limits), network.rate_hz, top_start_n)
+        segments: list[Segment] = []
+        planned = _Recorded(ExperimentSetup(
+            reference, network=network, limits=limits, homing=homing, calibration=calibration,
+            gait=Gait(peak_n=reference.peak_n, period_s=reference.period_s, cycles=CYCLES, controller="extended"),
+        ), record, segments)
+        result = planned.run(link, tap, recorder)
+        yield result.stop_reason, segments
+
+
+def _slowed(period_s: float, limits: Limits) -> float:
+    """Return the period, s, or the shortest one that moves the knee within its limit, in steps of 0.1 s."""
+    paper = paper_reference(1.0, 1.0)
+    fastest = max(abs(paper.knee_velocity(i / 400)) for i in range(400))
+    while fastest / period_s > WITHIN * limits.knee_rad_s:
+        period_s = round(period_s + 0.1, 1)
+    return period_s
+
+
+def _reachable(
+    calibration: Calibration, peak_n: float, period_s: float, rate_hz: int, top_start_n: float
+) -> Reference:
+    """Return the paper's reference with the peak, N, or a lower one that the bench's limits permit."""
+    peak_n = min(peak_n, WITHIN * calibration.limit_n)
+    law = inverse.law(calibration, 1.0 / rate_hz)
+    while True:
+        reference = paper_reference(peak_n, period_s)
+        knee, desired = gait.sampled(reference, samples_of(period_s, rate_hz))
+        most = float(inverse.path(law, desired, knee).start.max())
+        if most <= top_start_n:
+            return reference
+        peak_n *= min(0.98, top_start_n / most)
+
+

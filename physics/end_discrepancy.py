@@ -1,0 +1,138 @@
+"""The discrepancy START → END of one bench: what the calibrated force-transfer model lacks, with its uncertainty.
+
+ln(estimated END / measured END) is a Bayesian linear model of a few features of the controller's own simulated state:
+load, knee angle, pre-sliding states of rope and fabric (their direction history) and how slowly both slide.
+`bowden identify all` fits it to gait trials with END (`master.identification.discrepancy_fit`); the controller
+evaluates it from its simulated state, so that END stays out of the loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from parameters import InputError
+from physics.laws import Array
+from physics.path_laws import LOAD_N
+
+TABLE: Final = "discrepancy"
+"""Table of a bench model's file."""
+FEATURES: Final = ("level", "load", "sheath", "sheath_load", "fabric", "fabric_load", "fabric_knee", "sheath_slow",
+                   "fabric_slow")
+"""Features in the order of mean and covariance; `features` computes them."""
+COUNT: Final = len(FEATURES)
+KNEE_RAD: Final = 0.45
+"""Knee flexion at which `fabric_knee` is 0: about the one at the peak of the desired force."""
+BEYOND: Final = 0.15
+"""Share of a seen range over which the discrepancy falls to zero outside of it."""
+
+
+class EndDiscrepancy(NamedTuple):
+    """Posterior of the discrepancy: mean and covariance of the features' coefficients, and the ranges seen.
+
+    `force_n`: END, N; `flexion_rad`: |knee angle|; `speed_m_s`: the fabric's largest speed on the rope's side.
+    `prior` and `residual`: standard deviations of the coefficients before the fit and of what is left after it.
+    """
+
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    force_n: tuple[float, float]
+    flexion_rad: tuple[float, float]
+    speed_m_s: float
+    prior: float
+    residual: float
+
+    def packed(self, period_s: float) -> Array:
+        """Return it as the array that `evaluate` reads, for control cycles of `period_s`."""
+        return np.array([*self.mean, *(cell for row in self.covariance for cell in row), *self.force_n,
+                         *self.flexion_rad, self.speed_m_s * period_s])
+
+
+@njit(cache=True)
+def features(force: float, knee: float, sheath: float, fabric: float, sheath_slow: float, fabric_slow: float) -> Any:
+    """Return the features of one control cycle: END force, N, knee, rad, slip states −1…1, slownesses 0…1."""
+    load = force / LOAD_N - 1.0
+    return (1.0, load, sheath, sheath * load, fabric, fabric * load, fabric * (abs(knee) - KNEE_RAD),
+            sheath * sheath_slow, fabric * fabric_slow)
+
+
+@njit(cache=True)
+def _outside(value: float, low: float, high: float) -> float:
+    """Return 1 within a seen range, 0 from `BEYOND` of it outside, a straight line between."""
+    away = max(low - value, value - high, 0.0)
+    return max(0.0, 1.0 - away / (BEYOND * (high - low) + 1e-12))
+
+
+@njit(cache=True)
+def evaluate(packed: Any, force: float, knee: float, sheath: float, fabric: float, sheath_slow: float,
+             fabric_slow: float, moved: float) -> Any:
+    """Return (discrepancy of ln(START/END), its standard deviation) in one control cycle.
+
+    `moved`: travel of the rope in its sheath in this control cycle, m.  The posterior mean m is shrunk by its standard
+    deviation σ to m·m²/(m² + σ²), and both fall to zero outside of the ranges that the gait trials saw.
+    """
+    at = features(force, knee, sheath, fabric, sheath_slow, fabric_slow)
+    mean, variance = 0.0, 0.0
+    for i in range(COUNT):
+        mean += packed[i] * at[i]
+        row = 0.0
+        for j in range(COUNT):
+            row += packed[COUNT * (1 + i) + j] * at[j]
+        variance += at[i] * row
+    ranges = packed[COUNT * (COUNT + 1):]
+    inside = (_outside(force, ranges[0], ranges[1]) * _outside(abs(knee), ranges[2], ranges[3])
+              * _outside(abs(moved), 0.0, ranges[4]))
+    square = mean * mean
+    return inside * mean * square / (square + variance + 1e-12), inside * math.sqrt(max(variance, 0.0))
+
+
+def rows(known: EndDiscrepancy | None) -> list[str]:
+    """Return the lines of `[discrepancy]` in a bench model's file; `stated` reads them back."""
+    if known is None:
+        return []
+    names = ", ".join(f'"{name}"' for name in FEATURES)
+    cells = [f"{key} = {_text(getattr(known, key))}" for key in EndDiscrepancy._fields]
+    return ["", f"[{TABLE}]  # ln(estimated END / measured END) of the gait trials, by features; SI",
+            f"features = [{names}]", *cells]
+
+
+def _text(value: Any) -> str:
+    return f"[{', '.join(map(_text, value))}]" if isinstance(value, tuple) else repr(float(value))
+
+
+def stated(tables: Mapping[str, Any], where: str) -> EndDiscrepancy | None:
+    """Return the discrepancy that a file's tables state, None where they state none.  Raises `InputError`."""
+    table = tables.get(TABLE)
+    if table is None:
+        return None
+    again = "run bowden identify again"
+    if not isinstance(table, Mapping) or tuple(table.get("features", ())) != FEATURES:
+        raise InputError(f"{where}: [{TABLE}] features are not {', '.join(FEATURES)}; {again}.")
+    shapes: dict[str, tuple[int, ...]] = {
+        "mean": (COUNT,), "covariance": (COUNT, COUNT), "force_n": (2,), "flexion_rad": (2,), "speed_m_s": (),
+        "prior": (), "residual": ()}
+    found: dict[str, Any] = {}
+    for key, shape in shapes.items():
+        value = _numbers(table.get(key), shape)
+        if value is None:
+            raise InputError(f"{where}: [{TABLE}] {key} = {table.get(key)!r}, expected "
+                             f"{' × '.join(map(str, shape)) or 'one'} finite numbers; {again}.")
+        found[key] = value
+    if np.linalg.eigvalsh(np.array(found["covariance"])).min() < -1e-9:
+        raise InputError(f"{where}: [{TABLE}] covariance has a negative eigenvalue, expected none; {again}.")
+    return EndDiscrepancy(**found)
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> Any:
+    """Return nested tuples of floats of a shape, None for anything else."""
+    if not shape:
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return float(value) if number else None
+    if not isinstance(value, list) or len(value) != shape[0]:
+        return None
+    parts = tuple(_numbers(each, shape[1:]) for each in value)
+    return None if None in parts else parts
