@@ -171,8 +171,8 @@ def page(walks: Mapping[str, tuple[int, float]], found: Mapping[tuple[int, float
     """Return the page of the walks that were measured, and draw its pictures."""
     parts = ["# What identification told of END, and what END feedback would gain\n",
              "`python -m benchmarks.end_in_loop` writes this page: benches of [the family](unseen.md), identified on "
-             "day 0 and walked on day 1, two gait cycles after seven of learning, true END. In the last two columns of each "
-             "part the estimate of END is true END, without noise or delay, in simulation only: `--end-in-loop` stays "
+             "day 0 and walked on day 1, two gait cycles after seven of learning, true END. In the last two columns "
+             "the estimate of END is true END, without noise or delay, in simulation only: `--end-in-loop` stays "
              "refused, and this is what the open-END design costs.\n"]
     rows = []
     for name, walk in walks.items():

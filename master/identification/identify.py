@@ -67,6 +67,8 @@ RAMPS = ((True, SPEED_M_S), (True, SPEED_M_S), (False, SPEED_M_S), (True, SLOW_M
 RAMP_KNEES_RAD = (math.radians(-6.0), float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT)), math.radians(-60.0))
 SWINGS, SWING_S = 10, 4.0
 SWING_FROM_RAD, SWING_TO_RAD = math.radians(-5.0), math.radians(-65.0)
+HANGING_RAD = 0.0
+"""Knee angle at which the leg stays by itself between the experiments and the gait trials, while the drives are off."""
 REST_S, REACH_M, SLACK_M, SAME_KNEE_RAD = 1.0, 0.12, 4e-3, 0.05
 
 COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",
@@ -267,6 +269,8 @@ class _Experiments:
             self._progress(kind, i / len(kinds))
             self._steps[kind](exchange)
             self._slacken(exchange)
+        if with_gait(given.what, given.network):
+            swing_to(exchange, HANGING_RAD, given.guess, given.homing)
         self._progress("done", 1.0)
 
     def _record(self, exchange: Exchange, kind: str, motion: Callable[[], object]) -> None:

@@ -203,8 +203,9 @@ def test_gait_trials_are_run_on_a_calibration_and_end_in_its_file(composer: Comp
     """On a bench that the calibration is not of: what its model leaves of the discrepancy is less than half."""
     given = identify.Identification("gait")
     link, tap = composer.link(serial=3)
-    outcome, segments = identify.run(link, tap, None, given)
+    outcome, found = identify.run(link, tap, None, given)
     assert outcome.reason is None
+    (segments,) = found.values()
     reason, walked = identify.walk(link, tap, None, given, nominal())
     assert reason is None
     assert [segment.kind for segment in walked] == ["gait", "gait"]
