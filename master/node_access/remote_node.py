@@ -173,7 +173,8 @@ class NodeAccess:
         own = {} if self.dictionary is None else self.dictionary.emergencies
         profile = (self.number(0x1000) or 0) & 0xFFFF
         found = [self.number(0x1003, sub) or 0 for sub in range(1, (self.number(0x1003) or 0) + 1)]
-        return bits, [NodeError(word & 0xFFFF, emcy_text(word & 0xFFFF, profile, own), word >> 16) for word in found]
+        return bits, [NodeError(word & 0xFFFF, emcy_text(word & 0xFFFF, profile, own), word >> 16)
+                      for word in found if word]
 
     def clear_errors(self) -> None:
         """Clear the history by writing 0 to 0x1003:00; raises `SdoError`."""

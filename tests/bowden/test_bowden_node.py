@@ -1,40 +1,19 @@
-"""`bowden node` over the wire: our device behind its EDS, and python canopen's own local node."""
+"""`bowden node` over the wire: our device behind its EDS, python canopen's own local node, and npm's canopen."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import canopen
 import pytest
 
 import bowden as library
 from bowden.testing import CanBus
-from eds import packaged
-from eds.cia301 import Frame
-from virtual_bus.wire.station import Station
+from tests.foreign.peers import CanopenLocalNode, NpmNode, npm_absent
 
 Run = Callable[..., Any]
-EDS = str(packaged("knee_drive"))
-
-
-class CanopenLocalNode(Station):
-    """python canopen's `LocalNode` on the virtual wire, without a thread: it answers in the call that delivers."""
-
-    def __init__(self, bus: CanBus, node_id: int) -> None:
-        super().__init__(f"canopen {node_id}", self.heard)
-        self._bus = bus
-        self.network = canopen.Network(self)
-        self.node = self.network.create_node(node_id, EDS)
-        bus.wire.attach(self)
-
-    def heard(self, frame: Frame, now_ns: int) -> None:
-        self.network.notify(frame.can_id, bytearray(frame.data), now_ns / 1e9)
-
-    def send(self, message: Any) -> None:
-        self.submit(Frame(message.arbitration_id, bytes(message.data)), self._bus.now_ns)
 
 
 @pytest.fixture
@@ -45,6 +24,19 @@ def typed(bowden: Run, can_bus: CanBus) -> Run:
     can_bus.open()
     at = "--interface", "bowden", "--channel", can_bus.channel
     return lambda *words: bowden("node", *words, *at)
+
+
+@pytest.fixture(params=[5, 6, pytest.param(7, marks=pytest.mark.exhaustive)], ids=["ours", "canopen", "npm"])
+def node(request: pytest.FixtureRequest, can_bus: CanBus) -> Iterator[int]:
+    """Node id of each device; npm's joins the bus here."""
+    if request.param != 7:
+        yield request.param
+        return
+    if absent := npm_absent():
+        pytest.skip(absent)
+    npm = NpmNode(can_bus, 7)
+    yield 7
+    npm.close()
 
 
 def found(told: Any) -> Any:
@@ -59,7 +51,6 @@ def test_scan_finds_both_and_names_the_eds_that_fits(typed: Run) -> None:
     assert theirs["identity"]["product"] == 2
 
 
-@pytest.mark.parametrize("node", [5, 6])
 def test_objects_are_read_and_written(typed: Run, node: int) -> None:
     assert found(typed("info", node, "--json"))["profile"] == "CiA 402 drive"
     assert typed("read", node, "0x1018:1").stdout == "1018:01 Identity object: Vendor-ID = 11591168 (0x00B0DE00)\n"
@@ -70,7 +61,6 @@ def test_objects_are_read_and_written(typed: Run, node: int) -> None:
     assert "6065:00" in [each["object"] for each in listed]
 
 
-@pytest.mark.parametrize("node", [5, 6])
 def test_a_pdo_is_mapped_in_the_order_of_cia_301(typed: Run, can_bus: CanBus, node: int) -> None:
     since = can_bus.now_ns
     told = found(typed("pdo", node, "--map", "tpdo1=6041,6064,6077", "--set", "tpdo1.type=1", "--json"))
@@ -126,7 +116,6 @@ def test_while_another_master_lives_nothing_is_moved(typed: Run, can_bus: CanBus
     assert typed("read", 5, "6041").status == 0
 
 
-@pytest.mark.parametrize("node", [5, 6])
 def test_backup_compare_restore_by_id(typed: Run, here: Path, node: int) -> None:
     assert typed("backup", node, "-o", "node.dcf").status == 0
     assert typed("compare", node, "node.dcf").stdout == "0 parameters differ.\n"
@@ -170,3 +159,12 @@ def test_a_node_in_python(can_bus: CanBus) -> None:
         node.write("Following error window", 2000)
         assert node.read("6065") == 2000
         assert [word >> 16 for word in node.map_pdo("tpdo1", "6041,6064").mapping] == [0x6041, 0x6064]
+
+
+def test_each_stack_is_found_read_for_errors_and_started(typed: Run, can_bus: CanBus, node: int) -> None:
+    assert node in [each["node"] for each in found(typed("scan", "--json"))["nodes"]]
+    assert found(typed("errors", node, "--json")) == {"node": node, "register": [], "history": []}
+    since = can_bus.now_ns
+    assert typed("nmt", node, "start").stdout.startswith(f"{node}: start sent")
+    assert [frame.data for frame in can_bus.frames(cob_id=0, since_ns=since)] == [bytes((1, node))]
+    assert typed("errors", node, "--clear").status == 0
