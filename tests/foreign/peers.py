@@ -32,12 +32,37 @@ class CanopenLocalNode(Station):
         self.network = canopen.Network(self)
         self.node = self.network.create_node(node_id, EDS)
         bus.wire.attach(self)
+        self.node.nmt.state = "INITIALISING"
+        self.node.nmt.state = "PRE-OPERATIONAL"
 
     def heard(self, frame: Frame, now_ns: int) -> None:
         self.network.notify(frame.can_id, bytearray(frame.data), now_ns / 1e9)
 
     def send(self, message: Any) -> None:
         self.submit(Frame(message.arbitration_id, bytes(message.data)), self._bus.now_ns)
+
+    def send_periodic(self, message: Any, period: float) -> PeriodicFrame:
+        return PeriodicFrame(self, message, period, self._bus)
+
+
+class PeriodicFrame:
+    """A frame that is sent in bus time until it is stopped, as python-can's `send_periodic` does."""
+
+    def __init__(self, node: CanopenLocalNode, message: Any, period: float, bus: CanBus) -> None:
+        self._node, self._message, self._period, self._bus = node, message, period, bus
+        self._on = True
+        self._beat()
+
+    def _beat(self) -> None:
+        if self._on:
+            self._node.send(self._message)
+            self._bus.after(self._period, self._beat)
+
+    def modify_data(self, message: Any) -> None:
+        self._message = message
+
+    def stop(self) -> None:
+        self._on = False
 
 
 def npm_absent() -> str:
@@ -72,6 +97,7 @@ class NpmNode(Station):
             self._bus.run(0.001)
         else:
             raise TimeoutError("no end")
+        self._bus.run(0.001)
         ended = self.done.pop(0)
         if "error" in ended:
             raise RuntimeError(ended["error"])
