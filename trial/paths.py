@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from parameters import InputError
 from trial.assemble import TrialContent, write
-from trial.read import Event, Trial
+from trial.read import Trial
 from trial.signals import Signal, of_path
 
 T = TypeVar("T")
@@ -59,11 +59,9 @@ def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str,
     return common | {key.removeprefix(f"{path}."): value for key, value in given.items() if key.startswith(f"{path}.")}
 
 
-def write_path(trial: Trial, path: str, target: Path, *, overwrite: bool = False) -> Trial:
-    """Write one force path of a trial as a separate trial, and return it; raises `InputError`."""
-    found = one_path(trial, path)
+def write_path(found: Trial, target: Path) -> None:
+    """Write what `one_path` returned as a separate trial; raises `InputError`."""
     signals = [Signal(name, found.units[name], "", name in found.derived) for name in found.columns]
-    events = [(event.time_ns, event.kind, event.source, event.text) for event in map(Event._make, found.events)]
+    events = [(event.time_ns, event.kind, event.source, event.text) for event in found.events]
     write(target, TrialContent(found.time_ns, found.columns, found.frames, events, signals), metadata=found.metadata,
-          result=found.result or {}, attachments=found.attachments, overwrite=overwrite)
-    return found
+          result=found.result or {}, attachments=found.attachments)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from eds.declaration import DeclaredBench, ForcePath
     from master.motion.experiment_run import ExperimentSetup
     from physics.reference import Reference
+    from trial.read import Trial
 
 
 def several(bench: DeclaredBench) -> bool:
@@ -74,27 +75,39 @@ def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, An
     return found
 
 
+def opened(file: Path, path: str | None, *, whole: bool = False) -> Trial:
+    """Open a trial of a single path, or with `path` that path of one; `whole` takes one of several as it is.
+
+    Raises `InputError` for a trial of several paths where no path is named, and for a path that it has not.
+    """
+    from trial import read
+    from trial.paths import names, one_path
+
+    found = read.open(file)
+    if path is not None:
+        return one_path(found, path)
+    if names(found) and not whole:
+        raise InputError(f"{file}: records the force paths {', '.join(names(found))}; name one with --path.")
+    return found
+
+
 @contextmanager
 def single_paths(trials: Sequence[Path], path: str | None) -> Iterator[list[Path]]:
     """Yield trials of a single path: the files themselves, or with `path` that path of each, in a temporary folder.
 
     Raises `InputError` for a trial of several paths where no path is named, and for a path that a trial has not.
     """
-    from trial import read
-    from trial.paths import names, write_path
+    from trial.paths import write_path
 
     with tempfile.TemporaryDirectory(prefix="bowden-") as folder:
         found = []
         for file in trials:
-            opened = read.open(file) if file.suffix.lower() == ".mcap" else None
-            if opened is None or path is None:
-                if opened is not None and names(opened):
-                    known = ", ".join(names(opened))
-                    raise InputError(f"{file}: records the force paths {known}; name one with --path.")
+            one = opened(file, path) if file.suffix.lower() == ".mcap" else None
+            if one is None or path is None:
                 found.append(file)
                 continue
             target = Path(folder) / str(len(found)) / file_of(file, path).name
             target.parent.mkdir()
-            write_path(opened, path, target)
+            write_path(one, target)
             found.append(target)
         yield found

@@ -195,6 +195,7 @@ class SharedExchange:
             path.note(sent)
         if self.paths[0].told:
             return
+        self.paths[0].told = True
         rows = [path.row_of(annotations, sent) for path, annotations in zip(self.paths, told, strict=True)]
         own = [(*annotations.own, *(NAN,) * (path.own - len(annotations.own)))
                for path, annotations in zip(self.paths, told, strict=True)]

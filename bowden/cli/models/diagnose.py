@@ -62,6 +62,7 @@ def diagnose(
     calibration: options.Calibration = None,
     healthy: options.Healthy = None,
     holdout: Holdout = None,
+    path: options.ForcePath = None,
     lowpass: Lowpass = None,
     output: Extended = None,
     report: Report = None,
@@ -90,11 +91,12 @@ def diagnose(
     Example: bowden diagnose trial.mcap --healthy good.mcap -o extended.toml --report diagnosis.html
     """
     from bowden import output_files
+    from bowden.trials import force_paths
 
     asked = {"--peak": peak, "--period": period, "--cycles": cycles, "--noise": noise}
     given = {"--logbook": logbook, "TRIAL": trials, "-o": output, "--report": report, "--figures": figures,
              "--lowpass": lowpass, "--holdout": holdout, "--tracked": tracked, "--each": each, "--workers": workers,
-             "--scheduler": scheduler, "--scheduler-tls": tls}
+             "--scheduler": scheduler, "--scheduler-tls": tls, "--path": path}
     if plan is not None:
         _leave_out(given, given, "--plan is before any trial")
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
@@ -113,10 +115,13 @@ def diagnose(
     if logbook is not None:
         healthy, deviations = _of_logbook(logbook, healthy, chosen, core)
     began = time.perf_counter()
-    with _steps(shown=not json) as step:
-        found = _diagnosed(chosen, calibration, healthy or [], holdout or [], lowpass, output, report, tracked, step,
+    if path is not None and calibration is not None:
+        calibration = force_paths.file_of(calibration, path)
+    with (force_paths.single_paths(chosen, path) as asked_of, force_paths.single_paths(healthy or [], path) as good,
+          force_paths.single_paths(holdout or [], path) as unseen, _steps(shown=not json) as step):
+        found = _diagnosed(asked_of, calibration, good, unseen, lowpass, output, report, tracked, step,
                            figures, core, deviations, overwrite=overwrite)
-    result = found.as_json() | {"seconds": time.perf_counter() - began}
+    result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
         from bowden.models import logbook_entries
 
@@ -126,6 +131,8 @@ def diagnose(
     if json:
         terminal.emit(result)
     else:
+        if path is not None:
+            print(f"Force path {path}.")
         _tell(found, result)
     return 2 if found.verdict == "refused" else 0
 
@@ -160,13 +167,15 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
         raise NothingGivenError("TRIAL... | --plan EXPERIMENT",
                                 "diagnose: no trial given; name at least one, or an experiment with --plan.")
     if given["--each"]:
-        _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook"),
+        _leave_out(given, ("-o", "--report", "--figures", "--tracked", "--logbook", "--path"),
                    "--each gives a verdict for every trial and writes none")
     if given["--scheduler-tls"] and not given["--scheduler"]:
         raise InputError("--scheduler-tls belongs to --scheduler; leave it out, or name a scheduler.")
     for option in ("--workers", "--scheduler"):
         if given[option] and not given["--each"]:
             raise InputError(f"{option} belongs to --each; leave it out, or diagnose every trial for itself.")
+    if given["--path"] and given["--logbook"]:
+        raise InputError("--path: a logbook keeps verdicts of whole trials; leave --logbook out.")
     if given["--tracked"] and not given["--report"]:
         raise InputError("--tracked is shown in the report; name one with --report.")
     return trials

@@ -27,7 +27,7 @@ SIMULATED = frozenset({"serial", "day", "seed", "plant", "plant_model", "channel
 FRAMES = frozenset({"speed", "loop", "from", "to", "step", "node", "cob_id", "direction", "map"})
 BUS = frozenset({"interface", "channel", "bitrate", "option"})
 TAKES = {
-    "controller": frozenset({"allow_controller"}), "plant": SIMULATED | {"output", "overwrite"},
+    "controller": frozenset({"allow_controller", "path"}), "plant": SIMULATED | {"output", "overwrite"},
     "bus": FRAMES | BUS | SIMULATED,
     "bus --nodes-only": BUS,
 }
@@ -69,6 +69,7 @@ def replay(
     map_: Map = None,
     nodes_only: NodesOnly = False,
     allow_controller: Allowed = None,
+    path: options.ForcePath = None,
     *,
     reached: Bus,
     simulated: SimulatedOptions,
@@ -87,13 +88,13 @@ def replay(
     from bowden.replay import onto_bus, refuse_imported
     from bowden.replay.schedule import Selection
     from bowden.trials import recorded
-    from trial.read import open as opened
+    from bowden.trials.force_paths import opened
 
     if onto not in ONTO:
         raise InputError(f"--onto {onto}: expected one of {', '.join(ONTO)}; choose where the trial is replayed.")
     _refuse_others(context, f"{onto} --nodes-only" if nodes_only else onto)
     output_files.refuse_ending(output, ".mcap", what="residuals")
-    given = opened(trial)
+    given = opened(trial, path, whole=onto != "controller")
     refuse_imported(given, onto)
     if onto == "controller":
         return _controller(given, allow_controller, json=json)

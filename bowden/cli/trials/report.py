@@ -16,7 +16,8 @@ Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded tria
 
 @app.command()
 def report(
-    trial: Recorded, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
+    trial: Recorded, output: options.Output, path: options.ForcePath = None, overwrite: options.Overwrite = False,
+    json: options.Json = False,
 ) -> int:
     """Write a trial as one offline HTML page.
 
@@ -25,12 +26,12 @@ def report(
     Example: bowden report trial.mcap -o report.html
     """
     from bowden.pages import reports
-    from trial.read import open as opened
+    from bowden.trials.force_paths import opened
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with terminal.waiting(f"reading {trial}", shown=not json):
-        recorded = opened(trial)
+        recorded = opened(trial, path)
     size = reports.write_trial_page(recorded, output, overwrite=overwrite,
                                     progress=terminal.Terminal(shown=not json))
     terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")

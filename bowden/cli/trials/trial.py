@@ -160,8 +160,11 @@ def _show(
         paper = {}
     title = (f"{result['peak_n']:g} N, {result['period_s']:g} s, {result['cycles']} cycles, {result['rate_hz']} Hz, "
              f"controller {result['controller']}, calibration {result['calibration']}: {result['outcome']}")
-    terminal.table(title, ("force", "by the END sensor", "true", "paper"), [
-        (name, figure(result[key]), figure(result[f"true_{key}"]), paper.get(key, "–")) for name, key in FORCE_FIGURES])
+    shown = [(f"{name}, {found['peak_n']:g} N", found) for name, found in result.get("paths", {}).items()]
+    for headline, found in shown or [(title, result)]:
+        terminal.table(headline, ("force", "by the END sensor", "true", "paper"), [
+            (name, figure(found[key]), figure(found[f"true_{key}"]), paper.get(key, "–"))
+            for name, key in FORCE_FIGURES])
     if not with_end:
         print("No figures by the END sensor: the declared bench has no END load cell.")
     ratio = result["wall_s"] / result["simulated_s"] if result["simulated_s"] else None

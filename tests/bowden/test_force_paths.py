@@ -1,0 +1,136 @@
+"""Benches of several force paths run from their packaged declarations: two legs, and two ropes on one joint."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bowden as api
+from bowden.bench import configuration
+from bowden.bench.buses import simulated
+from eds.declaration import MIRROR_RAD, packaged
+from trial.paths import names, one_path
+from trial.read import Trial
+from trial.read import open as opened
+
+Command = Callable[..., tuple[int, str, str]]
+SHAPES = {"bench_two_legs": ("left", "right"), "bench_antagonists": ("flexor", "extensor")}
+
+
+@pytest.fixture(scope="module", params=SHAPES)
+def ran(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the configuration of a shape, a trial of two gait cycles, and its figures as JSON."""
+    folder = tmp_path_factory.mktemp(request.param)
+    (folder / "bench.toml").write_text(configuration.as_template(shape=request.param))
+    told = api.run(api.Experiment(peak_n=20, period_s=1, cycles=2, configuration=folder / "bench.toml"),
+                   output=folder / "trial.mcap")
+    (folder / "figures.json").write_text(json.dumps({**told.figures, "shape": request.param}))
+    return folder
+
+
+@pytest.fixture
+def figures(ran: Path) -> dict[str, object]:
+    """The figures of the trial."""
+    return dict(json.loads((ran / "figures.json").read_text()))
+
+
+@pytest.fixture
+def recorded(ran: Path) -> Trial:
+    """The trial."""
+    return opened(ran / "trial.mcap")
+
+
+def test_every_path_follows_its_force(figures: dict[str, object]) -> None:
+    assert (figures["outcome"], figures["missed_cycles"], figures["stale_inputs"]) == ("completed", 0, 0)
+    paths = figures["paths"]
+    assert isinstance(paths, dict)
+    assert tuple(paths) == SHAPES[str(figures["shape"])]
+    assert all(found["true_relative_rmse_percent"] < 8.0 for found in paths.values())
+
+
+def test_a_path_s_columns_read_like_those_of_a_single_one(recorded: Trial) -> None:
+    path = names(recorded)[1]
+    assert f"{path}.tension_start_n" in recorded.columns
+    found = one_path(recorded, path)
+    assert (found.columns["tension_start_n"] == recorded.columns[f"{path}.tension_start_n"]).all()
+    assert {"time_s", "sync_jitter_ns", "servo_target_m", "end_pdo_age_ns"} <= found.columns.keys()
+    assert not any("." in name for name in found.columns)
+
+
+def test_the_joint_of_an_antagonist_is_counted_mirrored(figures: dict[str, object], recorded: Trial) -> None:
+    flexes, extends = (recorded.columns[f"{name}.knee_angle_rad"] for name in names(recorded))
+    both = flexes + extends
+    if figures["shape"] == "bench_antagonists":
+        assert np.allclose(both, MIRROR_RAD, atol=1e-9)
+    else:
+        assert np.ptp(both) > 0.5  # the legs walk half a gait cycle apart
+
+
+def test_the_controller_s_steps_are_made_again(ran: Path, recorded: Trial, bowden: Command) -> None:
+    for path in names(recorded):
+        status, out, _ = bowden("replay", ran / "trial.mcap", "--onto", "controller", "--path", path, "--json")
+        assert (status, json.loads(out)["same"]) == (0, True)
+
+
+def test_a_path_has_its_report(ran: Path, recorded: Trial, bowden: Command) -> None:
+    page = ran / "report.html"
+    assert bowden("report", ran / "trial.mcap", "--path", names(recorded)[1], "-o", page)[0] == 0
+    assert "relative RMSE" in page.read_text()
+
+
+def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> None:
+    one, other = names(recorded)
+    for command in (("report", "-o", ran / "none.html"), ("diagnose",), ("replay", "--onto", "controller")):
+        status, out, err = bowden(command[0], ran / "trial.mcap", *command[1:])
+        assert (status, out) == (2, "")
+        assert f"records the force paths {one}, {other}; name one with --path" in err
+    status, _, err = bowden("report", ran / "trial.mcap", "--path", "middle", "-o", ran / "none.html")
+    assert status == 2
+    assert f"has no path middle; expected one of {one}, {other}" in err
+
+
+def test_a_lost_node_of_one_path_lets_both_paths_go(ran: Path, recorded: Trial, figures: dict[str, object]) -> None:
+    """START of the second path loses its power while the first rope is taut: both end slack, every drive disabled."""
+    bench = packaged(str(figures["shape"]))
+    one, other = bench.force_paths
+    taut = int(np.nanargmax(recorded.columns[f"{one.name}.tension_end_n"]
+                            * (recorded.columns[f"{one.name}.cycle"] == 0)))
+    fault = {"kind": "power_off", "node": bench.nodes_of(other).start, "start_s": 1e-9 * int(recorded.time_ns[taut])}
+    found = api.run(api.Experiment(peak_n=20, period_s=1, cycles=2, configuration=ran / "bench.toml"),
+                    bus=simulated(faults=[fault]), output=ran / "stopped.mcap")
+    assert found.outcome == "stopped"
+    assert other.start in str(found.figures["stop_reason"])
+    stopped = opened(ran / "stopped.mcap")
+    end = stopped.columns[f"{one.name}.tension_end_n"]
+    assert (end.max(), end[-1]) == (pytest.approx(20.0, abs=4.0), pytest.approx(0.0, abs=5.0))
+    for node in {node for path in bench.force_paths for node in bench.nodes_of(path)[:2]}:
+        (last,) = stopped.frames[stopped.frames["can_id"] == 0x180 + node]["data"][-1:]
+        assert last[0] & 0x4F == 0x40  # SWITCH ON DISABLED
+
+
+def test_a_calibration_is_missing_for_a_path(ran: Path, bowden: Command) -> None:
+    status, out, err = bowden("trial", "--config", ran / "bench.toml", "--calibration", ran / "own.toml",
+                              "-o", ran / "other.mcap")
+    assert (status, out) == (2, "")
+    assert "own." in err
+
+
+@pytest.mark.parametrize("options", [("--experiment", "friction-loops"), ("--dry-run",)])
+def test_what_runs_on_one_path_only_is_refused(ran: Path, bowden: Command, options: tuple[str, ...]) -> None:
+    status, out, err = bowden("trial", "--config", ran / "bench.toml", *options, "-o", ran / "other.mcap")
+    assert (status, out, (ran / "other.mcap").exists()) == (2, "", False)
+    assert options[0] in err
+
+
+def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command) -> None:
+    status, out, err = bowden("tare", "start", "--config", ran / "bench.toml", "--interface", "bowden", "--channel",
+                              f"tare {ran.name}")
+    assert (status, out) == (2, "")
+    assert "--path is missing: the bench has the force paths" in err
+    status, out, _ = bowden("tare", "start", "--config", ran / "bench.toml", "--interface", "bowden", "--channel",
+                            f"tare {ran.name}", "--path", names(recorded)[1], "--json")
+    assert (status, json.loads(out)["outcome"]) == (0, "completed")
