@@ -1,7 +1,7 @@
-"""What a user may change about an experiment, declared once.
+"""Settings of an experiment that a user may change, declared once.
 
-The rule of this file: declarations only; every number is checked where it enters (`parameters.checked`)
-and nothing below reads a configuration file.
+Declarations only; every number is checked on entry (`parameters.checked`), and no lower module reads a configuration
+file.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Impedance:
 
 @dataclass(frozen=True)
 class Limits:
-    """Where the master stops the bench."""
+    """Limits at which the master stops the bench."""
 
     start_n: float = parameter(120.0, "N", "START tension above which the trial stops", low=1.0, high=300.0,
                                source="assumed: 60 N at END at an exponent of 0.4, and a third")
@@ -85,7 +85,7 @@ WIDER: Final = (
 
 @dataclass(frozen=True)
 class Homing:
-    """How the encoder zero is found: slow motions at the knee angle of 13 % of gait."""
+    """Settings of homing: slow motions at the knee angle of 13 % of gait."""
 
     knee_rad_s: float = parameter(0.5, "rad/s", "speed of the knee while homing", low=0.01, high=3.0, source="assumed")
     rope_m_s: float = parameter(0.06, "m/s", "speed of the rope while homing", low=1e-3, high=0.2,
@@ -100,7 +100,7 @@ class Homing:
 
 @dataclass(frozen=True)
 class Record:
-    """What a trial is to say of itself, for whoever reads it later; `bowden init` asks for it once."""
+    """Description of a trial for later readers; `bowden init` asks for it once."""
 
     specimen: str = parameter("", "", "who or what wears the knee", source="said by the operator")
     rope: str = parameter("", "", "rope and sheath: kind, batch, days in use", source="said by the operator")

@@ -1,1 +1,1 @@
-"""Controllers: pure functions from what START, encoders and knee say to targets for both drives."""
+"""Controllers: pure functions from START, encoders and knee to targets for both drives."""

@@ -1,7 +1,7 @@
-"""What a controller is: a part that is configured for a gait and stepped once a control cycle.
+"""Interface of a controller: configured for a gait and stepped once a control cycle.
 
-The rule of this file: it knows no controller by name.  The packaged ones are in `control.packaged`; others come by the
-entry-point group bowden.controllers or as "module:Class".  Any of them may be told of effects beyond the calibration
+No controller is named here. The packaged ones are in `control.packaged`; others come by the entry-point group
+bowden.controllers or as "module:Class". Effects beyond the calibration can be compensated around any of them
 (`control.effect_correction`).
 """
 
@@ -40,9 +40,9 @@ State = TypeVar("State")
 
 
 class Conditions(NamedTuple):
-    """What a controller is configured with beside the model and the gait.
+    """Settings of a controller in addition to the model and the gait.
 
-    `homing`: what homing found of this day; the default before homing.
+    `homing`: the homing fit of this session; the default before homing.
     """
 
     impedance: Impedance
@@ -50,13 +50,14 @@ class Conditions(NamedTuple):
 
 
 class Controller(Protocol[State]):
-    """One controller, configured.  Constants are in the object, memory is in `State`, which `step` takes and gives.
+    """One controller, configured. Constants are in the object, memory is in `State`, an argument and a result of
+    `step`.
 
     A class that inherits this writes `step` and `initial`, and a constructor that takes the arguments of `configure`.
 
-    `slack_share`: share of the configured idle slack that it wants while no force is desired.  `uses_homing_fit`: it
-    takes friction, stretch and START's offset from `Conditions.homing`, else from the model.  `columns`: its own
-    columns in the trial.  `ahead`: control cycles after the step at which a target acts, by its own reckoning.
+    `slack_share`: share of the configured idle slack while no force is desired. `uses_homing_fit`: it takes friction,
+    stretch and START's offset from `Conditions.homing`, else from the model. `columns`: further columns in the trial.
+    `ahead`: control cycles after the step at which a target acts, as the controller assumes.
     """
 
     slack_share: ClassVar[float] = 1.0
@@ -117,7 +118,7 @@ def signals(kind: Kind) -> tuple[Signal, ...]:
 
 
 class WithEffects(Controller[State]):
-    """A controller with effects that it knows of undone around it."""
+    """A controller inside a compensation of further effects."""
 
     def __init__(self, within: Controller[State], correction: Correction, start_offset_n: float) -> None:
         self._within, self._correction, self._start_offset_n = within, correction, start_offset_n
@@ -128,7 +129,7 @@ class WithEffects(Controller[State]):
         return self._within.initial()
 
     def step(self, seen: ControllerInput, state: State) -> tuple[ControllerOutput, State, Trace]:
-        """Step the controller within on what it would see without the effects, and put them into its targets."""
+        """Step the inner controller on its inputs without the effects, and put the effects into its targets."""
         undone = self._correction
         outputs, state, trace = self._within.step(undone.seen(seen, self._start_offset_n), state)
         return undone.feed_forward(outputs, seen.sample + self.ahead), state, trace
@@ -137,7 +138,7 @@ class WithEffects(Controller[State]):
 def with_effects(
     kind: Kind, model: Calibration, gait: GaitTable, conditions: Conditions, undone: Correction | None
 ) -> Controller[Any]:
-    """Configure a controller; `undone`: effects that the model's scalars do not say, tabulated for this gait."""
+    """Configure a controller; `undone`: effects outside the model's scalars, tabulated for this gait."""
     within = kind.configure(model, gait, conditions)
     if undone is None:
         return within

@@ -1,6 +1,6 @@
-"""What goes into a controller and comes out of it, for every controller.
+"""Inputs and outputs of every controller.
 
-The rule of this file: `ControllerInput` has no END; a controller cannot use what it cannot see.
+`ControllerInput` has no END, so no controller can use it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ NAN = math.nan
 
 
 class ControllerInput(NamedTuple):
-    """What a controller may know of one SYNC, all latched by it; where anything is older there is no step.
+    """Inputs of a controller from one SYNC, all latched by it; without one of them there is no step.
 
     `sample` counts control cycles from the start of gait cycle 0, negative in the run-in.
     """

@@ -1,9 +1,9 @@
-"""What a controller does better that knows of effects beyond its calibration.
+"""Compensation of effects beyond the calibration, around any controller.
 
-The rule of this file: pure, by the catalogue's own inverses, no effect by name.  A parameter that a calibration has a
-scalar for is put there, before homing, so that the day is measured against it; every other effect becomes a table
-by sample of the gait cycle, around whichever controller runs: rope that it is led by, and what START and the knee
-would read on a bench without the effect.
+Pure functions, by the catalogue's own inverses, no effect by name. A parameter with a scalar in the calibration is
+put there, before homing, so that the session is measured against it. Every other effect becomes a table by sample of
+the gait cycle: the rope motion that it requires, and the readings of START and the knee on a bench without the
+effect.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Effects = Mapping[str, Values]
 LAPS: Final = 8
 """Gait cycles after which an effect with a memory is taken to have settled."""
 MIDWAY: Final = 0.5
-"""Where in the trial an effect that drifts is met: its mean; the rest is the feedback's."""
+"""Time in the trial at which a drifting effect is compensated: its mean; the feedback corrects the difference."""
 LEAST_EXPONENT: Final = 1e-3
 AROUND: Final = frozenset({"load_slope", "viscous", "start_gain"})
 """Quantities that tables around any controller meet, though a calibration has a scalar for them: not every one reads
@@ -40,9 +40,9 @@ SMOOTH_S: Final = 0.02
 
 
 def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, dict[str, Values]]:
-    """Return the calibration with what its scalars can say of the effects `found`, and the effects they cannot.
+    """Return the calibration with the effects of `found` that its scalars can hold, and the other effects.
 
-    What an effect sets in the simulation says which scalars it moves (`physics.conversions`).
+    The parameters that an effect sets in the simulation determine the scalars (`physics.conversions`).
     """
     rest: dict[str, Values] = {}
     for name, given in found.items():
@@ -86,9 +86,9 @@ class Correction:
 
 
 def correction(calibration: Calibration, gait: GaitTable, rest: Effects, *, adapts: bool) -> Correction | None:
-    """Tabulate what the effects `rest` ask for beyond `calibration`; None where there are none.
+    """Tabulate the compensation of the effects `rest` beyond `calibration`; None without effects.
 
-    `adapts`: the controller measures friction as homing meets it, so that only what departs from there is left.
+    `adapts`: the controller measures friction during homing, so only the departure from it is tabulated.
     """
     if not rest:
         return None
@@ -143,7 +143,7 @@ def _course(calibration: Calibration, gait: GaitTable) -> Trajectory:
 
 
 def _homed(calibration: Calibration) -> Trajectory:
-    """The bench as homing leaves it: what an effect asks of the rope there is in the encoder's zero already."""
+    """The bench after homing: the encoder's zero includes the rope motion that an effect requires there."""
     one, still = np.ones(1), np.zeros(1)
     force, knee = calibration.home_preload * one, KNEE_AT_FIT * one
     return Trajectory(

@@ -1,9 +1,9 @@
 """The controller beyond the paper: friction in series with pre-sliding, preview, drive inverse, learning.
 
-The rule of this file: pure, and END is nowhere.  What is desired is known ahead, so the model is inverted for the
-instant at which a target will act, and the drive's lag is undone; what is left is fed back from START by the
-paper's impedance and learnt from gait cycle to gait cycle (`learning`).  What the drive alone makes of a target is
-learnt apart, from the encoder, in every phase; what friction has become is estimated (`friction_following`).
+Pure functions without END. The desired force is given in advance, so the model is inverted for the instant at which a
+target will act, with the drive's lag compensated. The residual is fed back from START by the paper's impedance and
+learnt from gait cycle to gait cycle (`learning`). The drive's own tracking error is learnt separately, from the
+encoder, in every phase; changes of friction are estimated (`friction_following`).
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ class Ahead(NamedTuple):
 
 
 class ExtendedState(NamedTuple):
-    """What the controller remembers.
+    """Memory of the controller.
 
-    `law` is the model with friction as `followed` so far.  `leg`: how far the leg is from the knee's drive, and the
-    drive's angle, rad, farthest ahead.  `seen_m`: where the rope was.  `departures`: of the knee from its reference,
-    the latest last.  `paths`: the model's answers for this control cycle up to the farthest ahead; `wanted`: the
-    positions, m, that are to be reached from this control cycle on.  `resting`: control cycles before the feedback
-    listens again.  `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive.
-    `history`: linked list (sample, feedback, tracking error, evidence, older) of the gait cycle so far.
+    `law` is the model with friction as `followed` so far. `leg`: distance of the leg from the knee's drive, and the
+    drive's angle, rad, farthest ahead. `seen_m`: last rope position. `departures`: of the knee from its reference,
+    the latest last. `paths`: the model's results for this control cycle up to the farthest ahead; `wanted`: the
+    desired positions, m, from this control cycle on. `resting`: control cycles before the feedback acts again.
+    `learnt` and `tracked`: corrections by sample of the gait cycle, m, for the force and for the drive. `history`:
+    linked list (sample, feedback, tracking error, observation, older) of the gait cycle so far.
     """
 
     law: Law
@@ -146,7 +146,8 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
 def step(
     seen: ControllerInput, state: ExtendedState, config: ExtendedConfig
 ) -> tuple[ControllerOutput, ExtendedState, Trace]:
-    """One control cycle: the model's rope position for when the target acts, plus feedback, plus what was learnt."""
+    """One control cycle: the model's rope position for the time at which the target acts, plus feedback and
+    correction."""
     gait, samples = config.gait, config.gait.samples
     now = seen.sample % samples
     if now == 0 and state.history is not None:
@@ -192,10 +193,10 @@ def step(
 
 
 def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
-    """Share of its gain that the feedback has: all of it where rope and fabric slide, little where they turn over.
+    """Share of its gain that the feedback has: all of it while rope and fabric slide, little while they reverse.
 
-    There the rope is stiffer by as much as `TURNED` takes off, and the faster START departs from END, the less it
-    tells of it.
+    During a reversal the rope is stiffer by the factor in `TURNED`, and the faster START departs from END, the less
+    END can be estimated from it.
     """
     if not resting:
         return 1.0

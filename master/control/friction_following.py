@@ -1,15 +1,15 @@
-"""Friction followed over gait cycles: START tells of it against the force that the stretch tells.
+"""Friction estimated over gait cycles, from START and the END force that follows from the stretch.
 
-The rule of this file: pure; the maximum a posteriori estimate from one gait cycle of evidence, its prior at what
-homing measured today, in every cycle anew.  With y the logarithm of START (its lag and drag undone) by the END force
-that rope and knee position give, less what the law of homing predicts,
+Pure functions: the maximum a posteriori estimate from one gait cycle of observations. Its prior is the measurement of
+today's homing, in every cycle anew. y is the logarithm of START (its lag and drag compensated) by the END force from
+rope and knee position, minus the prediction of the model after homing:
 
-    y = fs·cs + fk·ck + β·(cs·ss + ck·sk) + z·dlnF/dx + w·dlnF/dw + p·d·dlnF/dx,
+    y = fs·cs + fk·ck + β·(cs·ss + ck·sk) + z·dlnF/dx + w·dlnF/dw + p·d·dlnF/dx.
 
-where fs and fk scale the friction in sheath and on knee and β adds to both breakaways.  Errors of the zero z, of the
-stretch w and of play at the knee p (d: the way it moves) are let go of: they take what is theirs, so that friction
-does not.  A systematic error of the model can so move friction by a part of its prior, once, and not a little more in
-every cycle.  END plays no part.
+fs and fk scale the friction in sheath and on knee, and β adds to both breakaways. Errors of the zero z, of the
+stretch w and of backlash at the knee p (d: its direction) are nuisance parameters: they absorb their own residuals,
+so that friction does not. A systematic model error can therefore move friction by a part of its prior, once, and not
+a little more in every cycle. END is not used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from physics.inverse import Law, elongation, held_by_position
 
 LEAST_SHARE = 0.3
-"""Share of the greatest force of the gait below which START and stretch tell too little."""
+"""Share of the greatest force of the gait below which START and stretch are too uncertain."""
 STEP = 0.5
 NOISE_N = 0.5
 """Error of START against the model that is believed of one sample."""
@@ -33,19 +33,21 @@ ROUNDS = 5
 PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.1e-3)
 """Standard deviations from homing: fs, fk, β, z (m), w, p (m)."""
 AS_HOMED: Final = (0.01, 0.01, 0.05, 0.1e-3, 0.015, 0.1e-3)
-"""The same while homing has just measured friction."""
+"""Prior σ while homing has just measured friction; as `PRIOR`."""
 LEAST_ROWS = 10
 LEAST_BOTH = 0.1
-"""Share of the evidence that must slide the other way: one way alone cannot tell friction from stretch."""
+"""Least share of the observations with slip in the opposite direction: one direction cannot separate friction from
+stretch."""
 SETTLING = 3
-"""Gait cycles with evidence until the play is known to an eighth of what it was taken for wrongly."""
+"""Gait cycles of observations until an error of the assumed backlash has fallen to an eighth."""
 
 
 class Followed(NamedTuple):
-    """What the bench has become, against what homing measured.
+    """Estimated change of the bench since homing.
 
-    Factors of the friction of sheath and knee, breakaway added; half of the play at the knee, m of rope.  `cycles`: how
-    many gait cycles have told of the play, at most `SETTLING`; `first`: what the next one said of both factors.
+    Factors of the friction of sheath and knee, added breakaway; half of the backlash at the knee, m of rope.
+    `cycles`: number of gait cycles that estimated the backlash, at most `SETTLING`; `first`: the next cycle's
+    estimate of both factors.
     """
 
     sheath: float = 1.0
@@ -57,7 +59,8 @@ class Followed(NamedTuple):
 
 
 class CycleEvidence(NamedTuple):
-    """What one control cycle says: y against the law of homing, what multiplies the six unknowns, 1/σ of y."""
+    """Observation of one control cycle: y against the model after homing, coefficients of the six unknowns, 1/σ of y.
+    """
 
     y: float
     sheath: float
@@ -82,11 +85,11 @@ def friction_evidence(
     law: Law, followed: Followed, position: float, knee: float, start: float, drag: float,
     exponents: tuple[float, float, float, float], side: float, least_n: float,
 ) -> CycleEvidence | None:
-    """The evidence of one control cycle, None where START or the stretch is too small to tell.
+    """Return the observation of one control cycle, None if START or the stretch is too small.
 
-    `law` is the law as followed; `exponents`: of sheath and knee by it, and their slowness; `start`, N, without lag and
-    `drag`, N, of the rope in it; `knee` the leg's angle, the play as followed in it; `side` −1…1: where in its play
-    the leg is; `least_n` at END.
+    `law` is the model as followed; `exponents`: of sheath and knee by it, and their slowness; `start`, N, without lag
+    and `drag`, N, of the rope in it; `knee` the leg's angle, the backlash as followed in it; `side` −1…1: position of
+    the leg in its backlash; `least_n` at END.
     """
     by_sheath, by_knee, sheath_slow, knee_slow = exponents
     force = held_by_position(law, position, knee, start, drag, by_sheath)
@@ -106,7 +109,8 @@ def friction_evidence(
 
 
 def estimate(evidence: list[CycleEvidence], doubts: tuple[float, ...] = PRIOR) -> tuple[float, ...]:
-    """The six unknowns that one gait cycle tells, in the order of `PRIOR`, against the law of homing."""
+    """Return the six unknowns estimated from one gait cycle, in the order of `PRIOR`, relative to the model after
+    homing."""
     rows = np.array(evidence)
     weight = rows[:, 7] * math.sqrt(min(1.0, WHOLE / len(rows)))
     prior = np.diag([1.0 / sigma for sigma in doubts])
@@ -122,11 +126,11 @@ def estimate(evidence: list[CycleEvidence], doubts: tuple[float, ...] = PRIOR) -
 
 
 def follow(followed: Followed, evidence: list[CycleEvidence]) -> Followed:
-    """What the bench is taken for after one more gait cycle: half of the way to what that cycle tells.
+    """Return the state after one more gait cycle: half of the way to that cycle's estimate.
 
-    The first `SETTLING` gait cycles tell the play, which nothing has measured; how much harder the bench breaks away
-    than when it was identified is told by all of them.  Homing has just measured sliding friction: what the gait cycle
-    after those says of it is the model's error, which stays as it is, and is taken off what every later one says.
+    The first `SETTLING` gait cycles estimate the backlash, which nothing else measures; all of them estimate the
+    increase of breakaway since identification. Homing has just measured sliding friction. The next gait cycle's
+    estimate of it is therefore the model's error, which is constant and subtracted from every later estimate.
     """
     pulling = sum(1 for each in evidence if each.sheath > 0.0)
     if len(evidence) < LEAST_ROWS or min(pulling, len(evidence) - pulling) < LEAST_BOTH * len(evidence):

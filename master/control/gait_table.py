@@ -26,8 +26,8 @@ RAMP_SHARE = 0.06
 class GaitTable:
     """One gait cycle by sample (`samples` control cycles of `period_s`): floats in SI, knee flexion negative.
 
-    `stretch` is x1 of (10) at the desired END force; `loss` what (4) + (8) add at START, `series_loss` what the
-    two in series add; `slack` the rope paid out while no force is desired; directions are −1, 0, +1.
+    `stretch` is x1 of (10) at the desired END force; `loss` the addition at START by (4) + (8), `series_loss` that of
+    the two in series; `slack` the rope unwound while no force is desired; directions are −1, 0, +1.
     """
 
     samples: int
@@ -91,7 +91,8 @@ def directions(speed: Array, still: float) -> Array:
 def slack_share(desired: Array, ramp: int) -> Array:
     """0 while a force is desired, 1 from `ramp` samples away from it, a quarter sine between; periodic.
 
-    The rope comes taut with a speed of its own, as the force that follows wants it: no knee where both meet.
+    The rope comes taut with the speed that the following force requires, so the velocity has no step at the
+    transition.
     """
     loaded = np.flatnonzero(desired > 0.0)
     if loaded.size == 0:

@@ -1,10 +1,10 @@
-"""What today's bench is, from the pull and release of homing: START, encoder and knee only.
+"""Homing fit: the bench in this session, from the pull and release of homing; START, encoder and knee only.
 
-The rule of this file: the model's shape is the calibration's; a day may scale its friction and its stretch, shift the
-encoder zero and START's offset, and nothing else.
+The model's shape is the calibration's; a session may scale its friction and its stretch, shift the encoder zero and
+START's offset, and nothing else.
 
-The friction is told against what the same motion told on the day of the identification, since a lumped model does not
-see in a loop quite what END sees.  Creep makes a loop wider, too: it is estimated, and let go of.
+Friction is estimated relative to the same motion in the identification's session, since a lumped model estimates less
+friction from a loop than END shows. Creep widens a loop, too: it is estimated as a nuisance parameter.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class HomingFit(NamedTuple):
 
 
 def smoothed(column: Array, points: int = SMOOTHED) -> Array:
-    """Means of `points` samples each; what is left over at the end is dropped."""
+    """Means of `points` samples each; a remainder at the end is dropped."""
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 

@@ -1,12 +1,12 @@
-"""Learning over gait cycles: what the feedback had to add in one cycle is known ahead in the next.
+"""Learning over gait cycles: the feedback's addition in one cycle becomes feedforward in the next.
 
-The rule of this file: pure, and convergent by design.  With P from rope position to estimated END force, C the
-feedback, T = PC/(1 + PC), a lead of d cycles and the zero-phase filter Q, one gait cycle changes the correction by
+Pure functions; convergent by design. P leads from rope position to estimated END force, C is the feedback, T = PC/(1
++ PC), d a lead in cycles and Q the zero-phase filter. One gait cycle changes the correction by
 
-    c' = Q·(c + γ·z^d·u),   u the feedback's part,   so   c' = Q·(1 − γ·z^d·T)·c + what does not depend on c,
+    c' = Q·(c + γ·z^d·u),   u the feedback's part;   so   c' = Q·(1 − γ·z^d·T)·c + terms without c.
 
-and it converges from any start where |Q·(1 − γ·z^d·T)| < 1 at every frequency: T is near one and in phase where
-Q passes, and Q has gone where T turns.  `contraction` evaluates that bound.
+It converges from any start if |Q·(1 − γ·z^d·T)| < 1 at every frequency: T is near one and in phase in the pass band
+of Q, and Q is small where T turns. `contraction` evaluates that bound.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from physics.laws import Array
 CUTOFF_HZ = 8.0
 GAIN = 0.5
 TRACKED_HZ = 15.0
-"""Cut-off of what is learnt of the drive alone: there is no rope and no friction in its loop."""
+"""Cut-off of the learning for the drive alone: there is no rope and no friction in its loop."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,8 @@ def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
 
 
 def learn(correction: tuple[float, ...], added: Array, filter_: LearningFilter) -> tuple[float, ...]:
-    """The next gait cycle's correction by sample, m; `added` is what was missing, by the sample at which it was."""
+    """The next gait cycle's correction by sample, m; `added` is the missing part, by the sample at which it was
+    missing."""
     ahead = filter_.gain * np.roll(added, -filter_.lead)
     total = ahead if not correction else np.array(correction) + ahead
     smooth = np.fft.irfft(np.fft.rfft(total) * filter_.response, added.size)

@@ -1,7 +1,7 @@
-"""The paper's controllers as one pure function of what was seen.
+"""The paper's controllers as one pure function of the inputs.
 
-The rule of this file: `step` has no memory, no clock and no END; what it remembers goes in and comes
-out as `PaperState`, what it explains comes out as `Trace`.
+`step` has no memory, no clock and no END; `PaperState` is its memory, an argument and a result, and `Trace` holds the
+intermediate values.
 
 | controller | friction in the feedforward | impedance on the estimated END force |
 |---|---|---|
@@ -25,7 +25,7 @@ from physics.calibration import Calibration
 
 
 class PaperState(NamedTuple):
-    """What a controller remembers: Δx of (15), m."""
+    """Memory of a controller: Δx of (15), m."""
 
     deviation_m: float = 0.0
 

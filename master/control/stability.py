@@ -1,8 +1,8 @@
-"""Whether the force loop is stable with the delay that the control rate brings, and what to do where it is not.
+"""Stability of the force loop with the delay of the control rate, and the remedy if it is unstable.
 
-The rule of this file: the loop is START → impedance 1/(B·s + K) → rope → force, with two control cycles of delay,
-half a cycle of hold and the drive's lag.  A gain margin below two is not run: B is raised until it is two, which
-slows the correction and changes nothing else, and that is said.
+The loop is START → impedance 1/(B·s + K) → rope → force, with two control cycles of delay, half a cycle of hold and
+the drive's lag. A gain margin below two is not run: B is raised until it is two, with a remark. This slows the
+correction and changes nothing else.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def crossing_rad_s(lag_s: float, delay_s: float) -> float:
 
 
 def gain_margin(calibration: Calibration, impedance: Impedance, period_s: float, peak_n: float) -> float:
-    """How many times the loop's gain may grow before it is unstable, at the stiffest desired force."""
+    """Factor by which the loop's gain may grow before it is unstable, at the stiffest desired force."""
     stiff_n_m = 1.0 / float(slope(calibration, min(peak_n, 0.98 * calibration.turning_point_n)))
     lag_s, delay_s = 1.0 / (2.0 * math.pi * calibration.drive_bandwidth), DELAY_CYCLES * period_s
     s = 1j * crossing_rad_s(lag_s, delay_s)
@@ -44,7 +44,7 @@ def gain_margin(calibration: Calibration, impedance: Impedance, period_s: float,
 def derated(
     calibration: Calibration, impedance: Impedance, period_s: float, peak_n: float
 ) -> tuple[Impedance, str | None]:
-    """The impedance that keeps the gain margin, and the sentence to say where it is not the one asked for."""
+    """Return the impedance that keeps the gain margin, and a remark if it is not the requested one."""
     margin = gain_margin(calibration, impedance, period_s, peak_n)
     if margin >= GAIN_MARGIN:
         return impedance, None

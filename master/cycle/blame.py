@@ -1,7 +1,7 @@
-"""Which sensor or part a broken relation speaks against: the pattern of all relations, told in one sentence.
+"""Fault isolation: the sensor or part that explains the pattern of all violated relations, in one sentence.
 
-The rule of this file: each suspect is declared by the relations that it alone disturbs; the suspect whose pattern lies
-nearest to what all relations say now is named, with what it says and what the others expect.
+Each suspect is declared by the relations that it alone disturbs. The suspect whose pattern is nearest to the present
+residuals is named, with its reading and the value expected from the others.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ _AGED: Final = 0.75
 
 
 def blamed(finding: Implausibility, path: PathNodes) -> StopError:
-    """Return the stop that a finding on a force path calls for, with the suspect, what was seen, what was expected."""
+    """Return the stop for a finding on a force path, with the suspect, its reading and the expected value."""
     seen, expected, relation = finding.seen, finding.expected, finding.relation
     if relation in _TENSIONS and finding.frozen:
         return StopError(Condition.OFF_TARGET, "servo position repeats one value to the last bit while its target and "

@@ -30,7 +30,7 @@ from trial.signals import CycleRow
 NAN = math.nan
 FIRST_SENSOR = 2
 NO_VALUE = -32767.5
-"""Raw counts of 0x7130 below which a sensor says that it has no valid value: the least INTEGER16 alone."""
+"""Raw counts of 0x7130 below which a sensor reports an invalid value: the least INTEGER16 alone."""
 UNSEEN = "the bus does not show SYNC to its sender; the master sends it from its own clock, with more jitter."
 NO_SYNC = "none for {:.0f} ms"
 UNHEARD = (NAN, NAN, NAN, NAN)
@@ -42,14 +42,13 @@ NEEDED = 0b0111
 class Exchange:
     """The running cycle over a link; SYNC must have been started.
 
-    `missed_cycles` counts cycles whose inputs or targets came too late, `stale_inputs` the PDOs older than
-    a cycle that a step saw.  `budget_ns` is the time after a SYNC at which its inputs must be there.
-    `name` is the source of this path's events: the force path's where there are several.
-    `own` is how many columns the controller has of its own, `told` whether this cycle's row is recorded.
-    `annotations` is what a row says of whoever steps, where `advance` is not told.
-    `kept`, where it is a list, gets each complete cycle.
-    `paths` are the force paths that the cycle runs, each with this interface; here itself alone.
-    `rehoming` says that the servo's position is about to be counted from elsewhere; `rehomed` ends that.
+    `missed_cycles` counts cycles with inputs or targets too late, `stale_inputs` the PDOs older than a cycle at a
+    step. `budget_ns` is the time after a SYNC at which its inputs must have arrived. `name` is the source of this
+    path's events: the force path's name if there are several. `own` is the number of the controller's further
+    columns, `told` whether this cycle's row is recorded. `annotations` are a row's entries by the controller, unless
+    `advance` receives others. `kept`, if it is a list, gets each complete cycle. `paths` are the force paths that the
+    cycle runs, each with this interface; here itself alone. `rehoming`: the servo's position is about to get another
+    zero; `rehomed` ends that.
     """
 
     alone = True
@@ -138,7 +137,7 @@ class Exchange:
         self.missed_cycles = self.stale_inputs = 0
 
     def end(self) -> None:
-        """Leave the cycle: SDOs wait by receiving again."""
+        """End the cycle: SDOs wait by receiving again."""
         self.link.pump = self.link.receive
         self.log.drain()
 
@@ -159,7 +158,7 @@ class Exchange:
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None = None) -> Inputs:
         """Send the targets that answer `inputs`, and return the inputs of the next SYNC.
 
-        Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
+        Raises `StopError` for a condition of safety's table, `LinkError` if the bus is gone.
         """
         link, inputs = self.link, self.inputs
         self.answer(servo_m, knee_rad, annotations)
@@ -224,7 +223,7 @@ class Exchange:
             self.log.row(self.inputs.sync_ns, self.row_of(told, sent).values(self.observed, told.own))
 
     def note(self, sent: bool) -> None:
-        """Count what a cycle missed; `sent`: its targets left in time."""
+        """Count the misses of a cycle; `sent`: its targets were transmitted in time."""
         if not sent or self.inputs.missing:
             self._note_miss(sent)
         elif self._misses:
@@ -294,7 +293,7 @@ class Exchange:
             self.link.watch.doubled(stamp_ns(message), self._count, f"the inputs of {name}")
 
     def _take(self, message: can.Message, sync_ns: int) -> int:
-        """Keep a TPDO as latched by `sync_ns`; its bit, or 0 where it is short, says "no value" or cannot be."""
+        """Keep a TPDO as latched by `sync_ns`; return its bit, or 0 if it is short, invalid or impossible."""
         i, size = self._slots[message.arbitration_id]
         if len(message.data) != size:
             self._tell_length(i, len(message.data), size, stamp_ns(message))
@@ -321,7 +320,7 @@ class Exchange:
         return self._keep_singly(sync_ns, ends, values)
 
     def _keep_singly(self, sync_ns: int, ends: Sequence[int], values: Sequence[tuple[float, ...]]) -> int:
-        """The same where one of them, this time or the last, is not taken."""
+        """Keep the values one by one if one of them, this time or the last, is refused."""
         self._reception.begin()
         missing = 0
         for i, each in enumerate(values):
@@ -371,7 +370,7 @@ class Exchange:
         self._overdue_ns = min(max(overdue_ns, 0), self._patience_ns)
 
     def latched(self, sync_ns: int, missing: int) -> None:
-        """Make the inputs of a SYNC of what was heard; `missing` has the bits of those that did not come."""
+        """Set the inputs of a SYNC from the received values; `missing` has the bits of the missing ones."""
         servo, knee, start, end = self._values
         self.inputs = inputs = Inputs(
             sync_ns=sync_ns, servo_status=int(servo[0]), servo_position_m=servo[1],
@@ -413,7 +412,7 @@ class Exchange:
         return self.all
 
     def _observe(self, message: can.Message) -> None:
-        """Keep what an observer's TPDO carries for the row of this cycle."""
+        """Keep the content of an observer's TPDO for the row of this cycle."""
         plan, places = self._observers[message.arbitration_id]
         if len(message.data) < plan.size:
             return
@@ -446,7 +445,7 @@ class Exchange:
         self.log.event(inputs.sync_ns, "miss", "master", f"{text}.")
 
     def _end_misses(self) -> None:
-        """Say how long a run of equal misses was, once it is over; one alone is told already."""
+        """Log the length of a run of equal misses once it is over; a single one has been logged."""
         if self._misses > 1:
             self.log.event(self.inputs.sync_ns, "miss", "master", f"{self._miss_text}, {self._misses} cycles in a row.")
         self._misses, self._miss_text = 0, ""

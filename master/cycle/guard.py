@@ -1,7 +1,7 @@
-"""What is watched in every control cycle, against the table of `safety`.
+"""Checks of every control cycle, against the table of `safety`.
 
-The rule of this file: a check reads what the cycle already has; it raises `StopError` with the name of what went wrong
-and the number that says so, the cause before its consequences, and decides nothing else.
+A check reads the data of the cycle. It raises `StopError` with the name of the fault and its number, the cause before
+its consequences, and decides nothing else.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ _ENABLED_MASK, _ENABLED = State.OPERATION_ENABLED.value
 _REPORTED = int(Status.FOLLOWING_ERROR | Status.INTERNAL_LIMIT)
 WATCH_NS = 10_000_000
 LIMITED_NS = 300_000_000
-"""Time for which a drive may say that an internal limit holds it back (statusword bit 11)."""
+"""Time for which a drive may report that an internal limit holds it back (statusword bit 11)."""
 YIELDED_M = 2e-3
 """By how much further a servo that its tension bound holds back may be from where its targets lead."""
 _CONSEQUENCES = (Emcy.RPDO_TIMEOUT, Emcy.GENERIC, Emcy.PDO_TOO_SHORT, Emcy.PDO_TOO_LONG)
 PATIENT = 5
-"""How many times as many cycles a node may miss while the exchange begins: programs that just started stall."""
+"""Factor on the number of cycles a node may miss while the exchange begins: programs that just started stall."""
 _LEFT = {int(NmtState.STOPPED): "STOPPED", int(NmtState.PRE_OPERATIONAL): "PRE-OPERATIONAL"}
 REMEMBERED = 3
-"""Cycles for which a missed input still explains what a drive says of it."""
+"""Cycles after a missed input in which an EMCY of a drive is attributed to it."""
 
 
 class Guard:
-    """The checks of a running cycle; `enabled` says that every drive must stay in OPERATION ENABLED.
+    """The checks of a running cycle; `enabled`: every drive must stay in OPERATION ENABLED.
 
-    `active` False lets everything pass: during bring-up, and once a stop is under way.  `beginning` says that the
-    exchange is not established yet, drives off: what a drive says of missed cycles is told and waited through.
-    `interrupted` gives the number of the signal that asked for an end, 0 for none.  `others` are nodes that the guard
-    of another force path watches.
+    `active` False disables all checks: during bring-up, and once a stop is under way. `beginning`: the exchange is
+    not established yet, drives off, and EMCYs about missed cycles are logged and waited through. `interrupted` gives
+    the number of the signal that requested an end, 0 for none. `others` are nodes that the guard of another force
+    path watches.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Guard:
     # ---- motion and signals ----
 
     def check_gait(self, inputs: Inputs, annotations: CycleAnnotations) -> None:
-        """Raise `StopError` where a control cycle of the gait departs from what is desired or from earlier cycles."""
+        """Raise `StopError` if a control cycle of the gait departs from the desired one or from earlier cycles."""
         if self.active and self.enabled and self.repetition is not None:
             found = self.repetition.check(inputs, annotations)
             if found is not None:
@@ -153,7 +153,7 @@ class Guard:
                                                       f"{LIMITED_NS / 1e6:.0f} ms (statusword bit 11)", node)
 
     def _limit(self, condition: Condition, text: str, node: int) -> StopError:
-        """A limit passed; where a relation is nearly broken as well, the sentence says which."""
+        """Return the stop for a passed limit; if a relation is nearly violated as well, the sentence names it."""
         if self.plausibility is None or not self.enabled:
             return StopError(condition, text, node)
         doubt = self.plausibility.doubt()
@@ -199,7 +199,7 @@ class Guard:
                 raise StopError(Condition.LEFT, f"{self._name(node)}, its heartbeat says {_LEFT[beat.state]}", node)
 
     def heed(self, now_ns: int, reception: Reception | None = None) -> None:
-        """Tell what strangers, emergencies and boot-ups there were; raises `StopError` for the first that matters."""
+        """Process foreign frames, emergencies and boot-ups; raises `StopError` for the first serious one."""
         link, first = self._link, self._strangers()
         for emergency in _taken(link.emergencies, lambda emergency: emergency.node_id in self._others):
             text = self._described(emergency)
@@ -229,7 +229,7 @@ class Guard:
         return first
 
     def _cause(self, emergency: EmcyMessage, text: str, now_ns: int, reception: Reception | None) -> StopError:
-        """What an emergency comes from: a drive that misses or is told too much says so before the master gives up."""
+        """Return the cause of an emergency: a drive reports missed or excessive cycles before the master gives up."""
         if emergency.code in _CONSEQUENCES:
             since = now_ns - REMEMBERED * self._period_ns
             late = [count if at >= since else 0 for count, at in self._missed]
@@ -257,7 +257,7 @@ class Guard:
 
 
 def _taken(waiting: deque[T], another_s: Callable[[T], bool]) -> Iterator[T]:
-    """Yield what waits, taken off; what is another guard's goes on waiting."""
+    """Remove and yield the waiting items; items of another guard go on waiting."""
     for _ in range(len(waiting)):
         first = waiting.popleft()
         if another_s(first):

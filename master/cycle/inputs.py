@@ -1,6 +1,6 @@
-"""What one control cycle takes in, and what a row of the trial says of whoever answered it.
+"""Inputs of one control cycle, and the controller's entries in a row of the trial.
 
-The rule of this file: names and units only; `exchange` fills it, `guard` and the controllers read it.
+Names and units only; `exchange` fills them, `guard` and the controllers read them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SERVO, KNEE, START, END = range(4)
 
 
 def places(wire: WireLayout) -> tuple[int, ...]:
-    """Return the node ids of a force path's devices by their places; END's is left out where there is none."""
+    """Return the node ids of a force path's devices by their places; END's is left out on a path without END."""
     return tuple(node for node in wire.path if node)
 
 
@@ -30,7 +30,7 @@ class ObserverSlots(NamedTuple):
 
 
 def observer_slots(wire: WireLayout) -> dict[int, ObserverSlots]:
-    """Return by COB-ID what the observers of a bench send, columns in the order of `trial.signals.with_observers`."""
+    """Return by COB-ID the fields of the observers' TPDOs, columns in the order of `trial.signals.with_observers`."""
     found: dict[int, ObserverSlots] = {}
     column = 0
     for device in wire.network.bench.observers:
@@ -42,7 +42,7 @@ def observer_slots(wire: WireLayout) -> dict[int, ObserverSlots]:
 
 
 class Inputs(NamedTuple):
-    """What one SYNC latched, SI; `missing` has a bit for each PDO, by its place, that is older than it.
+    """Values latched by one SYNC, SI; `missing` has a bit for each PDO, by its place, that is older than it.
 
     On a bench without END `end_n` is NaN and END's bit is never set; without a knee drive `knee_status` is 0.
     """

@@ -1,7 +1,8 @@
-"""What the master tells the recorder: every frame of the bus, one row a cycle, and events.
+"""The master's records: every frame of the bus, one row a cycle, and events.
 
-The rule of this file: the recorder hears every frame, by a tap that is drained in every cycle: an unfiltered bus of its
-own, or the master's, where that hands over blocks of all that it received; a recorder that fails stops the trial.
+The recorder receives every frame by a monitor socket that is drained in every cycle. The monitor socket is a second,
+unfiltered bus, or the master's bus if that hands over blocks of all received frames. A recorder that fails stops the
+trial.
 """
 
 from __future__ import annotations

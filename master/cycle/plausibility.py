@@ -1,20 +1,20 @@
-"""What one cycle's inputs must have in common, whatever the bench does: no sensor is believed alone.
+"""Consistency of one cycle's inputs, in every state of the bench: no sensor is trusted alone.
 
-The rule of this file: one compiled step over two flat float64 arrays, `s` (state) and `g` (settings), SI; it compares
-and says which relation broke, by how much, and names nothing.  Relations, each with a tolerance in its own unit:
+One compiled step over two flat float64 arrays, `s` (state) and `g` (settings), SI. It returns the violated relation
+and its size, without naming a cause. Relations, each with a tolerance in its unit:
 
-    servo    position against the answer of a position loop to the targets, m
-    knee     angle against the way from the target of two cycles before to the next one, rad: at a low rate the drive is
-             on that way when it is read
-    ratio    ln(START/END) within friction's bounds, which turn over with rope motion (pre-sliding), N at START
-    force    servo force − START against M·a + friction, over a window of `WINDOW_S`, N
-    start    rope and knee against START by the stretch of the path, m
-    end      rope and knee against END by the same stretch, m
-    still    a tension that repeats to the last bit while the other one changes, N; a position that does so while its
-             target moves, m or rad
+    servo    position against the answer of a position loop to the targets, m;
+    knee     angle against the way from the target of two cycles before to the next one, rad;
+             at a low rate the drive is between them when it is read;
+    ratio    ln(START/END) within friction's bounds, which reverse with rope motion (pre-sliding), N at START;
+    force    servo force − START against M·a + friction, over a window of `WINDOW_S`, N;
+    start    rope and knee against START by the stretch of the path, m;
+    end      rope and knee against END by the same stretch, m;
+    still    a tension that repeats to the last bit while the other one changes, N;
+             a position that does so while its target moves, m or rad.
 
-Until `learn` is told that homing is over the last four run on wide assumed values, and the stretch not at all; homing's
-own pull and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
+Until homing is over (`learn`), ratio and force use wide assumed values, and start and end are not checked. Homing's
+pull and release then give this bench's inertia, drive friction, stretch and friction bounds by least squares.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
  OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
  SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW) = range(33)
-"""Slots of `s`: targets of the last two cycles, the position loop's answer, the slip state, cycles since a restart and
-since the window began anew, repeated values, the window's place and sums, and what homing has told so far; `MOST_FLOW`:
-the greatest speed of its windows, m/s."""
+"""Indices of `s`: targets of the last two cycles, the position loop's answer, the slip state; cycles since a restart
+and since the window's beginning, repeated values; the window's place and sums; the results of homing so far;
+`MOST_FLOW`: the greatest speed of its windows, m/s."""
 RATIOS = 33
 """The normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 SEEN = COUNTS + RELATIONS
-"""What each relation saw and expected, pairs."""
+"""Reading and expected value of each relation, pairs."""
 RING = SEEN + 2 * RELATIONS
 """Ring of START/servo-force differences, then of positions, signs and speeds."""
 NORMAL_FORCE = RING + 4 * WINDOW
@@ -59,9 +59,9 @@ TRACK_M, TRACK_SHARE = 1.5e-3, 0.35
 KNEE_RAD, KNEE_S = 0.010, 2.5e-3
 RATIO_N, RATIO_N_S_M, FORCE_N, FORCE_SHARE = 5.0, 15.0, 10.0, 0.7
 FORCE_S, FLOW_N_S_M = 1.5e-3, 30.0
-"""By how much the current loop and the sensor's filter part force, START and position in time, s, beside half a period
-(a difference of positions lies half a period back); what drive friction may differ from a straight line beyond the
-speed that homing reached, N·s/m."""
+"""Time differences of force, START and position by the current loop and the sensor's filter, s. A further half period
+comes from the difference of positions. Then the departure of drive friction from a straight line beyond the speed
+that homing reached, N·s/m."""
 STRETCH_M, STRETCH_N, SWING_SHARE, BEYOND = 1.8e-3, 5.0, 0.06, 0.25
 AGREES, ALONE = 0.6, 2.5
 WIDE: Final = 0.95
@@ -218,9 +218,9 @@ def _curve(g: Any, force: float) -> float:
 def _one_stretch(
     s: Any, g: Any, relation: int, stretch: float, force: float, most: float, spread: float, knee: float
 ) -> None:
-    """The path's stretch against one tension; a slack path, which shows its drag alone, may be as long as it likes.
+    """Check the path's stretch against one tension; a slack path, with its drag alone, may have any length.
 
-    `most`: the greatest mean tension that either sensor speaks of; beyond homing's, less is known of the stretch.
+    `most`: the greatest mean tension of either sensor; beyond homing's, the stretch is less certain.
     """
     expected = _curve(g, max(force, 0.0))
     beyond = max(0.0, most - g[TOP_N])
@@ -307,14 +307,15 @@ def _compile() -> Any:
 
 
 step: Final[Any] = _compile()
-"""step(s, g, limited, target, position, force, knee_target, knee, start, end) → the relation that broke, −1 for none.
+"""step(s, g, limited, target, position, force, knee_target, knee, start, end) → the violated relation, −1 for none.
 
-`limited` 0 or more: metres by which the servo says that its tension bound holds it back; targets are the ones sent
-before these inputs were latched."""
+`limited` 0 or more: metres by which the tension bound holds the servo back, as it reports; targets are the ones sent
+before these inputs were latched.
+"""
 
 
 class Implausibility(NamedTuple):
-    """A relation that broke: what it saw, what it expected, and the normalised residual of every relation."""
+    """A violated relation: its reading, the expected value, and the normalised residual of every relation."""
 
     relation: int
     seen: float
@@ -329,7 +330,7 @@ class Implausibility(NamedTuple):
 
 @dataclass
 class Learned:
-    """What homing told of this bench.
+    """Results of homing for this bench.
 
     `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
     """
@@ -360,7 +361,7 @@ class Plausibility:
         g[TOP_N], g[WITH_END], g[WITH_KNEE] = 40.0, float(with_end), float(with_knee)
 
     def restart(self) -> None:
-        """Forget what the cycle before said: after a gap, another frame of reference or a change of mode."""
+        """Clear the memory of the cycle before: after a gap, another frame of reference or a change of mode."""
         self.s[FRESH] = self.s[FILLED] = 0.0
         self.s[COUNTS:COUNTS + RELATIONS] = 0.0
 
@@ -388,7 +389,7 @@ class Plausibility:
              inputs.knee_angle_rad, inputs.start_n, inputs.end_n)
 
     def hidden_n(self) -> float:
-        """By how much the servo's force, friction and inertia aside, speaks of more tension than START does, N."""
+        """Return the tension, N, by which the servo's force, friction and inertia aside, exceeds START."""
         s = self.s
         beyond = float(s[SEEN + 2 * FORCE] - s[SEEN + 2 * FORCE + 1])
         return beyond if beyond > FORCE_N else 0.0
@@ -400,7 +401,7 @@ class Plausibility:
         return self.finding(worst) if ratios[worst] > DOUBT else None
 
     def finding(self, relation: int) -> Implausibility:
-        """What the relations say now."""
+        """Return the present residuals of all relations."""
         s, g = self.s, self.g
         seen, expected = float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1])
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])

@@ -1,7 +1,7 @@
-"""Which values are taken for what a node measured: finite, within its range, and no faster than anything can move.
+"""Acceptance of received values: finite, within the node's range, and no faster than anything can move.
 
-The rule of this file: a value that cannot be is not used and not repaired, its cycle counts as one without that input;
-whoever sends such values for `ENOUGH` cycles in a row contradicts what it said before, and the trial stops.
+An impossible value is not used and not repaired: its cycle counts as one without that input. A node that sends such
+values for `ENOUGH` cycles in a row contradicts its earlier values, and the trial stops.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SPAN_N: Final = 230.0
 """Reach of the tension sensors, with room for their offset."""
 TENSION_STEP_N: Final = 25.0
 TENSION_RATE_N_S: Final = 30_000.0
-"""What the stiffest path (27 N/mm, stuck) makes of the drum's greatest speed, and a tenth."""
+"""Rate of the stiffest path (27 N/mm, stuck) at the drum's greatest speed, plus a tenth."""
 REACH_M: Final = 1.0
 """Rope on the drum; the drive's own position limits are a fifth of it."""
 POSITION_STEP_M: Final = 1e-3
@@ -70,7 +70,7 @@ class Reception:
         return False
 
     def begin(self) -> None:
-        """Another cycle begins: what was heard last is a cycle older."""
+        """Begin another cycle: the last values are a cycle older."""
         age = self._age
         age[0] += 1
         age[1] += 1
@@ -91,7 +91,7 @@ class Reception:
         return True
 
     def refusal(self, i: int) -> str:
-        """What was refused last, against what."""
+        """Return the last refused value, and its limits."""
         bounds, wrong = self.bounds[i], self._wrong[i]
         scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / math.pi, "degrees")}.get(bounds.unit, (1.0, bounds.unit))
         if not bounds.low <= wrong <= bounds.high:

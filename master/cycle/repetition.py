@@ -1,15 +1,15 @@
 """Slow faults of a gait trial: END against the desired force, and each gait cycle against the first two.
 
-One compiled step over flat arrays, called once in every control cycle of a gait.  It compares and names; END is read
-here and reaches no target.  Each comparison is made at the same phase of the gait, so that whatever the controller and
-the model get wrong in every cycle alike cancels out:
+One compiled step over flat arrays, called once in every control cycle of a gait. It compares and names; END is read
+here and reaches no target. Each comparison is made at the same phase of the gait, so that errors of controller and
+model that are alike in every cycle cancel out:
 
-    desired  END − desired force, mean over `MEAN_S`, against 0, N
-    first    the same mean against the first gait cycle, N
-    second   the same mean against the second gait cycle, from the third on, N
-    wound    rope position against both cycles, m: where START, END and the torque lie alike, the rope alone departs
+    desired  END − desired force, mean over `MEAN_S`, against 0, N;
+    first    the same mean against the first gait cycle, N;
+    second   the same mean against the second gait cycle, from the third on, N;
+    wound    rope position against both cycles, m; errors common to START, END and torque show there alone.
 
-A gait cycle is compared with an earlier one only where desired force and knee angle agree at that phase.  On a bench
+A gait cycle is compared with an earlier one only if desired force and knee angle agree at that phase. On a bench
 without END (NaN) the rope alone is compared.
 """
 
@@ -46,15 +46,15 @@ controllers and periods of 0.8 to 3.0 s; `python -m benchmarks.supervision --hea
 small: healthy trials stop.  Too large: a slow fault moves END by that much unsaid (`docs/faults.md`)."""
 
 (FILLED, PLACE, SUM, SUM_START, LAST_BIN, LAST_CYCLE, SEEN, EXPECTED, END_MOVED, START_MOVED, ROPE_MOVED) = range(11)
-"""Slots of `s`: number and place of the values in the mean, its sums, the last phase and gait cycle; of the last
-comparison that failed what was seen and expected, and by how much END, START (N) and the rope (m) departed."""
+"""Indices of `s`: number and place of the values in the mean, its sums, the last phase and gait cycle; of the last
+comparison that failed, the reading and the expected value, and the departures of END, START (N) and the rope (m)."""
 COUNTS = 11
 WORST = COUNTS + COMPARISONS
 """The greatest share of its tolerance that each comparison has reached."""
 RINGS = WORST + COMPARISONS
 STATES = RINGS + 2 * RING
 (M_DESIRED, M_KNEE, M_ERROR, M_START, M_ROPE, KEPT) = range(6)
-"""Columns of the memory: what a gait cycle showed at a phase."""
+"""Columns of the memory: signals of a gait cycle at a phase."""
 
 
 @njit(inline="always")
@@ -148,9 +148,9 @@ class CycleDeparture(NamedTuple):
 
 
 class Repetition:
-    """Compares a gait trial's cycles; `peak_n` is the peak of its desired force, `period_s` the control period.
+    """Comparison of a gait trial's cycles; `peak_n` is the peak of its desired force, `period_s` the control period.
 
-    `with_rope` False leaves out rope positions: a joint that is moved by hand never goes twice the same way.
+    `with_rope` False omits rope positions: a joint that is moved by hand never repeats its motion.
     """
 
     def __init__(self, peak_n: float, period_s: float, *, with_rope: bool = True) -> None:
@@ -182,7 +182,7 @@ class Repetition:
 
 
 PATH_GAIN: Final = 1.2
-"""START by END of a path of usual friction, by which a departure of both is told from one of START alone."""
+"""START by END of a path of usual friction, which separates a departure of both from one of START alone."""
 ALIKE_N: Final = 1.5
 """CycleDeparture of START from `PATH_GAIN` times that of END up to which both moved alike, N."""
 

@@ -1,6 +1,6 @@
-"""Whatever is done on a bench is done between a bring-up and a safe end.
+"""Frame of every motion on a bench: bring-up, the motion, a safe end.
 
-The rule of this file: whatever happens, the drives end disabled, SYNC stops, and the outcome says why.
+Whatever happens, the drives end disabled, SYNC stops, and the outcome has the reason.
 """
 
 from __future__ import annotations
@@ -43,9 +43,10 @@ ESTABLISHED, PATIENCE = 20, 400
 
 @dataclass(frozen=True)
 class Outcome:
-    """How it ended: `reason` is None where it completed; counts over every control cycle; the bus's time, s.
+    """Outcome of a run: `reason` (None if completed); counts over every control cycle; the bus's time, s.
 
-    `signal` is the number of the signal that asked for the end, 0 for none; `condition` the name of what stopped it.
+    `signal` is the number of the signal that requested the end, 0 for none; `condition` the name of the condition
+    that stopped it.
     """
 
     reason: str | None
@@ -148,7 +149,7 @@ def _told(error: Exception) -> str:
 
 
 def _tell_strangers(link: Link, log: Log) -> None:
-    """Say of foreign frames that were told once how often they came in all."""
+    """Log the total number of foreign frames of each kind that was logged once."""
     for sentence in link.watch.summary() if link.watch is not None else ():
         log.event(link.clock(), "bus", "master", f"{sentence}.")
 
@@ -183,11 +184,11 @@ def _establish(exchange: Running) -> None:
 
 @contextmanager
 def interruption() -> Iterator[Callable[[], int]]:
-    """Ctrl-C and its like as a question asked every few cycles, so that none tears one.
+    """Poll Ctrl-C and similar signals between cycles, so that no cycle is cut short.
 
-    What is yielded gives the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts at once.
-    A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is.
-    A signal that this process was told to ignore (nohup) stays ignored.
+    The yielded function returns the number of the first signal of `ENDING`, 0 before any; a second Ctrl-C interrupts
+    at once. A request by another thread (`stop_request`) counts as the first Ctrl-C, in whatever thread the run is. A
+    signal that this process ignores (nohup) stays ignored.
     """
     asked = 0
     if threading.current_thread() is not threading.main_thread():

@@ -1,8 +1,8 @@
-"""The safe stop: what `safety`'s table decided, carried out to its end.
+"""The safe stop: the reaction of `safety`'s table, carried out to its end.
 
-The rule of this file: the drives end disabled whatever happens on the way, nothing here holds a taut rope or winds it
-in, and a failure during the stop makes it shorter, never longer.  What is unwound is judged by the greatest of START,
-END and what the servo's force says of the rope: a sensor that lies cannot keep the rope taut, or pull it.
+The drives end disabled whatever happens on the way, nothing here holds a taut rope or winds it in, and a failure
+during the stop makes it shorter, never longer. The tension during unwinding is the greatest of START, END and the
+estimate from the servo's force. A faulty sensor therefore cannot keep the rope taut, or pull it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ SLACK_NS = 100_000_000
 GRACE_NS = 50_000_000
 SLACK_N = 5.0
 RISE, RISE_N = 1.03, 0.5
-"""How much a reading may be above the greatest one at the stop's beginning: noise, and less than 5 %."""
+"""Allowed rise of a reading above the greatest one at the stop's beginning: noise, and less than 5 %."""
 PROGRESS = 0.95
-"""What an unwinding must have left of the tension after each span of `Limits.progress_ms`."""
+"""Largest share of the tension that may remain after each span of `Limits.progress_ms` of unwinding."""
 
 
 def safe_stop(exchange: Running, stop: StopError) -> None:
-    """React to `stop` by the table and leave the drives disabled, SYNC stopped, the nodes PRE-OPERATIONAL.
+    """React to `stop` by the table; at the end drives are disabled, SYNC stopped, the nodes PRE-OPERATIONAL.
 
     Every force path reacts, whichever one the stop names.
     """
@@ -54,7 +54,7 @@ def safe_stop(exchange: Running, stop: StopError) -> None:
 
 
 def _greatest(exchange: Exchange, inputs: Inputs) -> float:
-    """The rope's tension, N, by whichever signal says most; what is missing says nothing."""
+    """Return the rope's tension, N, the greatest of all signals present."""
     start = 0.0 if inputs.missing & _START_BIT else inputs.start_n
     end = 0.0 if inputs.missing & _END_BIT or math.isnan(inputs.end_n) else inputs.end_n
     hidden = 0.0 if inputs.missing & (_SERVO_BIT | _START_BIT) else exchange.plausibility.hidden_n()
@@ -62,7 +62,7 @@ def _greatest(exchange: Exchange, inputs: Inputs) -> float:
 
 
 def _unwind(exchange: Running) -> bool:
-    """Pay every rope out until nothing says that it is taut, then quick stop; False where that cannot be done."""
+    """Unwind every rope until no signal shows tension, then quick stop; return False if that cannot be done."""
     if not all(together(exchange, [_unwinding(path) for path in exchange.paths])):
         return False
     for path in exchange.paths:
@@ -72,7 +72,7 @@ def _unwind(exchange: Running) -> bool:
 
 
 def _unwinding(exchange: Exchange) -> Work[bool]:
-    """Pay one rope out until nothing says that it is taut; False where that cannot be done."""
+    """Unwind one rope until no signal shows tension; return False if that cannot be done."""
     limits, inputs = exchange.guard.limits, exchange.inputs
     servo, knee = exchange.targets
     servo = min(servo, inputs.servo_position_m)

@@ -1,8 +1,8 @@
-"""What stops the bench, and how: one table.
+"""Conditions that stop the bench, and the reaction to each: one table.
 
-The rule of this file: a condition names what went wrong, the table what is done about it.  No reaction
-holds the rope against the knee: while START is trusted it is unwound; where signals contradict each other, END is above
-its limit, a motion is not the commanded one or somebody else commands, the servo's torque goes off at once.
+A condition names the fault, the table its reaction. No reaction holds the rope against the knee: while START is
+trusted it is unwound. The servo's torque goes off at once if signals contradict each other, END is above its limit, a
+motion is not the commanded one or another master commands.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Condition(Enum):
 
 
 class Reaction(Enum):
-    """What a safe stop does first; the drives are disabled at its end in every case."""
+    """First action of a safe stop; the drives are disabled at its end in every case."""
 
     UNWIND = "pay the rope out to below 2 N, then quick stop"
     RELEASE = "servo torque off, the rope goes slack"
@@ -63,8 +63,8 @@ _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
 NOBODY: Final = -1
 """In place of a place: the condition names no device."""
 _BY_PLACE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
-"""Without START nothing says when the rope is slack; without the servo nothing can unwind it; a knee that nobody holds
-loads the rope faster than it is paid out."""
+"""Reaction to the loss of each node: without START no signal shows when the rope is slack; without the servo nothing
+can unwind it; a knee without torque loads the rope faster than it is unwound."""
 
 REACTIONS: Final = MappingProxyType({
     **{(Condition.NODE_LOST, place): reaction for place, reaction in _BY_PLACE.items()},

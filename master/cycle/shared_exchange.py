@@ -1,8 +1,8 @@
 """One control cycle of several force paths over one bus.
 
-Each path has an `Exchange` of its own, with its guard, plausibility and targets; the bus, SYNC, the frames of targets
-and the row of `/cycle` are shared.  A procedure of one path runs unchanged on that path's exchange: meanwhile the other
-paths hold, and a rope goes along with a joint that the other path of that joint moves.
+Each path has an `Exchange`, with its guard, plausibility and targets; the bus, SYNC, the frames of targets and the
+row of `/cycle` are shared. A procedure of one path runs unchanged on that path's exchange. Meanwhile the other paths
+hold, and a rope follows a joint that the other path of that joint moves.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SWING_K: Final = nominal().swing_k
 
 
 class Answer(NamedTuple):
-    """What a path answers its inputs with: targets, m and rad, and what its row says of the step."""
+    """Answer of a path to its inputs: targets, m and rad, and the step's entries in its row."""
 
     servo_m: float
     knee_rad: float
@@ -39,7 +39,7 @@ class Answer(NamedTuple):
 
 
 Work = Generator[Answer, None, T]
-"""Procedure of one path: yields what it answers each cycle, and reads the inputs from its exchange."""
+"""Procedure of one path: yields its answer in each cycle, and reads the inputs from its exchange."""
 
 
 class PathExchange(Exchange):
@@ -125,7 +125,7 @@ class SharedExchange:
         self._latch(sync_ns)
 
     def end(self) -> None:
-        """Leave the cycle: SDOs wait by receiving again."""
+        """End the cycle: SDOs wait by receiving again."""
         self.link.pump = self.link.receive
         self.log.drain()
 
@@ -141,9 +141,9 @@ class SharedExchange:
                 self.link.send(plan.cob_id, plan.pack(*(self._words[node] for node in nodes)))
 
     def advance(self, answers: Mapping[str, Answer]) -> None:
-        """Send what the named paths answer, the others holding, and take the inputs of the next SYNC.
+        """Send the answers of the named paths, the others holding, and take the inputs of the next SYNC.
 
-        Raises `StopError` where safety's table says so, `LinkError` where the bus is gone.
+        Raises `StopError` for a condition of safety's table, `LinkError` if the bus is gone.
         """
         led: dict[str, float] = {}
         for path in self.paths:
@@ -168,7 +168,7 @@ class SharedExchange:
 
     @staticmethod
     def _answer(path: PathExchange, given: Answer | None, joint_rad: float | None) -> Answer:
-        """Return what a path answers when its joint is led to `joint_rad`, None: by nobody."""
+        """Return a path's answer when its joint is led to `joint_rad`; None if nothing leads the joint."""
         servo, knee = path.targets
         led = knee if joint_rad is None else path.mirrored(joint_rad)
         if given is None:

@@ -24,5 +24,5 @@ def armed() -> Iterator[Callable[[], None]]:
 
 
 def requested() -> int:
-    """Return the signal that a request stands for (SIGINT: the same end as Ctrl-C), 0 where nobody has asked."""
+    """Return the signal that a request corresponds to (SIGINT: the same end as Ctrl-C), 0 without a request."""
     return int(signal.SIGINT) if _asked.is_set() else 0

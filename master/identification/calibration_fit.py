@@ -1,12 +1,12 @@
 """From recorded experiments to a calibration: the paper's two fits, and the friction loop between them.
 
-The rule of this file: pure, columns in and scalars with evidence out; it does not know a bus.  END is used here,
-where a bench is measured, and nowhere in a control loop.
+Pure functions, columns in and scalars with evidence out, without a bus. END is used here, where a bench is measured,
+and nowhere in a control loop.
 
-(10) and (11) are fitted as the paper does, for its R².  Their coefficients, the friction's exponents, the share of
-the stretch and the pre-sliding travels come from one robust fit of the transfer model to all loops, since the loop
-biases (10): what it stretches by lies behind the friction.  Only μ2·φ0 and μ2·κ can be told apart by START, END and
-the knee's angle; κ is taken as the calibration at hand has it, and says so by having no evidence.
+(10) and (11) are fitted as the paper does, for its R². Their coefficients, the friction's exponents, the share of the
+stretch and the pre-sliding travels come from one robust fit of the transfer model to all loops. The loop would bias
+(10) alone, since the stretch lies behind the friction. Only μ2·φ0 and μ2·κ can be separated by START, END and the
+knee's angle. κ keeps its value in the calibration at hand, and therefore has no evidence.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class Segment(NamedTuple):
 
 
 LAPS = 10
-"""Parts that a swing and a rest are cut into, where an interval wants laps to leave out."""
+"""Parts into which a swing and a rest are cut, for intervals by leaving out one lap."""
 
 
 class Rest(NamedTuple):
-    """What the sensors say of a slack rope, N."""
+    """Readings of the sensors on a slack rope, N."""
 
     start_offset: float
     end_offset: float
@@ -73,7 +73,8 @@ class Rest(NamedTuple):
 class _Unknown(NamedTuple):
     """One unknown of the joint fit: a scalar of the calibration, its scale and bounds.
 
-    `doubt`: standard deviation about the guess, where these motions tell little of it (infinite: they tell all).
+    `doubt`: prior standard deviation about the guess, for a scalar that these motions hardly determine (infinite: no
+    prior).
     """
 
     name: str
@@ -113,11 +114,11 @@ A long memory makes a hump of friction after each reversal, which a short one pu
 minima, and no step leads from one to the other.
 """
 NONE = 1e-9
-"""Bound of an unknown that is left out: the search wants some width."""
+"""Bound of an unknown that is not fitted: the search needs a positive width."""
 
 
 def rest(segments: Sequence[Segment]) -> Rest:
-    """Offsets and START's noise from the segments at rest; raises `InputError` where there is none."""
+    """Return offsets and START's noise from the segments at rest; raises `InputError` without such a segment."""
     still = _of(segments, "rest")
     return Rest(_mean([s.start for s in still]), _mean([s.end for s in still]), _noise([s.start for s in still]))
 
@@ -176,12 +177,12 @@ def _lag_error(segment: Segment, lag_s: float) -> float:
 def loops(
     segments: Sequence[Segment], guess: Calibration, offsets: Rest
 ) -> tuple[Calibration, Mapping[str, ScalarEvidence]]:
-    """The joint fit of the transfer model to every loop and swing; returns scalars and their intervals.
+    """Fit the transfer model to every loop and swing jointly; return scalars and their intervals.
 
-    Intervals are 95 %, of `_errors`; the repeatability beside each is that of leaving out one segment at a time.  An
-    unknown that ends at a limit of the search, which is no zero, is known no better than before: its doubt stays.
-    Breakaway whose speed ends there is no breakaway, but what the model lacks about a reversal: it is left out.
-    Where there is some, the search starts once more from a long memory of it, and the better fit is kept.
+    Intervals are 95 %, of `_errors`; the repeatability is that of leaving out one segment at a time. An unknown that
+    ends at a non-zero limit of the search is not determined: its prior stays. A breakaway whose speed ends there is a
+    model error about a reversal: it is left out. If breakaway remains, the search starts once more from a long memory
+    of it, and the better fit is kept.
     """
     data = [_averaged(segment, offsets) for segment in segments if segment.kind not in ("rest", "gait")]
     start = np.array([getattr(guess, unknown.name, guess.start_lag) for unknown in _UNKNOWNS])
@@ -254,11 +255,12 @@ def _averaged(segment: Segment, offsets: Rest) -> Segment:
 
 
 def _residual(calibration: Calibration, segment: Segment, stiff_n_m: float, end_lag_s: float) -> Array:
-    """END and rope position that the model puts behind START, less the measured ones, N; each segment weighs alike.
+    """Return model minus measurement of END and rope position for the measured START, N; each segment has the same
+    weight.
 
-    While the knee swings under a constant START, END tells of the fabric's slip on a turning knee, which the model
-    lumps: there only the position counts.  So it is on a bench without END, where the loop of position over START
-    tells of friction.
+    While the knee swings under a constant START, END depends on the fabric's slip on a turning knee, which the model
+    lumps: there only the position counts. The same holds on a bench without END, on which the loop of position over
+    START determines friction.
     """
     period_s = segment.period_s
     law = inverse.law(calibration, period_s)
@@ -277,7 +279,8 @@ def _told_by_end(segment: Segment) -> bool:
 
 
 def _slid(segment: Segment) -> Any:
-    """Where it is known which way rope and fabric slide: from slack at once, from tension after `SLID_M` of rope."""
+    """Samples with known slip directions of rope and fabric: from slack at once, from tension after `SLID_M` of rope.
+    """
     if segment.start[0] <= 2.0 * TAUT_N:
         return True
     return np.cumsum(np.abs(np.diff(segment.position, prepend=segment.position[0]))) > SLID_M
@@ -288,26 +291,27 @@ def _place(name: str) -> int:
 
 
 def _ended(found: Array, low: Array, high: Array) -> Any:
-    """Which unknowns ended at a limit of the search that is no zero."""
+    """Unknowns that ended at a non-zero limit of the search."""
     near = 1e-4 * (high - low)
     return ((found <= low + near) & (low != 0.0)) | (found >= high - near)
 
 
 def _lack(residuals: Array, told: int) -> float:
-    """Standard deviation, in the unit of the residuals, of the error that a segment makes in END or in position.
+    """Standard deviation, in the unit of the residuals, of a segment's systematic error in END or in position.
 
-    What is left after the fit is the model's error and not noise: it is alike along a motion, and so one number for END
-    and one for position of each segment, `told` in all.  Never below `BELIEVED_N`, which is what the doubts were
+    The residual after the fit is model error and not noise: it is correlated along a motion, so END and position of
+    each segment count as one number each; `told` is their count. Never below `BELIEVED_N`, which the priors were
     weighed against.
     """
     return max(WEIGHT * BELIEVED_N, math.sqrt(float(np.sum(residuals**2)) / told))
 
 
 def _errors(slopes: Array, lack: float, prior: Array, believed: float) -> Array:
-    """Standard errors of the unknowns where a segment errs by `lack` and a doubt, a row of `prior`, by `believed`.
+    """Standard errors of the unknowns for a systematic error `lack` a segment and `believed` a prior, a row of
+    `prior`.
 
-    The covariance is H⁻¹·(lack²·JᵀJ + believed²·PᵀP)·H⁻¹ with H = JᵀJ + PᵀP.  A repeat that errs alike hides the
-    model's error from a jackknife, and a doubt that decides leaves it nothing to vary: neither is so here.
+    The covariance is H⁻¹·(lack²·JᵀJ + believed²·PᵀP)·H⁻¹ with H = JᵀJ + PᵀP. A repeated systematic error would hide
+    from a jackknife, and a dominant prior would have no variance in it; neither happens here.
     """
     scale = np.sqrt((slopes**2).sum(axis=0) + (prior**2).sum(axis=0) + 1e-300)
     told, doubted = slopes / scale, prior / scale

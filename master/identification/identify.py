@@ -1,9 +1,9 @@
-"""The experiments that a calibration is measured by, over the bus, in the paper's own words where it has any.
+"""Identification experiments, over the bus, as the paper describes them if it does.
 
 The rule of this file: motions only; what they tell is for `calibration_fit` and `discrepancy_fit`.  The gait is run at
 other peaks and cadences than a controller is judged at, and only its discrepancy by motion and load is kept.
 
-| kind | what is done | what it tells |
+| kind | motion | result |
 |---|---|---|
 | rest | the rope slack, one second | offsets, noise |
 | stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
@@ -12,11 +12,11 @@ other peaks and cadences than a controller is judged at, and only its discrepanc
 | pull | two pulls and releases to the top, on a calibration that is there | END's lag |
 | gait | two gait cycles at 36 N and 1.6 s and two at 62 N and 1.2 s, on what the others told | the discrepancy |
 
-The ramps are ours, the paper gives none for friction.  Pulling and releasing slide rope and fabric both ways, so
-START by END force is e^(±(μ1θ + μ2φ)); three knee angles tell the part that grows with the wrap from the part that
-does not; the turn at the top, and at half the load, is the pre-sliding.  The top is what the highest desired force
-needs, END 62 N or START as far as its limit permits, so that a controller extrapolates nothing.  Most are at the
-paper's speed; a slower and a faster one tell breakaway, viscous friction and the sensors' lag apart.
+The ramps are an addition, since the paper gives no procedure for friction. Pulling and releasing slide rope and
+fabric both ways, so START by END force is e^(±(μ1θ + μ2φ)). Three knee angles separate the part that grows with the
+wrap from the rest. The reversal at the top, and at half the load, shows the pre-sliding. The top is the START force
+for the highest desired force (END 62 N), as far as START's limit permits, so that a controller extrapolates nothing.
+Most are at the paper's speed; a slower and a faster one separate breakaway, viscous friction and the sensors' lag.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Identification:
-    """What is to be identified: a procedure's name, the calibration to start from, and the bench.
+    """Request of an identification: a procedure's name, the calibration to start from, and the bench.
 
     `guesses`: other calibrations to start from, by force path.
     """
@@ -97,7 +97,7 @@ def run(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     progress: Progress = lambda what, share: None,
 ) -> tuple[Outcome, dict[str, list[Segment]]]:
-    """Run the experiments of a procedure on each force path in turn; returns how it ended and what was recorded.
+    """Run the experiments of a procedure on each force path in turn; return the outcome and the recorded segments.
 
     The segments are by path.
     """
@@ -158,7 +158,7 @@ def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> C
 
 
 def procedure(what: str) -> tuple[str, ...]:
-    """The experiments that identify `what`; raises `InputError` where it is none of the procedures."""
+    """Return the experiments that identify `what`; raises `InputError` for an unknown procedure."""
     if what not in PROCEDURES:
         raise InputError(f"identify {what}: expected one of {', '.join(PROCEDURES)}.")
     return PROCEDURES[what]
@@ -166,7 +166,7 @@ def procedure(what: str) -> tuple[str, ...]:
 
 def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, bench: str, date: str,
               trial: str) -> Calibration:
-    """The calibration that the segments of a procedure give; scalars it does not tell of stay as in `guess`."""
+    """Return the calibration from the segments of a procedure; undetermined scalars stay as in `guess`."""
     told: dict[str, tuple[float, ScalarEvidence]] = {}
     still = calibration_fit.rest(segments)
     told |= {name: (seen.value, seen.evidence) for name, seen in calibration_fit.start_at_rest(segments).items()}
@@ -195,7 +195,7 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
 def _as_homed(
     segments: Sequence[Segment], found: Calibration, still: calibration_fit.Rest
 ) -> dict[str, tuple[float, ScalarEvidence]]:
-    """What homing finds on this day: the loop that is like its own, at the knee angle that it homes at."""
+    """Return the homing result of this session: the loop most like homing's own, at its knee angle."""
     ramps = [s for s in segments if s.kind == "ramp" and abs(float(s.knee[0]) - RAMP_KNEES_RAD[1]) < SAME_KNEE_RAD]
     if not ramps:
         return {}
@@ -261,7 +261,7 @@ class _Experiments:
                        "pull": self._pull}
 
     def perform(self, exchange: Exchange) -> None:
-        """Home, and run what the procedure asks for; the drives are enabled."""
+        """Home, and run the experiments of the procedure; the drives are enabled."""
         given = self.identification
         home(exchange, given.guess, given.homing, SLACK_M, guessed=True)
         kinds = PROCEDURES[given.what]

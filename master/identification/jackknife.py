@@ -1,6 +1,6 @@
-"""How sure an estimate is, from leaving out one part of the data at a time (delete-one jackknife; Efron, 1982).
+"""Uncertainty of an estimate, from leaving out one part of the data at a time (delete-one jackknife; Efron, 1982).
 
-The rule of this file: pure; whole laps of an experiment are left out, since samples of one lap are not independent.
+Pure functions; complete laps of an experiment are left out, since samples of one lap are not independent.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class LineFit(NamedTuple):
 
     @property
     def evidence(self) -> tuple[ScalarEvidence, ...]:
-        """What each coefficient rests on."""
+        """Evidence of each coefficient."""
         return tuple(ScalarEvidence(value - half, value + half, self.r_squared)
                      for value, half in zip(self.coefficients, self.half, strict=True))
 
@@ -39,7 +39,7 @@ class Measured(NamedTuple):
 
     @property
     def evidence(self) -> ScalarEvidence:
-        """What it rests on."""
+        """Evidence of the value."""
         return ScalarEvidence(self.value - self.half, self.value + self.half)
 
 

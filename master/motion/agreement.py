@@ -16,12 +16,12 @@ from physics.calibration import NOMINAL, Calibration, nominal
 STRETCH: Final = 1.6
 """Greatest ratio between homing's stretch and an identified bench's: day and creep change it by a tenth."""
 STRETCH_NOMINAL: Final = 2.5
-"""The same for the packaged calibration, which belongs to no bench."""
+"""Largest ratio of stretches for the packaged calibration, which belongs to no bench."""
 STRETCH_GUESSED: Final = 5.0
-"""The same where the bench is about to be identified: 5 to 25 mm at 60 N are benches like any other, a unit that is
-wrong by a factor of ten is none."""
+"""Largest ratio of stretches for a bench about to be identified: 5 to 25 mm at 60 N are usual benches, a unit that is
+wrong by a factor of ten is outside."""
 CENTRE: Final = 0.45
-"""|mean of ln(START/END)| of pull and release, which friction leaves at zero; ln 2 is a gain of two."""
+"""|mean of ln(START/END)| of pull and release, zero by friction alone; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
 PACKAGED_SWING_K: Final = nominal().swing_k
 """m/rad: the lever of the rope at a knee of human size."""
@@ -50,7 +50,7 @@ def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) ->
 
 
 def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed: bool = False) -> None:
-    """Take over what homing showed; raises `BringUpError` where it is not what the calibration says.
+    """Take over the results of homing; raises `BringUpError` if they disagree with the calibration.
 
     A `guessed` calibration is about to be measured: its stretch may be another bench's.
     """

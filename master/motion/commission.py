@@ -1,7 +1,7 @@
-"""What is done to a bench before and between trials: home it, zero a sensor, move one axis, take the tension off.
+"""Procedures before and between trials: home the bench, zero a sensor, move one axis, take the tension off.
 
-The rule of this file: each is one procedure inside the control cycle, with the trial's own limits and safe stop;
-it moves slowly, it enables no drive that it does not move, and it says what it found.
+Each is one procedure inside the control cycle, with the trial's own limits and safe stop; it moves slowly, enables
+only the drive that it moves, and returns its result.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from parameters import InputError
 from physics.calibration import Calibration
 
 Procedure = Callable[[Exchange], Mapping[str, float]]
-"""Runs inside the cycle; what it found, by name with its unit."""
+"""Runs inside the cycle; returns its results, by name with their unit."""
 
 AXES: Final = {"servo": SERVO, "knee": KNEE}
 SENSORS: Final = {"start": START, "end": END}
@@ -40,7 +40,7 @@ _OFFSET, _AUTO_ZERO = 0x6124, 0x6125
 
 
 def home(calibration: Calibration, homing: Homing, slack_m: float) -> Procedure:
-    """Find the encoder zero with at most `homing.least_n` of START tension and leave the rope slack."""
+    """Find the encoder zero with at most `homing.least_n` of START tension, and slacken the rope at the end."""
     homing, calibration = within(homing, calibration, 0.0)
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
@@ -79,16 +79,16 @@ JOG_START_N: Final = 20.0
 TOLERANCE_RAD: Final = math.radians(0.1)
 """Passing of a knee limit that counts as none: resolution of the drive and its following error at rest."""
 BEHIND: Final = {SERVO: 2e-3, KNEE: math.radians(2.0)}
-"""How far from its target an axis may come to rest."""
+"""Largest distance from its target at which an axis may come to rest."""
 
 
 def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) -> Procedure:
     """Move one axis alone by `distance` at no more than `speed`, m or rad; the other drive stays off.
 
-    It stops, and says where, when START reaches the lesser of `JOG_START_N` above what it was and half the limit that
-    `limits` sets, when the drive refuses to go on, or where the knee passes its limits further than where it began.
-    No drive is enabled for a target beyond the knee's limits.  Raises `InputError` for an unknown axis, a speed that is
-    none or above the limit, and a way that no axis has.
+    It stops, and reports the place, when START reaches its limit, when the drive refuses to go on, or when the knee
+    passes its limits further than at the beginning. START's limit is the lesser of `JOG_START_N` above its first
+    value and half of that in `limits`. No drive is enabled for a target beyond the knee's limits. Raises `InputError`
+    for an unknown axis, a speed of zero or above the limit, and a distance that no axis has.
     """
     place = _one_of(axis, AXES, "axis")
     limits = limits or Limits()

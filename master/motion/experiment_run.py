@@ -41,10 +41,10 @@ KNEE_SAMPLES = 400
 
 @dataclass(frozen=True)
 class ExperimentSetup:
-    """What is to be run: declared sections, a reference and a calibration; `dry_run` never enables a drive.
+    """An experiment to run: declared sections, a reference and a calibration; `dry_run` never enables a drive.
 
-    `motion`, where it is given, is what the knee really does: the controller still expects `reference`.
-    `known`: effects beyond the calibration that the controller knows of, name → values.
+    `motion`, if given, is the knee's true motion: the controller still expects `reference`. `known`: effects beyond
+    the calibration that the controller compensates, name → values.
     """
 
     reference: Reference
@@ -62,11 +62,11 @@ class ExperimentSetup:
 
 @dataclass(frozen=True)
 class Result:
-    """How it ended: "completed", or "stopped" with the reason; counts over every control cycle; the bus's time.
+    """Outcome: "completed", or "stopped" with the reason; counts over every control cycle; the bus's time.
 
-    `day` is what homing found of it: with the trial's inputs it makes every step of the controller again.
-    `warning` says where the experiment was run otherwise than asked for.  `signal` is the number of the signal that
-    asked for the end, 0 for none: a command line ends with 128 + that.
+    `day` is the homing fit: with the trial's inputs it makes every step of the controller again. `warning` names
+    departures of the run from the request. `signal` is the number of the signal that requested the end, 0 for none: a
+    command line ends with 128 + that.
     """
 
     outcome: str
@@ -170,7 +170,7 @@ class Planned:
             run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform), self)
 
     def _rehearse(self) -> None:
-        """Step the controller once, so that what it compiles or refuses is done before a frame is sent."""
+        """Step the controller once, so that compilation and refusals happen before a frame is sent."""
         name = self.experiment.gait.controller
         try:
             rehearsed = self.control(self.table)

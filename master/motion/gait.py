@@ -25,13 +25,14 @@ from physics.calibration import Calibration
 from physics.reference import Reference
 
 ENDS_A_STEP: Final = (Exception, SystemExit)
-"""What a controller may raise that ends in the safe stop; Ctrl-C is taken elsewhere."""
+"""Exceptions of a controller that end in the safe stop; Ctrl-C is handled elsewhere."""
 HURRY = 5.0
 """The approach to the run-in runs slack, this much faster than homing."""
 
 
 class Cycle(Protocol):
-    """What a walk needs of the running cycle: `cycle.Exchange` has it, and so has a recording (`replay_controller`)."""
+    """Needs of a gait from the running cycle: `cycle.Exchange` implements it, and so does a recording
+    (`replay_controller`)."""
 
     inputs: Inputs
     targets: tuple[float, float]
@@ -54,7 +55,8 @@ def resting_sample(gait: GaitTable, first: int, last: int) -> int:
 
 
 def run_in_sample(gait: GaitTable) -> int:
-    """Where the run-in begins, in the idle time that ends the cycle (anywhere, where there is none)."""
+    """Return the sample at which the run-in begins, in the idle time that ends the cycle (anywhere without idle
+    time)."""
     loaded = np.flatnonzero(np.array(gait.desired) > 0.0)
     idle = int(loaded[-1]) + gait.samples // 10 if loaded.size else 0
     return resting_sample(gait, min(idle, gait.samples - 2), gait.samples)
@@ -72,14 +74,14 @@ def approach(exchange: Exchange, gait: GaitTable, sample: int, homing: Homing, s
 
 
 def raised(error: BaseException) -> str:
-    """Return what an error says, in half a sentence."""
+    """Return the text of an error, in half a sentence."""
     text = " ".join(str(error).split())
     return f"raised {type(error).__name__}" + (f" ({text})" if text else "")
 
 
 @contextmanager
 def naming(name: str) -> Iterator[None]:
-    """Turn what a controller raises into a safe stop that names it."""
+    """Turn an exception of a controller into a safe stop that names it."""
     try:
         yield
     except ENDS_A_STEP as error:
@@ -98,8 +100,8 @@ def steps(
 ) -> Work[None]:
     """Answer samples `first` … `last` − 1 (0: start of gait cycle 0); `number` gives a row's gait-cycle number.
 
-    `knee_at` gives the knee's target by sample where it does not follow the reference that the controller expects.
-    `own` is how many columns the controller `name` has of its own.  A controller that raises, or whose targets are not
+    `knee_at` gives the knee's target by sample if it does not follow the reference that the controller expects. `own`
+    is the number of further columns of the controller `name`. A controller that raises, or whose targets are not
     finite, raises `StopError`.
     """
     samples, desired = table.samples, table.desired
@@ -146,6 +148,6 @@ def _place(i: int, samples: int, cycle: float) -> str:
 
 
 def idle_table(gait: GaitTable, calibration: Calibration) -> GaitTable:
-    """The same motion with no force desired: slack all the way."""
+    """Return the same motion with no force desired: slack all the way."""
     slack = max(gait.slack)
     return tabulate(calibration, np.array(gait.knee), np.zeros(gait.samples), gait.period_s, slack)

@@ -1,8 +1,8 @@
-"""Where the encoder zero is, and what the day is like: on the bench, at 13 % of gait, from a pull and a release.
+"""Homing: the encoder zero and the homing fit, at 13 % of gait, from a pull and a release.
 
-The rule of this file: after homing x = x1(F) + k2·(θk − θk(13 %)) holds.  (10) is a fit through pulling and
-releasing, so the zero comes from the middle of a friction loop, never from one side of it: pulled through the
-preload, on to where the release slides again, and back through the preload.
+After homing x = x1(F) + k2·(θk − θk(13 %)) holds. (10) is a fit through pulling and releasing, so the zero comes from
+the middle of a friction loop, never from one side of it. The rope is pulled through the preload, on to the point from
+which the release slides again, and back through the preload.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 BRISK = 4.0
 """Without tension the rope is led this much faster than it is reeled."""
 SWING_CHECK_RAD = 0.15
-"""6 mm of rope at the packaged swing_k: ten times what friction leaves of a loop's middle, within any knee's limits."""
+"""Shift of the rope by a swing of 6 mm at the packaged swing_k: ten times the error of a loop's middle by friction,
+within any knee's limits."""
 
 
 LOOP: Final = 2.25
@@ -66,7 +67,7 @@ def reached_n(homing: Homing) -> float:
 
 
 class Homed(NamedTuple):
-    """What homing found: the half-width, m, of the friction loop at the preload, and the day."""
+    """Result of homing: the half-width, m, of the friction loop at the preload, and the homing fit."""
 
     half_width_m: float
     day: HomingFit
@@ -80,12 +81,11 @@ def home(
     exchange: Exchange, calibration: Calibration, homing: Homing, slack_m: float, start_gain: float = 1.0, *,
     guessed: bool = False,
 ) -> Homed:
-    """Home the servo and leave the rope `slack_m` beyond where it lost its tension.
+    """Home the servo, and slacken the rope by `slack_m` beyond the loss of its tension.
 
-    Both drives must be enabled; `start_gain` is what START is known to read of 1 N.  `guessed`: the calibration is
-    what an identification starts from, so a bench that stretches otherwise is no contradiction but what it is for.
-    Raises `BringUpError` where the rope does not tighten, the loop has no crossing, or homing contradicts the
-    calibration or itself.
+    Both drives must be enabled; `start_gain` is START's reading of 1 N. `guessed`: the calibration is the starting
+    point of an identification, so another stretch is no contradiction. Raises `BringUpError` if the rope does not
+    tighten, the loop has no crossing, or homing contradicts the calibration or itself.
     """
     knee_home = float(laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))
     agreement.begin(exchange, calibration, knee_home)
@@ -115,9 +115,9 @@ def swing_held(
     exchange: Exchange, swing_k: float, force_n: float, angles: Iterable[float],
     seen: Callable[[Inputs], None] = lambda _: None,
 ) -> None:
-    """Lead the knee through `angles`, rad, the rope along with it, START held by an integral of what it lacks.
+    """Lead the knee through `angles`, rad, with the rope following, START held by an integral of its error.
 
-    Along with a knee without a drive the rope goes as the encoder measures it.
+    With a knee without a drive the rope follows the encoder's angle.
     """
     period_s = exchange.wire.period_ns * 1e-9
     held, knee = exchange.targets
@@ -132,7 +132,7 @@ def swing_held(
 
 
 def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
-    """START's lag, s, by what the sensor declares, beyond a calibration's that nobody measured; else 0."""
+    """Return START's lag, s, as the sensor declares it, beyond that of an unmeasured calibration; else 0."""
     proof = calibration.evidence.get("start_lag")
     if proof is not None and math.isfinite(proof.low):
         return 0.0
@@ -141,10 +141,11 @@ def undeclared_lag(exchange: Exchange, calibration: Calibration) -> float:
 
 
 def declared_lag(exchange: Exchange, node_id: int) -> float | None:
-    """Lag, s, of a CiA 404 channel by its interval (0x6114) and filter (0x61A0, 0x61A1); None where it tells nothing.
+    """Return the lag, s, of a CiA 404 channel by its interval (0x6114) and filter (0x61A0, 0x61A1); None without
+    them.
 
-    Half an interval for what a sample takes, half for its age; of an average half of its length besides, and of one
-    that is taken anew for every block half of the block.
+    Half an interval for the sampling, half for its age; of a moving average half of its length in addition, and of a
+    block average half of the block.
     """
     try:
         interval_us, kind, constant = (
@@ -178,7 +179,7 @@ def slack_reading(exchange: Exchange) -> float:
 
 
 def _loop(exchange: Exchange, homing: Homing) -> tuple[list[Row], list[Row]]:
-    """Pull to the top and release to slack; what was seen on the way."""
+    """Pull to the top and release to slack; return the rows of both."""
     pulled: list[Row] = []
     released: list[Row] = []
     moves.reel(exchange, homing.rope_m_s, lambda inputs: inputs.start_n > homing.top_n, homing.reach_m,
@@ -193,7 +194,7 @@ def _refuse_other_swing(
 ) -> None:
     """Pull and release at a second knee angle: the shift of the loop's middle is the bench's swing_k.
 
-    The knee turns the way on which a swing_k that is wrong leaves the rope looser than it should be.
+    The knee turns in the direction in which a wrong swing_k makes the rope looser than it should be.
     """
     knee = exchange.targets[1]
     away = knee + math.copysign(SWING_CHECK_RAD, agreement.PACKAGED_SWING_K - calibration.swing_k)

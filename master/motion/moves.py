@@ -18,7 +18,8 @@ T = TypeVar("T")
 REACHED_RAD: Final = math.radians(1.0)
 """Distance from the asked angle at which a joint that is moved by hand counts as there, rad."""
 PATIENCE_S, REMINDED_S = 60.0, 2.0
-"""Time, s, that a hand has to bring a joint to the asked angle; time after which an event says what is waited for."""
+"""Time limit, s, for a hand to bring a joint to the desired angle; time after which an event names the awaited angle.
+"""
 PEAK_TO_MEAN = 1.5
 """Greatest by mean speed of the smooth step 3u² − 2u³."""
 
@@ -78,7 +79,7 @@ def settle(exchange: Exchange, duration_s: float) -> Inputs:
 
 
 def hold_while(exchange: Exchange, work: Generator[None, None, T]) -> T:
-    """Hold the last targets, a cycle for each step of `work`, and return what it returns."""
+    """Hold the last targets, a cycle for each step of `work`, and return its result."""
     while True:
         try:
             next(work)
@@ -91,9 +92,9 @@ def reel(
     exchange: Exchange, rope_m_s: float, until: Callable[[Inputs], bool], reach_m: float, why: str,
     seen: Callable[[Inputs], None] = lambda inputs: None,
 ) -> Inputs:
-    """Wind the rope (negative speed: pay it out) at constant speed until `until` holds; every input goes to `seen`.
+    """Wind the rope (negative speed: unwind it) at constant speed until `until` holds; every input goes to `seen`.
 
-    Raises `BringUpError` with `why` when `reach_m` of rope did not do it.
+    Raises `BringUpError` with `why` when `reach_m` of rope did not suffice.
     """
     servo, knee = exchange.targets
     start, step = servo, rope_m_s * exchange.wire.period_ns * 1e-9

@@ -1,7 +1,7 @@
-"""Experiment of several force paths: each planned as one of a single path, all walked in the same control cycles.
+"""Experiment of several force paths: each planned as one of a single path, all run in the same control cycles.
 
-The paths home one after the other, the others slack; then they walk together.  A path with a joint of its own walks
-half a gait cycle behind the path before it, as the legs of a walker do; an antagonist walks with the rope that flexes
+The paths home one after the other, the others slack; then their gaits run together. A path with a separate joint runs
+half a gait cycle behind the path before it, as the legs of a walker do; an antagonist runs with the rope that flexes
 its joint.
 """
 
@@ -28,19 +28,19 @@ from master.settings import Homing
 from parameters import InputError
 
 RESTING_M: Final = 0.015
-"""Rope, m, that a resting path pays out beyond slack, while the other path of its joint moves the joint: the lever of a
-leg departs from the packaged one by up to a tenth, 5 mm over a gait's flexion, and slack of 10 mm stays."""
+"""Rope, m, that a resting path unwinds beyond slack, while the other path of its joint moves the joint. The lever of
+a leg departs from the packaged one by up to a tenth, 5 mm over a gait's flexion, and slack of 10 mm stays."""
 
 
 @dataclass(frozen=True)
 class PathsResult(Result):
-    """How an experiment of several paths ended; `homed`: what homing found of each, by path."""
+    """Outcome of an experiment of several paths; `homed`: the results of homing, by path."""
 
     homed: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 def rest(exchange: Exchange, homing: Homing) -> None:
-    """Leave a rope slack by `RESTING_M`, so that its joint can move."""
+    """Slacken a rope by `RESTING_M`, so that its joint can move."""
     moves.reel(exchange, -homing.rope_m_s, lambda inputs: inputs.start_n < 1.0, homing.reach_m,
                "the rope does not go slack; release it by hand or tare START")
     servo, knee = exchange.targets

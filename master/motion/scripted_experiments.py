@@ -1,6 +1,7 @@
-"""The experiments that separate effects, run on the bench by their scripts in `physics.effects.separating_experiments`.
+"""The experiments that separate effects, run on the bench by their scripts in
+`physics.effects.separating_experiments`.
 
-Each lap of an experiment is numbered like a gait cycle, so that a diagnosis can leave whole laps out.
+Each lap of an experiment is numbered like a gait cycle, so that a diagnosis can hold out complete laps.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ REACH_M: Final = 0.12
 
 
 class MotionContext(NamedTuple):
-    """What motions need to know of the bench."""
+    """Properties of the bench that motions need."""
 
     calibration: Calibration
     homing: Homing

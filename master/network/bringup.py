@@ -30,7 +30,7 @@ class BringUpError(Exception):
 
 
 class RivalError(BringUpError):
-    """Another master runs this bench: nothing may be said on its bus."""
+    """Another master runs this bench: nothing may be sent on its bus."""
 
 
 class BringUpLog(Protocol):
@@ -75,7 +75,7 @@ def leave(link: Link) -> None:
 
 
 def refuse_rival(link: Link) -> None:
-    """Listen for longer than two of a master's heartbeats before saying a word; raises `RivalError`."""
+    """Listen for longer than two of a master's heartbeats before the first frame; raises `RivalError`."""
     link.rivals.clear()
     link.beats.pop(MASTER, None)
     heard = {message.arbitration_id for message in link.listen(LISTEN_NS)}
@@ -128,7 +128,7 @@ def identify(link: Link, entry: NodeEntry) -> int:
 
 
 def _refuse_other_configuration(link: Link, entry: NodeEntry) -> None:
-    """A DCF that names a date (0x1020) wants the node to hold that very configuration."""
+    """Require that a node holds the configuration that a DCF identifies by its date (0x1020)."""
     for subindex, name in _CONFIGURED.items():
         declared = entry.dictionary.entries.get(key(_VERIFY_OBJECT, subindex))
         if declared is None or not declared.value:

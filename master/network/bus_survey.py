@@ -1,6 +1,6 @@
-"""What a bus says to somebody who listens: its load, its errors, who is on it, and whether they are who they should be.
+"""Survey of a bus by listening: its load, its errors, its nodes, and whether they are the expected ones.
 
-The rule of this file: nothing is sent but SDO reads of identities (0x1000, 0x1018); no node changes its state.
+Nothing is sent but SDO reads of identities (0x1000, 0x1018); no node changes its state.
 """
 
 from __future__ import annotations

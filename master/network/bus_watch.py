@@ -1,10 +1,10 @@
-"""Who else speaks on the bench's bus: frames that the master did not send and that are no node's own.
+"""Foreign frames on the bench's bus: frames of neither the master nor a node.
 
-The rule of this file: on most interfaces the master's socket never hears what the master itself sent, so a command
-heard there is somebody else's, also where another program on this computer sent it.  Some interfaces (UDP multicast)
-return every frame to its sender: there a frame that equals one of those sent last counts as the master's own, and SYNC
-and the master's heartbeat cannot be told from a stranger's.  Each kind is told once, with how often it came meanwhile.
-Nothing here reacts: whether a stranger can move anything is said with it (`moves`).
+On most interfaces the master's socket never receives the master's own frames, so a command received there comes from
+another program, possibly on this computer. Some interfaces (UDP multicast) return every frame to its sender. There a
+frame equal to one of those sent last counts as the master's own, and a foreign SYNC or heartbeat of the master cannot
+be detected. Each kind is logged once, with its number of repetitions. Nothing here reacts: `moves` marks frames that
+can move something.
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ LSS: Final = 0x7E5
 NS: Final = 1_000_000_000
 FLOOD_NS: Final = 10_000_000
 FLOOD: Final = 20
-"""Frames of strangers within `FLOOD_NS` from which on they count as a babbler: two in each millisecond."""
+"""Foreign frames within `FLOOD_NS` from which on they count as a babbler: two in each millisecond."""
 STREAM_NS: Final = 1_000_000_000
 STREAM: Final = 500
-"""The same within a second: half of the cycles of 1 kHz, ten times what a monitor asks by SDO."""
+"""Foreign frames within a second that count as a babbler: half of the cycles of 1 kHz, ten times a monitor's SDO
+requests."""
 DOUBLED: Final = 3
 """Cycles with a doubled SYNC or input within the last `DOUBLED_WITHIN` from which on it is no chance."""
 DOUBLED_WITHIN: Final = 20
 RETURNED: Final = 64
-"""Frames sent last among which a returned one is looked for: what a bring-up sends in a burst, and more."""
+"""Frames sent last among which a returned one is looked for: more than a burst of a bring-up."""
 _WRITES: Final = {0: "a segment of an SDO write", 1: "an SDO write", 6: "an SDO block write", 4: "an SDO abort"}
 _DIRECTIONS: Final[Mapping[int, str]] = {int(command): command.name.replace("_", " ") for command in NmtCommand}
 
 
 class Stranger(NamedTuple):
-    """One kind of foreign frame: when it first came, what it is in words, and whether it can move anything."""
+    """One kind of foreign frame: time of the first, its meaning in words, and whether it can move anything."""
 
     time_ns: int
     can_id: int
@@ -53,11 +54,10 @@ class Stranger(NamedTuple):
 
 
 class BusWatch:
-    """Takes what the link hears beyond its own nodes' frames; `found` holds what was not told yet.
+    """Watch over frames that belong to no node of the link; `found` holds those not logged yet.
 
-    `returned`: the interface returns the master's own frames to it.  `own` are the COB-IDs of frames that only the
-    master sends, with the payload that it sent last, so that a frame that the wire doubled is not taken for another
-    master's.
+    `returned`: the interface returns the master's own frames to it. `own` are the COB-IDs of frames that only the
+    master sends, with the last payload. A frame that the wire doubled is therefore not taken for another master's.
     """
 
     def __init__(self, wire: WireLayout, returned: bool = False) -> None:
@@ -78,7 +78,7 @@ class BusWatch:
         self._told: set[str] = set()
 
     def sent(self, can_id: int, data: bytes) -> None:
-        """Keep what the master is about to send."""
+        """Keep a frame that the master is about to send."""
         if self._returned is not None:
             self._returned.append((can_id, bytes(data)))
         if can_id in self.own:
@@ -168,7 +168,7 @@ class BusWatch:
             self.found.append(Stranger(time_ns, can_id, text, moves))
 
     def summary(self) -> list[str]:
-        """How often each identifier came that was told once, the most frequent first."""
+        """Return the number of frames of each identifier that was logged once, the most frequent first."""
         often = sorted(((count, can_id) for can_id, count in self.counts.items() if count > 1), reverse=True)
         return [f"{can_id:X}h came {count} times" for count, can_id in often[:8]]
 

@@ -1,7 +1,7 @@
 """A node's parameters as DCF: read from the node, compared with it, written back to it.
 
-The rule of this file: parameters are what an EDS calls rw and no PDO carries, less commands and history; a DCF is the
-device's own EDS with their values in it, so any CANopen tool reads it.
+Parameters are objects that an EDS marks rw and no PDO carries, less commands and history. A DCF is the device's own
+EDS with their values in it, so any CANopen tool reads it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def parameters(dictionary: Dictionary) -> Iterator[Entry]:
 
 
 def backup(link: Link, node: DescribedNode, unread: list[str] | None = None) -> dict[int, Value]:
-    """Read every parameter of a node, by key; what the node does not tell is left out and named in `unread`."""
+    """Read every parameter of a node, by key; parameters that the node refuses are left out and named in `unread`."""
     found: dict[int, Value] = {}
     for entry in parameters(node.dictionary):
         value = _value(link, node.node_id, entry)
@@ -92,9 +92,10 @@ IDENTITY: Final = ((0x1000, 0, "device type"), (0x1018, 1, "vendor"), (0x1018, 2
 
 
 def refuse_other(link: Link, node: DescribedNode, dictionary: Dictionary, what: str) -> None:
-    """Raise `InputError` where the node on the bus is another device than the one that `dictionary` describes.
+    """Raise `InputError` if the node on the bus is another device than that of `dictionary`.
 
-    Compares device type (0x1000), vendor and product (0x1018); what the dictionary leaves open is not asked.
+    Compares device type (0x1000), vendor and product (0x1018); an identity that the dictionary does not state is not
+    read.
     """
     for index, subindex, name in IDENTITY:
         entry = dictionary.entries.get(key(index, subindex))
@@ -145,9 +146,10 @@ def compare(link: Link, node: DescribedNode, file: Dictionary) -> list[Parameter
 
 
 def restore(link: Link, node: DescribedNode, file: Dictionary) -> list[ParameterDifference]:
-    """Write what differs and the file's date (0x1020), store them in the node (0x1010), and say what it was.
+    """Write the differences and the file's date (0x1020), store them in the node (0x1010), and return the
+    differences.
 
-    Raises `InputError` where the node refuses a value.
+    Raises `InputError` if the node refuses a value.
     """
     differences = compare(link, node, file)
     for difference in differences:

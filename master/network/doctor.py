@@ -1,7 +1,6 @@
-"""What stands between this computer and a trial: each finding with what to type.
+"""Checks before a trial: each finding with the command to type.
 
-The rule of this file: a check looks and says; it changes nothing, it enables nothing, and on the bus it only listens
-and reads identities.
+A check only reads: it changes nothing, it enables nothing, and on the bus it only listens and reads identities.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ TROUBLED: Final = frozenset({"ERROR-WARNING", "ERROR-PASSIVE", "BUS-OFF", "STOPP
 
 
 class DoctorFinding(NamedTuple):
-    """One thing looked at: whether it is `good`, what was seen, and what to type where it is not."""
+    """One check: whether it is `good`, the observation, and the command to type if it is not."""
 
     what: str
     good: bool
@@ -102,7 +101,7 @@ def _permissions() -> Iterator[DoctorFinding]:
 
 
 def jitter(seconds: float, period_s: float = 1e-3, goal_s: float = 250e-6) -> DoctorFinding:
-    """How late this computer wakes a thread that waits as the cycle does, over `seconds` of wall time."""
+    """Measure the delay of this computer's wake-ups from waits as in the cycle, over `seconds` of wall time."""
     late = []
     with host_computer.prepared():
         due = time.perf_counter() + period_s
@@ -128,7 +127,7 @@ def _read(path: Path) -> str:
 
 
 def _ip(channel: str) -> dict[str, Any]:
-    """What iproute2 tells of an interface; nothing where it is not installed."""
+    """Return iproute2's properties of an interface; {} if it is not installed."""
     try:
         told = subprocess.run(["ip", "-json", "-details", "link", "show", channel], capture_output=True, text=True,
                               timeout=10, check=False).stdout

@@ -1,8 +1,7 @@
-"""The computer the cycle runs on: what the kernel can be asked for, and what it did not permit.
+"""The computer of the cycle: requests to the kernel, and those it refused.
 
-The rule of this file: nothing here is needed for a trial to run; whatever is refused is said in one sentence with
-what to type, and the trial goes on without it.  The priority comes last: whoever else runs a cycle on this processor
-would have to wait for what takes long.
+A trial runs without any of these; each refusal gives one sentence with the command to type, and the trial goes on.
+The priority is requested last, since slow requests would otherwise delay another cycle on this processor.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Final
 PRIORITY: Final = 80
 """Above everything but the kernel's own threads that carry the interrupts of the CAN controller."""
 SWITCH_S: Final = 100e-6
-"""How long another thread of this process may keep the interpreter once the cycle wants it."""
+"""Longest time that another thread of this process may hold the interpreter when the cycle needs it."""
 ISOLATED: Final = Path("/sys/devices/system/cpu/isolated")
 _MCL_CURRENT_FUTURE_ONFAULT: Final = 1 | 2 | 4
 _PR_SET_THP_DISABLE: Final = 41

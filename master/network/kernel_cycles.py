@@ -28,7 +28,8 @@ FRAME_BYTES: Final = 16
 
 
 class ReadSocket(Protocol):
-    """What a cycle uses of a `master.network.recorded_bus.RecordedBus`: its socket, and the memory of what it heard."""
+    """Interface of a `master.network.recorded_bus.RecordedBus` towards a cycle: its socket, and the memory of its
+    frames."""
 
     channel: str
     socket: Socket
@@ -85,10 +86,9 @@ class KernelCycles:
     def run(self, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | bool:
         """Send the targets, and go on to the last input of the next SYNC, which has to come after `after_ns`.
 
-        The heartbeat at `beat_ns` is sent where it is due within a period from then, and told with the others.  False:
-        nothing has happened, for frames wait, or `beat_ns` is 0.  True: the targets were sent, and the frames that came
-        wait to be received; a heartbeat is not told then, and one more is sent at its time.  Raises `can.CanError`
-        where the bus failed.
+        The heartbeat at `beat_ns` is sent if it is due within a period from then, and recorded with the others.
+        False: nothing has happened, for frames wait, or `beat_ns` is 0. True: the targets were sent, and the received
+        frames wait; a heartbeat is then sent once more at its time. Raises `can.CanError` if the bus failed.
         """
         bus, told = self._bus, self._told
         if bus.waiting or not beat_ns or (self._behind and not self._forgotten()):

@@ -1,8 +1,8 @@
-"""Frames as `recvmmsg` leaves them, read by compiled code: rows for the recorder, and one cycle's inputs.
+"""Frames in the buffers of `recvmmsg`, read by compiled code: rows for the recorder, and one cycle's inputs.
 
-The rule of this file: memory in, numbers out, and of system calls only those of a control cycle.  A slot is a frame
-and its ancillary data, `SLOT` words of 64 bits; a header is its `struct mmsghdr`, `HEADER` words.  Whoever finds in a
-cycle what is not plainly its own says so, and the frames are looked at one by one elsewhere.
+Memory in, numbers out, and of system calls only those of a control cycle. A slot is a frame and its ancillary data,
+`SLOT` words of 64 bits; a header is its `struct mmsghdr`, `HEADER` words. A frame that does not plainly belong to the
+cycle is reported, and the frames are then processed one by one elsewhere.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BATCH: Final = 32
 """Slots of one `recvmmsg`, and as many headers."""
 SLOTS: Final = BATCH * HEADER
 KNOWN: Final = SLOTS + BATCH * SLOT
-"""Words that a socket is read into: headers; from here on slots, and what is known of rows."""
+"""Words that a socket is read into: headers, then slots, then the state of the rows."""
 EFF, RTR, ERR, ID = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
 HERE: Final = 4
 """MSG_DONTROUTE: the frame was sent by this computer."""
@@ -32,17 +32,17 @@ OWN: Final = 0x800
 ANCILLARY: Final = 64
 DONT_WAIT: Final = 0x40
 PLAIN: Final = 32
-"""Ancillary bytes of a message that tells its time stamp alone."""
+"""Ancillary bytes of a message with a time stamp only."""
 NS: Final = 1_000_000_000
 
 MARKED_NS, SYNC_END, FIRST, TAKEN, TOLD = range(5)
-"""What is known of rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first
-row that nobody has taken, and the end."""
+"""State of the rows: time stamp of the last marked frame, −1 for none; the place behind the last SYNC; the first row
+that is not yet fetched, and the end."""
 MEMORY: Final = KNOWN + TOLD
 INPUTS: Final = 4
 MISSING, AT_NS, DROPPED, BEATS, BEAT = 0, 1, 2, 3, 4
-"""What `heed` tells: a bit for each input that is not there yet, −1 before SYNC; when SYNC came; lost frames, −1 where
-none was told; heartbeats and, from `BEAT` on, identifier, time and state of each."""
+"""Results of `heed`: a bit for each missing input, −1 before SYNC; time of SYNC; lost frames, −1 if the kernel gave
+no number; heartbeats and, from `BEAT` on, identifier, time and state of each."""
 MOST_BEATS: Final = 8
 FRAMES: Final = BEAT + 3 * MOST_BEATS
 """From here on time stamp and data of each input."""
@@ -54,7 +54,7 @@ DONE, WAITING, STRANGE = 1, 0, -1
 
 @njit(cache=True)
 def rows(slots: Any, headers: Any, count: int, block: Any, told: Any) -> None:
-    """Write `count` frames into `block`, rows of `ROW` words, behind those there; `told` goes on."""
+    """Write `count` frames into `block`, rows of `ROW` words, behind those there; the state `told` goes on."""
     at = told[TAKEN]
     for n in range(count):
         raw, size = slots[n, 0] & np.uint64(0xFFFFFFFF), (slots[n, 0] >> np.uint64(32)) & np.uint64(0xFF)
@@ -99,11 +99,12 @@ def mark(block: Any, count: int, marked_id: int, told: Any) -> None:
 
 @njit(cache=True)
 def heed(slots: Any, headers: Any, count: int, inputs: Any, sizes: Any, told: Any) -> int:
-    """Take the frames of a cycle after its targets: this computer's SYNC, then each input once; heartbeats at any time.
+    """Process the frames of a cycle after its targets: this computer's SYNC, then each input once; heartbeats at any
+    time.
 
-    Frames that the socket itself has sent are passed over.
-    `inputs` and `sizes` are the inputs' identifiers, each with its node's number in the last seven bits, and least
-    sizes; only these nodes' heartbeats are known.  `told` goes on from the call before.
+    Frames that the socket itself has sent are passed over. `inputs` and `sizes` are the inputs' identifiers, each
+    with its node's number in the last seven bits, and least sizes; only these nodes' heartbeats are accepted. `told`
+    goes on from the call before.
     """
     for n in range(count):
         raw = np.int64(slots[n, 0] & np.uint64(0xFFFFFFFF))
@@ -149,10 +150,10 @@ IDS: Final = BEAT_FRAME + 2
 SIZES: Final = IDS + INPUTS
 HEED: Final = SIZES + INPUTS
 NUMBERS: Final = HEED + HEEDED
-"""Further: identifiers of the inputs, their least sizes, what `heed` tells."""
+"""Further indices: identifiers of the inputs, their least sizes, results of `heed`."""
 WHOLE, FETCHED, NOT_SENT, FAILED = range(4)
-"""How a cycle ended: all of it is here; the frames that were read are not, or not yet, a whole cycle; nothing was sent;
-a socket failed."""
+"""Result of a cycle: complete; not, or not yet, a complete cycle in the frames read; nothing was sent; a socket
+failed."""
 _POLLIN: Final = 1 << 32
 _EAGAIN: Final = 11
 

@@ -32,17 +32,17 @@ SEND_RETRY_NS = 1_000_000
 SEND_RETRIES = 20
 _TRANSIENT = (errno.ENOBUFS, errno.EAGAIN)
 FAILURES = (can.CanError, OSError)
-"""What python-can's interfaces raise when they, or what they are connected by, fail."""
+"""Exceptions of python-can's interfaces when they, or their connection, fail."""
 BUS_OFF = 0x040
 """Class of an error frame (linux/can/error.h)."""
 _NODE_MASK = 0x7F
 WANTED = [{"can_id": 0, "can_mask": 0}]
-"""Filters for the master's socket: everything.  A healthy bus carries nothing besides what the master needs, and what
-else there is must be seen: another master's commands, SDO writes, identifiers that nobody owns."""
+"""Filters for the master's socket: everything. A bus without faults carries nothing beyond the master's needs, and
+foreign frames must be seen: another master's commands, SDO writes, identifiers without an owner."""
 
 
 class LinkError(Exception):
-    """The bus itself failed (interface down or gone, queue full for good); the text says how."""
+    """The bus itself failed (interface down or gone, queue full for good); the text names the failure."""
 
 
 class EmcyMessage(NamedTuple):
@@ -65,12 +65,12 @@ class Beat(NamedTuple):
 class Link:
     """The master on a python-can bus; `clock` gives ns on the scale of the bus's time stamps.
 
-    `beats` holds every node's last heartbeat, `emergencies` what EMCYs came and were not taken yet, `boots` the
-    nodes that booted meanwhile, `errors` the error frames seen, `rivals` the time stamps of another master's NMT.
-    `returned`: the interface returns the master's own frames to it, as seen during bring-up.
-    `watch`, where there is one, hears of every frame that a running bench has no use for.
-    `heartbeat_ms` None is for whoever only asks: nodes would watch over a master whose heartbeat they have heard.
-    `pump(deadline_ns)` is how an SDO waits: by receiving, or by control cycles once they run.
+    `beats` holds every node's last heartbeat, `emergencies` the EMCYs that wait to be processed, `boots` the nodes
+    that booted meanwhile. `errors` are the error frames seen, `rivals` the time stamps of another master's NMT.
+    `returned`: the interface returns the master's own frames to it, as seen during bring-up. `watch`, if there is
+    one, receives every frame that a running bench has no use for. `heartbeat_ms` None is for programs that only read:
+    nodes would supervise a master after its first heartbeat. `pump(deadline_ns)` is the wait of an SDO: by receiving,
+    or by control cycles once they run.
     """
 
     def __init__(
@@ -100,7 +100,8 @@ class Link:
         self._clients: dict[int, Sdo] = {}
 
     def receive(self, deadline_ns: int) -> can.Message | None:
-        """The next data frame, or None at `deadline_ns`; a deadline that has passed takes only what is there.
+        """Return the next data frame, or None at `deadline_ns`; a deadline in the past returns only a frame that
+        waits.
 
         Raises `LinkError` when the interface is down or gone.
         """
@@ -148,7 +149,7 @@ class Link:
                 self.beats[can_id - HEARTBEAT_BASE] = Beat(time_ns, state & _NODE_MASK)
 
     def _serve(self, now_ns: int) -> can.Message | None:
-        """Send what is due: the heartbeat, and SYNC where the master paces itself; that SYNC is returned as seen."""
+        """Send due frames: the heartbeat, and SYNC if the master paces itself; that SYNC is returned as received."""
         paced = None
         if self._heartbeat_ns is not None and now_ns >= self._beat_due_ns:
             self._beat_due_ns = now_ns + self._heartbeat_ns

@@ -1,8 +1,8 @@
-"""The master's bus and the recorder's tap in one socket of the kernel's CAN.
+"""The master's bus and the recorder's monitor socket in one socket of the kernel's CAN.
 
-The rule of this file: every frame is read from the kernel once.  It becomes a row for the recorder, and a message for
-the master unless the master itself sent it: the kernel marks such frames (`MSG_CONFIRM`), so that those of another
-program of this computer are told from them.
+Every frame is read from the kernel once. It becomes a row for the recorder, and a message for the master unless the
+master itself sent it. The kernel marks such frames (`MSG_CONFIRM`), which distinguishes them from those of another
+program of this computer.
 """
 
 from __future__ import annotations
@@ -71,10 +71,11 @@ class RecordedBus(KernelBus):
         self, tap: can.BusABC | None, targets: tuple[int, int], inputs: Sequence[tuple[int, int]], period_ns: int,
         budget_ns: int, heartbeat: tuple[int, int, int],
     ) -> KernelCycles | None:
-        """Offer complete cycles to a master, see `KernelCycles`; None with another bus as the recorder's tap.
+        """Offer complete cycles to a master, see `KernelCycles`; None if another bus is the recorder's monitor
+        socket.
 
-        `targets` and `inputs` are identifiers and sizes of the frame that the master sends in each and of those that it
-        then waits for, within `budget_ns` of their SYNC; `heartbeat`: identifier, byte and period of its own.
+        `targets` and `inputs` are identifiers and sizes of the frame that the master sends in each and of those that
+        it then waits for, within `budget_ns` of their SYNC; `heartbeat`: identifier, byte and period of the master's.
         """
         return KernelCycles(self, targets, inputs, period_ns, budget_ns, heartbeat[:2]) if tap is self else None
 

@@ -1,6 +1,6 @@
-"""canopen's SDO client, which expects a second thread, adapted once to a master that has only one.
+"""canopen's SDO client, which expects a second thread, adapted once to a master with one.
 
-The rule of this file: nothing else of the master knows canopen; a response is waited for by pumping the bus.
+Nothing else of the master imports canopen; a response is waited for by pumping the bus.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class SdoError(Exception):
 
 
 class Pump(Protocol):
-    """What the client needs of the link."""
+    """Needs of the client from the link."""
 
     def send(self, can_id: int, data: bytes) -> None: ...
 
@@ -57,7 +57,8 @@ class _Client(SdoClient):
 
 
 class Sdo:
-    """SDO up- and downloads to one node, expedited, segmented or block; raises `SdoError`, and what the pump raises."""
+    """SDO up- and downloads to one node, expedited, segmented or block; raises `SdoError`, and the pump's exceptions.
+    """
 
     def __init__(self, pump: Pump, node_id: int) -> None:
         self._client = _Client(pump, node_id)

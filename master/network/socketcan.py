@@ -1,8 +1,8 @@
-"""The kernel's CAN, as a master needs it: python-can's SocketCAN bus with the per-frame path made short.
+"""The kernel's CAN for a master: python-can's SocketCAN bus with a shorter path per frame.
 
-The rule of this file: what the kernel knows comes out: exact time stamps, which frames are this computer's own,
-and how many frames found the receive queue full (`SO_RXQ_OVFL`).  One call fetches every frame that waits
-(recvmmsg), and keeps the interpreter meanwhile: it never blocks.  SYNC stays with the broadcast manager.
+It provides exact time stamps, marks this computer's own frames, and counts frames that met a full receive queue
+(`SO_RXQ_OVFL`). One call fetches every waiting frame (recvmmsg), and keeps the interpreter meanwhile: it never
+blocks. SYNC stays with the broadcast manager.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ class KernelBus(SocketcanBus):
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
 
     def _laid_out(self) -> bytes:
-        """Point every header at its own frame and ancillary bytes; what the kernel overwrites is copied back."""
+        """Point every header at its own frame and ancillary bytes; fields that the kernel overwrites are restored by
+        copying."""
         slots, first = self.slots.ctypes.data, self.headers.ctypes.data
         vectors = ctypes.addressof(ctypes.c_char.from_buffer(self._vectors))
         for i in range(BATCH):
@@ -96,9 +97,9 @@ class KernelBus(SocketcanBus):
         return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def recv(self, timeout: float | None = None) -> KernelMessage | None:
-        """The next message within `timeout` s; 0 takes only what is there, without waiting for anything.
+        """Return the next message within `timeout` s; 0 returns only a message that waits.
 
-        Raises `can.CanOperationError` with the kernel's errno where the interface is down (once) or gone.
+        Raises `can.CanOperationError` with the kernel's errno if the interface is down (once) or gone.
         """
         waiting = self.waiting
         if waiting:
@@ -178,6 +179,6 @@ class KernelBus(SocketcanBus):
             raise can.CanOperationError(f"{self.channel}: {error.strerror}", error.errno) from error
 
     def shutdown(self) -> None:
-        """Close the sockets: the broadcast manager ends what it sends for one, if its interface has not done so."""
+        """Close the sockets: the broadcast manager ends their periodic frames, if the interface has not done so."""
         self._periodic_tasks.clear()
         super().shutdown()

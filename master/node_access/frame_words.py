@@ -56,7 +56,7 @@ class SdoTransfer:
     sequence: int = 0
 
     def acknowledged(self, data: bytes) -> str:
-        """Take the end of a block: drop what the receiver did not confirm, and expect it again."""
+        """Take the end of a block: drop the segments that the receiver did not confirm, and expect them again."""
         if data[0] & 3 != 2:
             return "SDO block transfer goes on"
         if data[1] < self.sequence:
@@ -67,9 +67,9 @@ class SdoTransfer:
 
 
 class KnownPdo(NamedTuple):
-    """A PDO whose objects are known: who sends or takes it (0: the master, to several), its name and its plan.
+    """A PDO with known objects: producer or consumer (0: the master, to several), its name and its plan.
 
-    `objects`: name of each object, what a count of it is and in which unit, or None.
+    `objects`: name of each object, value of a count and its unit, or None.
     """
 
     node_id: int

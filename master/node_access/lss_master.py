@@ -1,7 +1,7 @@
 """LSS master (CiA 305): finds devices by their identity, and gives them node id and bit timing.
 
-The rule of this file: waiting is receiving. `canopen.lss` sleeps on the wall clock 0.2 s after each number of an
-identity, and waits 0.5 s for each bit that no slave confirms, so that it is a test's counterpart and not used here.
+Waiting is receiving. `canopen.lss` is not used here, but as a test's counterpart. It sleeps on the wall clock 0.2 s
+after each number of an identity, and waits 0.5 s for each bit that no slave confirms.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class LssMaster:
                          expected=LssCommand.SELECTED) is not None
 
     def fastscan(self) -> LssAddress | None:
-        """Find one unconfigured slave and switch it to configuration; None where there is none.
+        """Find one unconfigured slave and switch it to configuration; None if no slave answers.
 
         Of several the one with the lowest numbers is found; a slave in configuration is not found again.
         """

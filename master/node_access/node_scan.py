@@ -63,7 +63,7 @@ def _found(link: Link, node_id: int, answers: bool, files: Sequence[Path]) -> Fo
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the EDS and DCF files of a folder, or the file itself; `InputError` where there is none."""
+    """Return the EDS and DCF files of a folder, or the file itself; raises `InputError` for a folder without any."""
     if not path.is_dir():
         return [path]
     found = sorted(each for each in path.iterdir() if each.suffix.lower() in (".eds", ".dcf"))

@@ -40,7 +40,7 @@ class PdoState(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """It is in use: bit 31 of its COB-ID is 0."""
+        """Whether it is in use: bit 31 of its COB-ID is 0."""
         return not (self.parameters["cob_id"] or COB_ID_INVALID) & COB_ID_INVALID
 
 
@@ -53,7 +53,7 @@ def index_of(name: str) -> int:
 
 
 def words(text: str, dictionary: Dictionary | None) -> list[int]:
-    """Return the mapping words of `6041,6064,6077`: objects of the EDS, or `6041/16` with the bits where there is none.
+    """Return the mapping words of `6041,6064,6077`: objects of the EDS, or `6041/16` with the bits without an EDS.
 
     Raises `InputError` for an object that is not mappable, an unknown length, or more than 64 bits.
     """

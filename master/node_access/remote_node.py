@@ -26,7 +26,7 @@ MASTER: Final = 127
 LISTEN_NS: Final = 1_200_000_000
 """Time for which another master is listened for: longer than the heartbeat of 1 s that most masters send."""
 SENT_NS: Final = 10_000_000
-"""Time that a frame is given to leave the computer before its bus is closed."""
+"""Time for a frame to be transmitted before its bus is closed."""
 BOOT_NS: Final = 3_000_000_000
 COMMANDS: Final = {
     "start": NmtCommand.START, "stop": NmtCommand.STOP, "preop": NmtCommand.ENTER_PRE_OPERATIONAL,
@@ -62,7 +62,7 @@ class NodeError(NamedTuple):
 
 
 class NodeAccess:
-    """A node on a link; `dictionary` gives its objects names and types, None leaves both to the caller."""
+    """A node on a link; `dictionary` gives its objects names and types; without one (None) the caller gives both."""
 
     def __init__(self, link: Link, node_id: int, dictionary: Dictionary | None = None) -> None:
         if not 1 <= node_id <= 127:

@@ -1,7 +1,6 @@
 """The PDOs of a CANopen bus in the files of other tools: their layout as DBC, their decoded values as MF4.
 
-The rule of this file: names, places, scales and units are those of a `FrameReader`, so that a file says of a frame what
-the monitor's line says of it.
+Names, places, scales and units are those of a `FrameReader`, so that a file agrees with the monitor's lines.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from parameters.files import replaced, write_whole
 
 
 class PlacedField(NamedTuple):
-    """A mapped object in its frame: name unique there, first bit, and what a count is in `unit`."""
+    """A mapped object in its frame: name unique there, first bit, and value of a count in `unit`."""
 
     name: str
     start_bit: int
@@ -46,7 +45,7 @@ def placed(reader: FrameReader, cob_id: int) -> list[PlacedField]:
 
 
 def write_dbc(reader: FrameReader, path: Path, *, overwrite: bool = False) -> int:
-    """Write a message for each PDO that the reader knows; return how many.  Raises `InputError` without cantools."""
+    """Write a message for each PDO of the reader; return their number. Raises `InputError` without cantools."""
     can = _library("cantools.database.can", "cantools", "dbc")
     conversion = importlib.import_module("cantools.database.conversion").BaseConversion
     messages = [can.Message(cob_id, _name(known), known.plan.size, [
@@ -68,7 +67,7 @@ class SignalRecording:
         self._rows: dict[int, list[tuple[int, tuple[int, ...]]]] = {}
 
     def take(self, time_ns: int, cob_id: int, data: bytes) -> None:
-        """Take a frame; what is no PDO, or shorter than its mapping, is left out."""
+        """Take a frame; a frame that is not a PDO, or shorter than its mapping, is left out."""
         known = self._reader.plans.get(cob_id)
         if known is None:
             return
