@@ -32,3 +32,10 @@ def test_the_actions_of_the_ci_are_named_by_commit() -> None:
     used = re.findall(r"uses: (\S+)", text)
     assert used
     assert [name for name in used if not re.search(r"@[0-9a-f]{40}$", name)] == []
+
+
+def test_the_ci_installs_by_hashes() -> None:
+    """Before `make` could install anything: the marks of its own installation are set."""
+    text = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    hashed = text.index("--require-hashes --no-deps -r constraints.hashes.txt")
+    assert hashed < text.index("touch .venv/.installed .venv/.installed-test") < text.index("make test")
