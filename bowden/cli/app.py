@@ -28,10 +28,9 @@ app = CommandGroup(
 
 MODULES = (
     "trials.trial", "trials.replay", "models.identify", "trials.sweep", "bench.bench", "bench.commission",
-    "bench.doctor", "bench.node", "bench.lss", "bench.monitor", "models.diagnose", "models.fit", "models.simulate",
-    "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert", "trials.recordings",
-    "bench.record", "bench.setup",
-    "models.logbook",
+    "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "models.diagnose", "models.fit",
+    "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
+    "trials.recordings", "bench.record", "bench.setup", "models.logbook",
 )
 """Modules of the commands, in the order of `bowden --help`; importing one registers its commands on `app`."""
 

@@ -50,7 +50,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: opt
     from master.node_access import node_scan as scanning
 
     files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
-    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         found = scanning.scan(link, files)
     if json:
         terminal.emit({"nodes": [{"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
@@ -344,7 +344,7 @@ def nmt(
 
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
     node_id = 0 if name == "all" else _node_id(name, reached, config)
-    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         state = access.nmt(link, node_id, command)
     if json:
@@ -491,7 +491,7 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
     from master.node_access.remote_node import NodeAccess
 
     node_id = _node_id(name, reached, config)
-    with linked(reached.chosen(), _bitrate(reached, config)) as link:
+    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         if acts:
             refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)
@@ -519,7 +519,8 @@ def _node_id(name: str, reached: Bus, config: Path | None) -> int:
     return known[name]
 
 
-def _bitrate(reached: Bus, config: Path | None) -> int:
+def bitrate_of(reached: Bus, config: Path | None) -> int:
+    """Bit rate of the bus, bit/s: the option's, else that of the configuration."""
     return int(reached.sections(config)["network"].bitrate)
 
 

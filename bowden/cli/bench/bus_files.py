@@ -1,0 +1,76 @@
+"""`bowden node apply` and `bowden node export`: the bus.yml of ros2_canopen into nodes, and nodes into one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.bench.node import Eds, Force, bitrate_of, node, refuse_other_master
+from bowden.cli.option_groups import Bus, grouped
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="bus.yml of ros2_canopen.", show_default=False)]
+
+
+@node.command()
+@grouped
+def apply(
+    file: File, reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
+) -> int:
+    """Write the SDO list, heartbeats and PDOs of a bus.yml into its nodes.
+
+    Example: bowden node export -o bus.yml && bowden node apply bus.yml
+    """
+    from bowden.bench.any_node import linked
+    from eds.files import bus_yml
+    from master.node_access import bus_setup
+
+    devices = bus_yml.read(file).devices
+    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+        refuse_other_master(link, force)
+        done = {one.name: bus_setup.apply(link, one, file.parent) for one in devices}
+    if json:
+        terminal.emit({"file": str(file), "devices": [
+            {"name": one.name, "node": one.node_id, "done": done[one.name]} for one in devices]})
+    else:
+        for one in devices:
+            print(f"{one.name}, node {one.node_id}: {'; '.join(done[one.name]) or 'nothing to write'}.")
+    return 0
+
+
+@node.command()
+@grouped
+def export(
+    output: options.Output, reached: Bus, eds: Eds = None, config: options.Config = None,
+    overwrite: options.Overwrite = False, json: options.Json = False,
+) -> int:
+    """Write the nodes of a bus, with their PDOs as they are set, as a bus.yml of ros2_canopen.
+
+    Example: bowden node export -o bus.yml
+    """
+    import shutil
+
+    from bowden import output_files
+    from bowden.bench.any_node import linked
+    from eds.dictionary import PACKAGED, packaged
+    from eds.files import bus_yml
+    from master.node_access import bus_setup, node_scan
+
+    output_files.refuse([output], overwrite=overwrite)
+    files = [packaged(name) for name in PACKAGED] if eds is None else node_scan.files_of(eds)
+    rate = bitrate_of(reached, config)
+    with linked(reached.chosen(), rate) as link:
+        devices = [bus_setup.described(link, one) for one in node_scan.scan(link, files)]
+    for path in {path for path in files for one in devices if path.name == one.eds}:
+        if not (output.parent / path.name).exists():
+            shutil.copy(path, output.parent / path.name)
+    bus_yml.write(output, bus_yml.of_devices(devices, {
+        "node_id": 127, "driver": "ros2_canopen::MasterDriver", "package": "canopen_master_driver",
+        "baudrate": rate // 1000}), overwrite=overwrite)
+    if json:
+        terminal.emit({"file": str(output), "nodes": [one.node_id for one in devices]})
+    else:
+        print(f"{output}: {len(devices)} nodes.")
+    return 0 if devices else 1
