@@ -165,7 +165,8 @@ def _pdo(device: str, kind: str, number: Any, keys: Any) -> BusPdo:
         None if known.get(key) is None else _number(where, key, known[key])
         for key in ("transmission", "inhibit_time", "event_timer"))
     return BusPdo(name, bool(known.get("enabled", True)),
-                  cob_id if cob_id in (None, "auto") else _number(where, "cob_id", cob_id), transmission, inhibit, timer,
+                  cob_id if cob_id in (None, "auto") else _number(where, "cob_id", cob_id),
+                  transmission, inhibit, timer,
                   None if mapped is None else tuple(_place(where, one) for one in mapped), own)
 
 

@@ -9,7 +9,7 @@ from typing import Final
 from eds.cia301 import COB_ID_INVALID, RPDO_BASE, TPDO_BASE
 from eds.dictionary import Dictionary, key
 from eds.dictionary import read as read_eds
-from eds.files.bus_yml import BusYmlDevice, BusPdo
+from eds.files.bus_yml import BusPdo, BusYmlDevice
 from master.network.link import Link
 from master.network.sdo import SdoError
 from master.node_access import object_text, pdo_settings
@@ -88,8 +88,9 @@ def described(link: Link, found: FoundNode) -> BusYmlDevice:
     if heartbeat:
         other["heartbeat_producer"] = heartbeat
     dictionary = found.dictionary
-    return BusYmlDevice(f"node_{found.node_id}", found.node_id, "" if dictionary is None else Path(dictionary.path).name,
-                     tuple(_pdos(link, found.node_id, dictionary)), (), other)
+    file = "" if dictionary is None else Path(dictionary.path).name
+    pdos = tuple(_pdos(link, found.node_id, dictionary))
+    return BusYmlDevice(f"node_{found.node_id}", found.node_id, file, pdos, (), other)
 
 
 def _pdos(link: Link, node_id: int, dictionary: Dictionary | None) -> Iterator[BusPdo]:
