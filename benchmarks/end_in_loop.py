@@ -83,7 +83,7 @@ class EndInLoop(ExtendedController):
         if now == 0 and state.history is not None:
             state = extended.on_cycle_end(state, config)
         departures = (*state.departures, seen.knee_angle_rad - config.gait.knee[now])[-extended.DEPARTURES:]
-        paths, _slip, _leg = extended.look_ahead(state, config, now, departures)
+        paths, *_rest = extended.look_ahead(state, config, now, departures)
         here, after = paths[0], paths[min(1, len(paths) - 1)]
         start = SHOWN["end_n"] * math.exp(here.by_sheath + here.by_knee + here.discrepancy) + here.drag
         start -= config.start_lag * (after.start - here.start)

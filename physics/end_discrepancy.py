@@ -17,14 +17,24 @@ from numba import njit
 
 from parameters import InputError
 from physics.laws import Array
-from physics.path_laws import LOAD_N
+from physics.path_laws import LOAD_N, presliding
 
 TABLE: Final = "discrepancy"
 """Table of a bench model's file."""
+SCALES: Final = (0.25, 0.5, 2.0, 4.0)
+"""Pre-sliding travels of the further slip states, by that of the calibration: shorter and longer memories of reversals.
+
+Real friction along a rope turns over with many travels at once; the lumped model has one for the rope, one for fabric.
+"""
 FEATURES: Final = ("level", "load", "sheath", "sheath_load", "fabric", "fabric_load", "fabric_knee", "sheath_slow",
-                   "fabric_slow")
+                   "fabric_slow", *(f"sheath_travel_{scale:g}" for scale in SCALES),
+                   *(f"fabric_travel_{scale:g}" for scale in SCALES))
 """Features in the order of mean and covariance; `features` computes them."""
 COUNT: Final = len(FEATURES)
+Slips = tuple[float, ...]
+UNTURNED: Final[Slips] = (0.0,) * (2 * len(SCALES))
+"""Further slip states before the first motion, sheath before fabric."""
+LEAST_TRAVEL_M: Final = 5e-5
 KNEE_RAD: Final = 0.45
 """Knee flexion at which `fabric_knee` is 0: about the one at the peak of the desired force."""
 BEYOND: Final = 0.15
@@ -46,18 +56,31 @@ class EndDiscrepancy(NamedTuple):
     prior: float
     residual: float
 
-    def packed(self, period_s: float) -> Array:
-        """Return it as the array that `evaluate` reads, for control cycles of `period_s`."""
+    def packed(self, period_s: float, rope_travel: float, fabric_travel: float) -> Array:
+        """Return it as the array that `evaluate` reads, for control cycles of `period_s`; pre-sliding travels, m."""
         return np.array([*self.mean, *(cell for row in self.covariance for cell in row), *self.force_n,
-                         *self.flexion_rad, self.speed_m_s * period_s])
+                         *self.flexion_rad, self.speed_m_s * period_s, rope_travel, fabric_travel])
 
 
 @njit(cache=True)
-def features(force: float, knee: float, sheath: float, fabric: float, sheath_slow: float, fabric_slow: float) -> Any:
+def turned(slips: Any, moved: float, on_knee: float, rope_travel: float, fabric_travel: float) -> Any:
+    """Return the further slip states after a travel in the sheath and one on the knee, m."""
+    rope, fabric = max(rope_travel, LEAST_TRAVEL_M), max(fabric_travel, LEAST_TRAVEL_M)
+    return (presliding(slips[0], moved, SCALES[0] * rope), presliding(slips[1], moved, SCALES[1] * rope),
+            presliding(slips[2], moved, SCALES[2] * rope), presliding(slips[3], moved, SCALES[3] * rope),
+            presliding(slips[4], on_knee, SCALES[0] * fabric), presliding(slips[5], on_knee, SCALES[1] * fabric),
+            presliding(slips[6], on_knee, SCALES[2] * fabric), presliding(slips[7], on_knee, SCALES[3] * fabric))
+
+
+@njit(cache=True)
+def features(force: float, knee: float, sheath: float, fabric: float, sheath_slow: float, fabric_slow: float,
+             slips: Any) -> Any:
     """Return the features of one control cycle: END force, N, knee, rad, slip states −1…1, slownesses 0…1."""
     load = force / LOAD_N - 1.0
     return (1.0, load, sheath, sheath * load, fabric, fabric * load, fabric * (abs(knee) - KNEE_RAD),
-            sheath * sheath_slow, fabric * fabric_slow)
+            sheath * sheath_slow, fabric * fabric_slow,
+            slips[0] - sheath, slips[1] - sheath, slips[2] - sheath, slips[3] - sheath,
+            slips[4] - fabric, slips[5] - fabric, slips[6] - fabric, slips[7] - fabric)
 
 
 @njit(cache=True)
@@ -68,14 +91,19 @@ def _outside(value: float, low: float, high: float) -> float:
 
 
 @njit(cache=True)
-def evaluate(packed: Any, force: float, knee: float, sheath: float, fabric: float, sheath_slow: float,
-             fabric_slow: float, moved: float) -> Any:
-    """Return (discrepancy of ln(START/END), its standard deviation) in one control cycle.
+def evaluate(packed: Any, slips: Any, force: float, knee: float, before: Any, after: Any, sheath_slow: float,
+             fabric_slow: float) -> Any:
+    """Return (discrepancy of ln(START/END), its standard deviation, further slip states) in one control cycle.
 
-    `moved`: travel of the rope in its sheath in this control cycle, m.  The posterior mean m is shrunk by its standard
-    deviation σ to m·m²/(m² + σ²), and both fall to zero outside of the ranges that the gait trials saw.
+    `before` and `after`: the model's memory, an `inverse.Slip`, around this control cycle.  The posterior mean m is
+    shrunk by its standard deviation σ to m·m²/(m² + σ²), and both fall to zero outside of the ranges that the gait
+    trials saw.
     """
-    at = features(force, knee, sheath, fabric, sheath_slow, fabric_slow)
+    ranges = packed[COUNT * (COUNT + 1):]
+    moved = 0.0 if math.isnan(before[2]) else after[2] - before[2]
+    on_knee = 0.0 if math.isnan(before[3]) else after[3] - before[3]
+    slips = turned(slips, moved, on_knee, ranges[5], ranges[6])
+    at = features(force, knee, after[0], after[1], sheath_slow, fabric_slow, slips)
     mean, variance = 0.0, 0.0
     for i in range(COUNT):
         mean += packed[i] * at[i]
@@ -83,11 +111,10 @@ def evaluate(packed: Any, force: float, knee: float, sheath: float, fabric: floa
         for j in range(COUNT):
             row += packed[COUNT * (1 + i) + j] * at[j]
         variance += at[i] * row
-    ranges = packed[COUNT * (COUNT + 1):]
     inside = (_outside(force, ranges[0], ranges[1]) * _outside(abs(knee), ranges[2], ranges[3])
               * _outside(abs(moved), 0.0, ranges[4]))
     square = mean * mean
-    return inside * mean * square / (square + variance + 1e-12), inside * math.sqrt(max(variance, 0.0))
+    return (inside * mean * square / (square + variance + 1e-12), inside * math.sqrt(max(variance, 0.0)), slips)
 
 
 def rows(known: EndDiscrepancy | None) -> list[str]:

@@ -86,6 +86,7 @@ class ExtendedState(NamedTuple):
     leg: tuple[float, float] = (0.0, NAN)
     seen_m: float = NAN
     slip: tuple[float, ...] = tuple(inverse.Slip())
+    slips: tuple[float, ...] = end_discrepancy.UNTURNED
     departures: tuple[float, ...] = ()
     paths: tuple[Ahead, ...] = ()
     wanted: tuple[float, ...] = ()
@@ -139,7 +140,8 @@ def configure(calibration: Calibration, day: HomingFit, gait: GaitTable, impedan
         start_lag=(calibration.start_lag + day.lag_s) / gait.period_s,
         start_gain=calibration.start_gain,
         least_n=LEAST_SHARE * max(gait.desired),
-        beyond=None if calibration.discrepancy is None else calibration.discrepancy.packed(gait.period_s),
+        beyond=None if calibration.discrepancy is None else calibration.discrepancy.packed(
+            gait.period_s, calibration.presliding, calibration.fabric_presliding),
     )
 
 
@@ -153,7 +155,7 @@ def step(
     if now == 0 and state.history is not None:
         state = on_cycle_end(state, config)
     departures = (*state.departures, seen.knee_angle_rad - gait.knee[now])[-DEPARTURES:]
-    paths, slip, leg = look_ahead(state, config, now, departures)
+    paths, slip, slips, leg = look_ahead(state, config, now, departures)
     here = paths[0]
     ratio = math.exp(here.by_sheath + here.by_knee + here.discrepancy)
     desired = gait.desired[now]
@@ -185,8 +187,9 @@ def step(
     moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
     then = seen.servo_position_m + TARGET_CYCLES * moved
     target = min(max(target, then - REACH_M), then + REACH_M)
-    after = ExtendedState(state.law, state.followed, deviation, leg, seen.servo_position_m, slip, departures, paths,
-                          wanted, resting, state.learnt, state.tracked, history)
+    after = ExtendedState(
+        state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
+        wanted, resting, state.learnt, state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
     return ControllerOutput(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
@@ -215,7 +218,7 @@ def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float
 
 def look_ahead(
     state: ExtendedState, config: ExtendedConfig, now: int, departures: tuple[float, ...]
-) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, float]]:
+) -> tuple[tuple[Ahead, ...], tuple[float, ...], tuple[float, ...], tuple[float, float]]:
     """The model's answer one control cycle beyond the delay, the knee led on at the speed of its departure.
 
     The leg follows the knee's drive with the play that was followed.
@@ -230,15 +233,14 @@ def look_ahead(
     position, start, by_sheath, by_knee, sheath_slow, knee_slow, slip = inverse.inverse(
         state.law, state.slip, gait.desired[then], knee + behind)
     drag = start - gait.desired[then] * math.exp(by_sheath + by_knee)
-    beyond, doubt = 0.0, 0.0
+    beyond, doubt, slips = 0.0, 0.0, state.slips
     if config.beyond is not None:
-        moved = 0.0 if math.isnan(state.slip[2]) else slip[2] - state.slip[2]
-        beyond, doubt = end_discrepancy.evaluate(
-            config.beyond, gait.desired[then], knee, slip[0], slip[1], sheath_slow, knee_slow, moved)
+        beyond, doubt, slips = end_discrepancy.evaluate(
+            config.beyond, slips, gait.desired[then], knee, state.slip, slip, sheath_slow, knee_slow)
     answer = Ahead(
         position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
         behind, beyond, doubt)
-    return (*state.paths, answer)[-(config.ahead + 2):], slip, (behind, knee)
+    return (*state.paths, answer)[-(config.ahead + 2):], slip, slips, (behind, knee)
 
 
 def _half_width(force: float, ratio: float, rate: float, resting: float, here: Ahead, config: ExtendedConfig) -> float:

@@ -85,31 +85,42 @@ def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float)
 @njit(cache=True)
 def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
     """Write features, travel in the sheath and the sum of the exponents by control cycle."""
+    slips = end_discrepancy.UNTURNED
     for i in range(force.size):
-        before = slip[2]
+        before = slip
         _position, _start, by_sheath, by_knee, sheath_slow, fabric_slow, slip = inverse.inverse(
             law, slip, force[i], knee[i])
-        at = end_discrepancy.features(force[i], knee[i], slip[0], slip[1], sheath_slow, fabric_slow)
+        moved, on_knee = (slip[2] - before[2], slip[3] - before[3]) if i > 0 else (0.0, 0.0)
+        slips = end_discrepancy.turned(slips, moved, on_knee, law[9], law[10])
+        at = end_discrepancy.features(force[i], knee[i], slip[0], slip[1], sheath_slow, fabric_slow, slips)
         for j in range(len(at)):
             out[i, j] = at[j]
-        out[i, len(at)] = slip[2] - before if i > 0 else 0.0
+        out[i, len(at)] = moved
         out[i, len(at) + 1] = by_sheath + by_knee
 
 
 def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> float:
-    """Return END's lag, s, by the ramps: its tension against the model's behind START, over its rate."""
-    lag, whole = 0.0, 0.0
+    """Return END's lag, s, by the ramps: what its tension is beside the model's behind START goes with its rate.
+
+    A friction that the model lacks has the sign of the rate and a gain the size of END: both are let go of.
+    """
+    rows, apart = [], []
     for ramp in (segment for segment in segments if segment.kind == "ramp"):
         smooth = butter(2, 2.0 * LOWPASS_HZ * ramp.period_s, output="sos")
         start, end = (sosfiltfilt(smooth, column) for column in (
             (ramp.start - still.start_offset) / calibration.start_gain, ramp.end - still.end_offset))
         start = lag_compensated(start, ramp.period_s, calibration.start_lag)
         model, _ = inverse.end_from_start(inverse.law(calibration, ramp.period_s), ramp.position, start, ramp.knee)
-        rate, taut = np.gradient(end, ramp.period_s), end > 2.0 * still.start_noise + 3.0
-        lag += float(np.sum((rate * (model - end))[taut]))
-        whole += float(np.sum(rate[taut] ** 2))
-    return min(max(lag / whole, 0.0), MOST_LAG_S) if whole else calibration.start_lag
+        rate, taut = np.gradient(end, ramp.period_s), end > TAUT_N
+        rows.append(np.column_stack([rate, np.sign(rate) * end, end])[taut])
+        apart.append((model - end)[taut])
+    if not rows:
+        return calibration.start_lag
+    lag_s = float(np.linalg.lstsq(np.vstack(rows), np.concatenate(apart), rcond=None)[0][0])
+    return min(max(lag_s, 0.0), MOST_LAG_S)
 
 
+TAUT_N: Final = 3.0
+"""END from which a ramp counts."""
 MOST_LAG_S: Final = 5e-3
 """Largest lag of END that is believed."""

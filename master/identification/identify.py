@@ -9,7 +9,7 @@ other peaks and cadences than a controller is judged at, and only its discrepanc
 | stiffness | knee at 13 % of gait, five pulls and releases, 20…60 N, 0.06 m/s (paper, 4.1) | (10) |
 | swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
 | ramp | pulls and releases from slack to the top and to 45 N at three knee angles, 0.015…0.12 m/s | friction, lags |
-| pull | two pulls and releases to the top, on a calibration that is there | END's lag |
+| pull | two pulls and releases to the top, 0.015 and 0.12 m/s, on a calibration that is there | END's lag |
 | gait | two gait cycles at 36 N and 1.6 s and two at 62 N and 1.2 s, on what the others told | the discrepancy |
 
 The ramps are an addition, since the paper gives no procedure for friction. Pulling and releasing slide rope and
@@ -299,8 +299,8 @@ class _Experiments:
 
     def _pull(self, exchange: Exchange) -> None:
         swing_to(exchange, RAMP_KNEES_RAD[1], self.identification.guess, self.identification.homing)
-        for _ in range(2):
-            self._record(exchange, "ramp", functools.partial(self._pulled, exchange, True, SPEED_M_S))
+        for speed in (SLOW_M_S, FAST_M_S):
+            self._record(exchange, "ramp", functools.partial(self._pulled, exchange, True, speed))
 
     def _pulled(self, exchange: Exchange, whole: bool, speed_m_s: float) -> None:
         """Pull to the top, or to half the load, and release to slack."""

@@ -194,7 +194,10 @@ def test_the_discrepancy_of_gait_trials_is_recovered_beside_the_ends_lag() -> No
     told = discrepancy_fit.fit(late, BENCH, Rest(0.0, 0.0, NOISE_N))
     assert told is not None
     for way in (1.0, -1.0):
-        value, sigma = end_discrepancy.evaluate(told.packed(1e-3), 30.0, -0.45, way, way, 0.0, 0.0, 0.0)
+        slid = (way,) * len(end_discrepancy.UNTURNED)
+        still = (way, way, 0.0, 0.0, 0.0, 0.0)
+        value, sigma, _ = end_discrepancy.evaluate(
+            told.packed(1e-3, BENCH.presliding, BENCH.fabric_presliding), slid, 30.0, -0.45, still, still, 0.0, 0.0)
         assert value == pytest.approx(0.01 + way * 0.03, abs=0.01)
         assert sigma < 0.005
 

@@ -13,6 +13,7 @@ from parameters import InputError
 from physics import bench_model, calibration, end_discrepancy
 from physics.end_discrepancy import COUNT, EndDiscrepancy
 
+SLID = (1.0,) * len(end_discrepancy.UNTURNED)
 MEAN = (0.02, 0.01, -0.03, *(0.0,) * (COUNT - 3))
 
 
@@ -24,7 +25,9 @@ def known(sigma: float) -> EndDiscrepancy:
 
 def at(table: EndDiscrepancy, force: float = 40.0, knee: float = -0.4, moved: float = 1e-5) -> tuple[float, float]:
     """Return the discrepancy with sheath and fabric sliding."""
-    value, sigma = end_discrepancy.evaluate(table.packed(1e-3), force, knee, 1.0, 1.0, 0.0, 0.0, moved)
+    before, after = (0.99, 0.99, 0.0, 0.0, 0.0, 0.0), (1.0, 1.0, moved, moved, 0.0, 0.0)
+    value, sigma, _slips = end_discrepancy.evaluate(
+        table.packed(1e-3, 1e-4, 1e-4), SLID, force, knee, before, after, 0.0, 0.0)
     return float(value), float(sigma)
 
 
