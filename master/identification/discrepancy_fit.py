@@ -100,11 +100,11 @@ def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
 
 
 def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> float:
-    """Return END's lag, s, by the ramps: what its tension is beside the model's behind START goes with its rate.
+    """Return END's lag, s, by the ramps: its tension against the model's behind START, over its rate.
 
-    A friction that the model lacks has the sign of the rate and a gain the size of END: both are let go of.
+    Turns of a ramp do not count: what the model lacks of friction there is larger than what a lag makes.
     """
-    rows, apart = [], []
+    lag, whole = 0.0, 0.0
     for ramp in (segment for segment in segments if segment.kind == "ramp"):
         smooth = butter(2, 2.0 * LOWPASS_HZ * ramp.period_s, output="sos")
         start, end = (sosfiltfilt(smooth, column) for column in (
@@ -112,12 +112,12 @@ def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest)
         start = lag_compensated(start, ramp.period_s, calibration.start_lag)
         model, _ = inverse.end_from_start(inverse.law(calibration, ramp.period_s), ramp.position, start, ramp.knee)
         rate, taut = np.gradient(end, ramp.period_s), end > TAUT_N
-        rows.append(np.column_stack([rate, np.sign(rate) * end, end])[taut])
-        apart.append((model - end)[taut])
-    if not rows:
-        return calibration.start_lag
-    lag_s = float(np.linalg.lstsq(np.vstack(rows), np.concatenate(apart), rcond=None)[0][0])
-    return min(max(lag_s, 0.0), MOST_LAG_S)
+        if not taut.any():
+            continue
+        steady = taut & (np.abs(rate) > 0.5 * np.median(np.abs(rate[taut])))
+        lag += float(np.sum((rate * (model - end))[steady]))
+        whole += float(np.sum(rate[steady] ** 2))
+    return min(max(lag / whole, 0.0), MOST_LAG_S) if whole else calibration.start_lag
 
 
 TAUT_N: Final = 3.0
