@@ -56,6 +56,21 @@ class BenchModel:
     rig: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: EndDiscrepancy | None = None
 
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: each value with its unit and 95 % interval, then the effects."""
+        from html import escape
+
+        rows = [(name, value, PARAMETERS[name].unit if name in PARAMETERS else "", self.evidence.get(name))
+                for name, value in self.values.items()]
+        rows += [(f"{effect}: {name}", value, "", None) for effect, given in self.effects.items()
+                 for name, value in given.items()]
+        body = "".join(
+            f"<tr><td>{escape(name.replace('_', ' '))}</td><td>{value:.4g} {escape(unit)}</td><td>"
+            f"{'' if known is None else f'{known.low:.4g} … {known.high:.4g}'}</td></tr>"
+            for name, value, unit, known in rows)
+        heads = "<tr><th>parameter</th><th>value</th><th>95 % interval</th></tr>"
+        return f"<p><b>{escape(self.label)}</b></p><table>{heads}{body}</table>"
+
     @property
     def calibration(self) -> Calibration:
         """Return the controller's view; an unknown scalar has its assumed value and is named in `lacking`."""

@@ -79,8 +79,25 @@ class DiagnosisResult:
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {', '.join(cause['effect'] for cause in self.causes) or 'no cause'})"
 
+    def _repr_html_(self) -> str:
+        """Return a table for a notebook: verdict, causes with their parameters, ambiguity set, warnings."""
+        from html import escape
+
+        rows = "".join(
+            f"<tr><td>{escape(cause['effect'].replace('_', ' '))}</td><td>{escape(cause['site'])}</td>"
+            f"<td>{escape(name.replace('_', ' '))}</td><td>{one['value']:.4g} {escape(one['unit'])}</td>"
+            f"<td>{one['low']:.4g} … {one['high']:.4g}</td></tr>"
+            for cause in self.causes for name, one in cause["parameters"].items())
+        table = ("<table><tr><th>cause</th><th>site</th><th>parameter</th><th>value</th><th>95 % interval</th></tr>"
+                 f"{rows}</table>" if rows else "")
+        sentences = list(self.warnings)
+        if len(self.rivals) > 1:
+            sentences.insert(0, f"These data cannot separate {', '.join(self.rivals)}".replace("_", " ") + ".")
+        remarks = "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+        return f"<p><b>verdict: {escape(self.verdict)}</b></p>{table}{remarks}"
+
     def as_json(self) -> dict[str, Any]:
-        """Return what `bowden diagnose --json` prints."""
+        """Return the object that `bowden diagnose --json` prints."""
         return self.found.as_json()
 
     @property

@@ -377,6 +377,29 @@ def test_a_browser_shows_it_greys_what_is_old_and_stops(browser: Any) -> None:
 
 
 @pytest.mark.walltime
+def test_a_click_in_a_running_gait_takes_the_tension_off(browser: Any, tmp_path: Path) -> None:
+    output = tmp_path / "trial.mcap"
+    process = bowden("trial", "--cycles", 2000, "-o", output, "--web", 0, "--json")
+    try:
+        assert process.stderr is not None
+        while not (found := re.search(r"live page: (http\S+)", process.stderr.readline())):
+            assert process.poll() is None
+        browser.visit(found[1])
+        until(browser, "Number(document.getElementById('desired').textContent) > 20")  # no force is desired in homing
+        browser.run("document.getElementById('stop').click()")
+        until(browser, "document.getElementById('status').textContent === 'ended'")
+        text, _ = process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+    assert json.loads(text)["outcome"] == "stopped"
+    columns = trial.open(output).columns
+    assert columns["cycle"].max() >= 0.0
+    assert columns["tension_start_n"].max() > 20.0
+    assert columns["tension_start_n"][-1] < 5.0
+    assert columns["tension_end_n"][-1] < 5.0
+
+
+@pytest.mark.walltime
 def test_a_recorded_trial_is_played_in_the_page_without_foxglove_open(browser: Any, tmp_path: Path) -> None:
     recorder = trial.Recorder(tmp_path / "short.mcap", metadata={}, attachments={}, threaded=False)
     row = [float(place) for place in range(len(trial.SIGNALS))]
