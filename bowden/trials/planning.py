@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from parameters import InputError
 
@@ -51,8 +51,9 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
     return planned(table, [data.read(path) for path in healthy], known)
 
 
-def simulate(name: str, walk: WalkPlan, recorded: Path) -> None:
-    """Record the experiment on the nominal bench, its sensors as noisy as asked for."""
+def simulate(name: str, walk: WalkPlan, recorded: Path, *, day: int = 0,
+             plant_model: Mapping[str, Any] | None = None) -> None:
+    """Record the experiment on the nominal bench, or on `plant_model`, its sensors as noisy as asked for."""
     from bowden.bench import buses, configuration
     from bowden.trials import session
 
@@ -63,10 +64,10 @@ def simulate(name: str, walk: WalkPlan, recorded: Path) -> None:
     reference, sections["gait"], _ = session.reference(
         gait, None, None, period_given=True, peak_given=walk.peak_n is not None)
     sensor = {"noise_n": walk.noise_n}
-    noisy = None if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
+    noisy = plant_model if walk.noise_n is None else {"start_sensor": sensor, "end_sensor": sensor}
     script = None if name == GAIT else name
     prepared = session.prepare(
-        sections, reference, None, buses.simulated(serial=0, plant_model=noisy), dry_run=False, script=script)
+        sections, reference, None, buses.simulated(serial=0, day=day, plant_model=noisy), dry_run=False, script=script)
     result = session.perform(prepared, recorded)
     if result["outcome"] != "completed":
         raise InputError(f"--plan {name}: the simulated trial stopped ({result['stop_reason']}); ask for less.")

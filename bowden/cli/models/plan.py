@@ -1,0 +1,77 @@
+"""`bowden plan`: the experiment that decides between effects which the trials so far do not separate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bowden.cli import options, terminal
+from bowden.cli.app import app
+from bowden.cli.command import NothingGivenError
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from bowden.models.experiment_plan import ExperimentPlan
+
+Trials = Annotated[list[Path] | None, typer.Argument(
+    metavar="TRIAL…", help="Trials of one session: a gait, and experiments that were run.", show_default=False)]
+Book = Annotated[Path | None, typer.Option(
+    metavar="DIR", help="Logbook: its newest ambiguous verdict; with TRIAL, its reference trials.")]
+Model = Annotated[Path | None, typer.Option(
+    metavar="FILE", help="Bench model with effects, TOML: that bench is simulated.")]
+
+
+@app.command("plan")
+def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
+                    json: options.Json = False) -> int:
+    """Find the experiment that decides.
+
+    Predicted by simulating this bench under the motion of each experiment of the catalogue.
+
+    Example: bowden plan trial.mcap --healthy good.mcap
+    """
+    from bowden.models import experiment_plan, logbook_entries
+
+    if model is not None and (trials or healthy or logbook):
+        raise InputError("--model simulates its bench; leave trials, --healthy and --logbook out.")
+    if model is None and logbook is None and not trials:
+        raise NothingGivenError("TRIAL… | --logbook DIR | --model FILE",
+                                "bowden plan: give trials with --healthy, a --logbook or a --model.")
+    with terminal.waiting("simulating the experiments", shown=not json):
+        if model is not None:
+            found = experiment_plan.of_model(model)
+        elif trials:
+            known, deviations = logbook_entries.reference_trials(logbook) if logbook and not healthy else (
+                healthy or [], None)
+            same = {path.resolve() for path in trials}
+            found = experiment_plan.of_trials(trials, [p for p in known if p.resolve() not in same], deviations)
+        else:
+            assert logbook is not None
+            found = experiment_plan.of_logbook(logbook)
+    terminal.emit(found.as_json()) if json else _tell(found)
+    return 0
+
+
+def _tell(found: ExperimentPlan) -> None:
+    if len(found.among) < 2:
+        print(f"Verdict: {found.verdict}. There is nothing to decide between.")
+        return
+    print(f"Not separated: {', '.join(found.among)}.")
+    if found.tried:
+        print(f"Run already, and did not decide: {', '.join(found.tried)}.")
+    terminal.table("experiments that the bench runs by itself", (
+        "experiment", "s", "decides (%)", "with its reference (%)", "least nats"), [
+        (one.name, f"{one.seconds:.0f}", f"{100.0 * one.sure:.0f}", f"{100.0 * one.with_reference:.0f}",
+         f"{one.nats:.0f}") for one in found.experiments])
+    proposed = found.proposed
+    if proposed is None:
+        print("None of them is likely to decide.")
+        for name, words in found.by_hand.items():
+            print(f"By hand: {name}: {words}.")
+        return
+    if proposed.sure < proposed.with_reference:
+        print(f"First, with nothing wrong: bowden trial --experiment {proposed.name} -o {proposed.name}_good.mcap; "
+              "give it with --healthy.")
+    print(f"Run: bowden trial --experiment {proposed.name} -o {proposed.name}.mcap, then diagnose it beside the trial.")

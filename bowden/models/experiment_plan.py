@@ -1,0 +1,132 @@
+"""The experiment that makes an ambiguity set single: of trials, of a logbook, or of a bench model that is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final
+
+from parameters import InputError
+
+if TYPE_CHECKING:
+    from diagnosis.data.table import Table
+    from diagnosis.evidence.experiment_prediction import PlannedExperiment
+
+SIMULATED_DAYS: Final = (0, 1, 2)
+"""Sessions of a simulated bench: two of reference trials, then that of the trial with the model's effects."""
+
+
+@dataclass(frozen=True)
+class ExperimentPlan:
+    """What decides between the effects `among`: `experiments`, the most promising first; `by_hand` in words.
+
+    `verdict` of the trials so far; `tried`: experiments among them, which are not proposed again.
+    """
+
+    verdict: str
+    among: tuple[str, ...]
+    experiments: tuple[PlannedExperiment, ...]
+    tried: tuple[str, ...]
+    by_hand: dict[str, str]
+
+    @property
+    def proposed(self) -> PlannedExperiment | None:
+        """The experiment to run; None where none that the bench runs by itself is likely to decide."""
+        from diagnosis.evidence.experiment_prediction import DECIDES
+
+        return next((one for one in self.experiments if one.best >= DECIDES), None)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        proposed = self.proposed
+        return {"verdict": self.verdict, "class": list(self.among), "tried": list(self.tried),
+                "proposed": None if proposed is None else proposed.name,
+                "experiments": [asdict(one) | {"pair": list(one.pair)} for one in self.experiments],
+                "by_hand": self.by_hand}
+
+
+def of_trials(trials: Sequence[Path], healthy: Sequence[Path], session_sd: dict[str, float] | None = None
+              ) -> ExperimentPlan:
+    """Plan for trials of one session against reference trials; raises `InputError`."""
+    return _planned([_usable(path) for path in trials], [_usable(path) for path in healthy], session_sd)
+
+
+def of_logbook(folder: Path) -> ExperimentPlan:
+    """Plan for the newest trial of a logbook that a diagnosis left ambiguous, with the experiments of its session."""
+    from bowden.models import logbook_entries
+    from logbook.database import open_logbook
+
+    healthy, deviations = logbook_entries.reference_trials(folder)
+    with open_logbook(folder) as book:
+        for entry in book.trials():
+            told = book.verdicts(entry.id)
+            if told and told[-1].get("verdict") == "ambiguous":
+                same = [t for t in book.trials(session=entry.session)
+                        if t.there and (t.id == entry.id or t.experiment not in ("", "gait"))]
+                return of_trials([book.place(t.path) for t in same], healthy, deviations)
+    raise InputError(f"{folder}: no verdict of this logbook is ambiguous; bowden diagnose TRIAL --core evidence "
+                     f"--logbook {folder} enters verdicts.")
+
+
+def of_model(model: Path) -> ExperimentPlan:
+    """Plan for a bench model with effects: its bench is simulated without and with them; raises `InputError`."""
+    from bowden.trials import planning
+    from parameters import read_toml
+
+    tables = read_toml(model)
+    if not tables.get("effects"):
+        raise InputError(f"{model}: states no effect; give a model that bowden diagnose -o wrote, or trials.")
+    without = {name: value for name, value in tables.items() if name != "effects"}
+    with TemporaryDirectory(prefix="bowden-") as folder:
+        paths = [Path(folder) / f"{day}.mcap" for day in SIMULATED_DAYS]
+        for day, path in zip(SIMULATED_DAYS, paths, strict=True):
+            planning.simulate(planning.GAIT, planning.AS_CONFIGURED, path, day=day,
+                              plant_model=tables if day == SIMULATED_DAYS[-1] else without)
+        return of_trials(paths[-1:], paths[:-1])
+
+
+def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: dict[str, float] | None) -> ExperimentPlan:
+    from threadpoolctl import threadpool_limits
+
+    from diagnosis.evidence import decision
+    from diagnosis.evidence.experiment_prediction import predicted_experiments
+    from diagnosis.evidence.hypothesis_search import search
+    from diagnosis.evidence.path_model import PATH_MODEL
+    from diagnosis.evidence.reference_fit import fit_reference
+
+    if not healthy:
+        raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
+    for given in (*trials, *healthy):
+        missing = PATH_MODEL.lacking(given)
+        if missing:
+            raise InputError(f"{given.source}: has no column {', '.join(missing)}; record it.")
+    tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
+    with threadpool_limits(1, user_api="blas"):
+        reference = fit_reference(PATH_MODEL, [PATH_MODEL.record(t) for t in healthy], session_sd)
+        found = search(reference.observe(*(PATH_MODEL.record(t) for t in trials)), reference.prior, reference.starts())
+        decided = decision.decide(found)
+        experiments = predicted_experiments(found, decided.among, reference, tried)
+    return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))
+
+
+def _by_hand(among: Sequence[str]) -> dict[str, str]:
+    """Return, by experiment that needs hands and is named for an effect of the set, what the hands do."""
+    from physics.effects.catalogue import CATALOGUE
+    from physics.effects.separating_experiments import EXPERIMENTS
+
+    named = [CATALOGUE[name].experiment for name in among]
+    return {name: f"{EXPERIMENTS[name].by_hand}; {EXPERIMENTS[name].around}" for name in named
+            if EXPERIMENTS[name].by_hand}
+
+
+def _usable(path: Path) -> Table:
+    from diagnosis.data import integrity, table
+    from diagnosis.evidence.likelihood_data import MOTION
+
+    given = table.read(path)
+    refused = [f.text for f in integrity.examine(given) if f.refuses]
+    if refused:
+        raise InputError(f"{path}: {refused[0]}")
+    return integrity.usable(given, MOTION)

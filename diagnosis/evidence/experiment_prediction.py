@@ -1,0 +1,205 @@
+"""Which experiment makes the ambiguity set single: predicted by simulating this bench under each experiment's motion.
+
+Each effect e of the set has a posterior by the trials so far: mode x̂, covariance Σ.  Under the motion of an experiment
+its predictive distribution is N(μ, S), S = HΣHᵀ + W⁻¹, and the expected log Bayes factor of e against f
+
+    K(e, f) = ½[tr(S_f⁻¹S_e) − n + (μ_f − μ_e)ᵀS_f⁻¹(μ_f − μ_e) + ln det S_f − ln det S_e]
+
+has about the variance 2K.  With K₀ against the reference condition and log Bayes factors g so far, f keeps the share
+(g_f + K₀ − K)/(g_e + K₀) of the evidence, and leaves the set below `SET_SHARE`.  The chance of that, at the least
+distinct f, averaged over which e is true, is how sure it is that the experiment decides.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.stats import norm
+
+from diagnosis.data.table import table
+from diagnosis.evidence.decision import SET_SHARE
+from diagnosis.evidence.hypothesis_search import Searched
+from diagnosis.evidence.likelihood_data import GRID_S, PathRecording
+from diagnosis.evidence.outputs import predict
+from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, widened
+from diagnosis.evidence.reference_fit import ReferenceFit
+from physics.effects.hypotheses import Variant
+from physics.effects.separating_experiments import EXPERIMENTS
+from physics.force_path import KNEE_RAD, STRETCH_M
+from physics.laws import Array
+from physics.path_constants import named
+
+DECIDES: Final = 0.7
+"""Chance from which an experiment counts as deciding: the share of cases that it is to decide."""
+MODEL_SHARE: Final = 0.15
+"""1σ of the share of the evidence by the difference between the bench's friction and stretch equations and the model's,
+which grows with the evidence: without it every experiment is certain to decide, or not to."""
+ROUNDS: Final = 12
+"""Rounds in which the rope is brought to where END is what the experiment asks for."""
+RELAXED: Final = 0.6
+"""Share of a round's correction of the rope: with all of it the friction of both nodes makes it swing."""
+REST_S: Final = 1.0
+"""Time at the first waypoint before an experiment begins, s."""
+
+
+@dataclass(frozen=True)
+class PlannedExperiment:
+    """One experiment, as predicted on this bench.
+
+    `sure`: chance that it leaves the true effect alone; `with_reference`: the same if it is recorded in the reference
+    condition, too.  `nats`: least expected log Bayes factor between two effects of the set, `pair`.
+    """
+
+    name: str
+    seconds: float
+    sure: float
+    with_reference: float
+    nats: float
+    pair: tuple[str, str]
+
+    @property
+    def best(self) -> float:
+        """Chance with or without a reference trial, whichever is larger."""
+        return max(self.sure, self.with_reference)
+
+
+class _Predicted:
+    """An effect of the set under the motion of one experiment: mean, whitened, and the root of its covariance."""
+
+    def __init__(self, at: PosteriorMode, variants: Sequence[Variant], prior: Gaussian, observed: Observed,
+                 slopes: tuple[Array, Array]) -> None:
+        weight = np.sqrt(observed.weight)
+        data, jacobian = slopes
+        covariance = widened(observed.model.constants, prior, variants)[2]
+        factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
+        inward = factor.T @ ((at.design.T * at.weight) @ at.design) @ factor
+        inner = cholesky(np.eye(factor.shape[0]) + inward, lower=True)
+        root = solve_triangular(inner, factor.T, lower=True).T
+        design = np.concatenate([jacobian, observed.features], axis=1)
+        self.mean = weight * (data + observed.features @ at.x[at.constants:])
+        self.spread = weight[:, None] * (design @ root)
+        self.square = np.eye(root.shape[1]) + self.spread.T @ self.spread
+        self.solved = cho_factor(self.square)
+        self.log_det = 2.0 * float(np.log(np.diag(self.solved[0])).sum())
+
+    def against(self, other: _Predicted) -> float:
+        """Return K(self, other), nats."""
+        cross = other.spread.T @ self.spread
+        off = other.mean - self.mean
+        along = other.spread.T @ off
+        own = self.square.trace() - self.square.shape[0]
+        trace = own - float(np.trace(cho_solve(other.solved, other.square - np.eye(other.square.shape[0])))) - float(
+            np.sum(cross * cho_solve(other.solved, cross)))
+        squared = float(off @ off - along @ cho_solve(other.solved, along))
+        return float(max(0.5 * (trace + squared + other.log_det - self.log_det), 0.0))
+
+
+def predicted_experiments(found: Searched, among: Sequence[str], reference: ReferenceFit,
+                          tried: Sequence[str] = ()) -> list[PlannedExperiment]:
+    """Return what each experiment that a bench runs by itself would decide, the most promising first.
+
+    `among`: the ambiguity set; `tried`: experiments that were run already, which are left out.
+    """
+    effects = [name for name in among if name in found.single]
+    if len(effects) < 2:
+        return []
+    planned = [_planned(name, found, effects, reference) for name, one in EXPERIMENTS.items()
+               if one.script and one.waypoints and name not in tried]
+    return sorted(planned, key=lambda one: (-min(one.best, DECIDES), one.seconds))
+
+
+def _planned(name: str, found: Searched, effects: Sequence[str], reference: ReferenceFit) -> PlannedExperiment:
+    q = reference.origin.copy()
+    q[list(reference.model.constants.free)] += reference.bench.mean[:len(reference.model.constants.free)]
+    recording = motion_of(name, q, found.observed.trials[0])
+    observed = reference.observe(recording)
+    slopes = {effect: observed.jacobian(at.q, at.active)
+              for effect, at in [("", found.null), *((e, found.single[e]) for e in effects)]}
+    paired = _with_reference(reference, observed, q)
+    sure = [_decides(found, effects, observed, slopes, prior) for prior in (reference.prior, paired)]
+    chance, nats, pair = sure[0]
+    return PlannedExperiment(name, float(recording.time_s[-1]), chance, sure[1][0], nats, pair)
+
+
+def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes: dict[str, tuple[Array, Array]],
+             prior: Gaussian) -> tuple[float, float, tuple[str, str]]:
+    """Return the chance that the experiment leaves the true effect alone, and the least distinct pair with its nats."""
+    told = {effect: _Predicted(found.single[effect], [found.variants[effect]], prior, observed, slopes[effect])
+            for effect in effects}
+    null = _Predicted(found.null, [], prior, observed, slopes[""])
+    gains = found.gains()
+    chances, least = [], (np.inf, (effects[0], effects[1]))
+    for true in effects:
+        whole = told[true].against(null)
+        alone = 1.0
+        for other in effects:
+            if other == true:
+                continue
+            nats = told[true].against(told[other])
+            least = min(least, (nats, (true, other)))
+            best = gains[true] + whole
+            share = (gains[other] + whole - nats) / best
+            spread = np.hypot(MODEL_SHARE, np.sqrt(2.0 * nats) / best)
+            alone = min(alone, float(norm.cdf((SET_SHARE - share) / spread)))
+        chances.append(alone)
+    return float(np.mean(chances)), float(least[0]), least[1]
+
+
+def _with_reference(reference: ReferenceFit, observed: Observed, q: Array) -> Gaussian:
+    """Return the prior of a trial after the experiment has been recorded in the reference condition, too."""
+    free = reference.model.constants.free
+    _, jacobian = observed.jacobian(q, free)
+    design = np.concatenate([jacobian, observed.features], axis=1)
+    square = (design.T * observed.weight) @ design
+    session = np.diag(reference.prior.covariance - reference.bench.covariance)
+    information = np.linalg.solve(np.eye(session.size) + square * session, square)
+    bench = np.linalg.inv(np.linalg.inv(reference.bench.covariance) + 0.5 * (information + information.T))
+    covariance: Array = np.asarray(bench + np.diag(session), np.float64)
+    return Gaussian(reference.prior.origin, reference.prior.mean, covariance)
+
+
+def motion_of(name: str, q: Array, like: PathRecording | Any) -> PathRecording:
+    """Return the experiment `name` as bench `q` would record it, its sensors as noisy as those of a trial `like` it."""
+    given = dict(_followed(name, q.tobytes(), q.size))
+    columns = {n: v for n, v in given.items() if n not in ("tension_end_n", "servo_force_n") or n in like.outputs}
+    recording = PathRecording(table(name, columns))
+    recording.noise_n = dict(like.noise_n)
+    return recording
+
+
+@functools.lru_cache(maxsize=32)
+def _followed(name: str, bench: bytes, size: int) -> tuple[tuple[str, Array], ...]:
+    """Return the columns of an experiment's waypoints, the rope led until END is what they ask for."""
+    q = np.frombuffer(bench, np.float64, size)
+    constants = named(q)
+    points = EXPERIMENTS[name].waypoints
+    at = np.concatenate([[0.0, REST_S], REST_S + np.cumsum([p.seconds for p in points])])
+    time = np.arange(0.0, at[-1], GRID_S)
+    end = np.interp(time, at, [points[0].end_n] * 2 + [p.end_n for p in points])
+    knee = np.deg2rad(np.interp(time, at, [points[0].knee_deg] * 2 + [p.knee_deg for p in points]))
+    on = knee - KNEE_RAD
+    anchor = (constants["arm"] + (constants["arm2"] + constants["arm3"] * on) * on) * on
+    per_n = STRETCH_M / constants["stiffness"]
+    rope = constants["zero"] + anchor + 0.7 * per_n * end
+    for _ in range(ROUNDS):
+        path = _simulated(time, rope, knee, end, q)
+        rope = rope + RELAXED * per_n * np.clip(end - path.end[0], -5.0, 5.0)
+    path = _simulated(time, rope, knee, end, q)
+    return tuple({"time_s": time, "servo_position_m": rope, "knee_angle_rad": knee, "tension_start_n": path.start[0],
+                  "tension_end_n": path.end[0], "servo_force_n": path.start[0]}.items())
+
+
+def _simulated(time: Array, rope: Array, knee: Array, end: Array, q: Array) -> Any:
+    given = {"time_s": time, "servo_position_m": rope, "knee_angle_rad": knee, "tension_start_n": end}
+    made = PathRecording(table("motion", given))
+    padded = made.time_s.size
+    path = predict(q[:, None], made).path
+    fill = time.size - padded
+    return path if not fill else path._replace(
+        start=np.pad(path.start, ((0, 0), (0, fill)), mode="edge"),
+        end=np.pad(path.end, ((0, 0), (0, fill)), mode="edge"))
