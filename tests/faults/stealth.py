@@ -44,8 +44,11 @@ ATTACKS: tuple[Attack, ...] = (
     Attack("sheath slips, within 2 s", 4.0, "mm", lambda x: slow.slips(x / 1e3)),
     Attack("sheath slips, within 2 s", -4.0, "mm", lambda x: slow.slips(x / 1e3)),
     Attack("servo encoder creeps", 1.0, "mm/s", lambda x: slow.servo_creeps(x / 1e3)),
-    Attack("servo encoder errs with START", 0.1, "mm/N", lambda x: slow.servo_by_tension(x / 1e3)),
-    Attack("knee encoder's scale, within 2 s", 15.0, "%", lambda x: slow.knee_scale(x / 100.0), slow.LEG),
+    Attack("servo encoder and its velocity err with START", 0.1, "mm/N",
+           lambda x: slow.counted(slow.servo_by_tension(x / 1e3))),
+    Attack("knee encoder's scale, within 2 s", 15.0, "%", lambda x: slow.knee_scale(x / 100.0)),
+    Attack("knee encoder's scale and its velocity, within 2 s", 15.0, "%",
+           lambda x: slow.counted(slow.knee_scale(x / 100.0)), slow.LEG),
     Attack("knee encoder creeps", 1.5, "°/s", lambda x: slow.knee_creeps(x * DEGREE), slow.LEG),
     Attack("friction, within 2 s", 3.0, "×", lambda x: slow.friction(1.0 + x)),
 )
