@@ -83,6 +83,8 @@ def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
     lines = (["## Slow faults", "", f"{count} with their gaits of six cycles and their moments."] if slow else
              ["## Faults that begin at once", "", f"{count} with their moments."])
     lines[-1] += " Every row keeps its bounds or has a reason below." if not broken else " Beyond a bound:"
+    if slow:
+        lines[-1] += f" Gaits (controller, period): {'; '.join(sorted({v.walk for v in found}))}."
     lines += ["", *(f"- {v.name}, {v.moment}, {v.walk}: {'; '.join(v.faults)}" for v in broken), *([""] if broken else [])]
     gait, leg = ("gait | ", "leg | ") if slow else ("", "")
     lines += [f"| fault | at | {gait}said after | true peak | END off | {leg}slack | pull | stop | log | said |",

@@ -6,6 +6,7 @@ may choose, for the search of `tests.faults.stealth`.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -87,6 +88,20 @@ def start_freezes(for_s: float) -> Act:
         if t % (2.0 * for_s) < for_s:
             kept[0] = value
         return kept[0]
+    return sensed(start_n=lie)
+
+
+def start_replayed(for_s: float) -> Act:
+    """START repeats its next `for_s` from then on, as a recording that is played again and again."""
+    kept: list[float] = []
+    began: list[float] = []
+
+    def lie(value: float, t: float) -> float:
+        if t < for_s:
+            kept.append(value)
+            began.append(t)
+            return value
+        return kept[bisect_right(began, t % for_s) - 1]
     return sensed(start_n=lie)
 
 
@@ -195,9 +210,10 @@ ROWS: tuple[Row, ...] = (
     _row("START's gain − 18.75 % within 2 s", start_gain(-0.1875), SENSED),
     _row("START, END and torque − 33 % within 2 s", alike(-1.0 / 3.0), ALIKE, beyond=TWO_LIE),
     _row("START's delay grows to 13 ms", start_late(0.013), SENSED),
-    _row("START freezes 20 of 40 ms", start_freezes(0.020), (*SENSED, names.implausible("START"))),
+    _row("START freezes 20 of 40 ms", start_freezes(0.020), SENSED),
+    _row("START plays its last 1.1 s again and again", start_replayed(1.1), SENSED),
     _row("START and END swapped", swapped, SENSED, ("idle",)),
-    _row("END's gain − 20 % within 2 s", end_gain(-0.2), SENSED),
+    _row("END's gain − 20 % within 2 s", end_gain(-0.2), (names.PARTED, names.END_OR_ROPE, names.BETWEEN)),
     _row("sheath slips by 2 mm within 2 s", slips(0.002), ALIKE),
     _row("sheath slips by − 2 mm within 2 s", slips(-0.002), ALIKE),
     _row("sheath slips by − 4 mm within 2 s", slips(-0.004), ALIKE),
@@ -208,7 +224,7 @@ ROWS: tuple[Row, ...] = (
     _row("knee encoder's scale + 13 % within 2 s", knee_scale(0.13), (KNEE_ENCODER,)),
     _row("knee encoder's scale and its velocity + 13 % within 2 s", counted(knee_scale(0.13)), ALIKE, beyond=LEG),
     _row("knee encoder creeps by 0.6°/s", knee_creeps(0.6 * DEGREE), ALIKE, beyond=LEG),
-    _row("friction × 2.5 within 2 s", friction(2.5), SENSED),
+    _row("friction × 2.5 within 2 s", friction(2.5), (names.PARTED, names.START_OR_PATH, names.BETWEEN)),
 )
 
 VELOCITY: tuple[Row, ...] = (
