@@ -132,9 +132,11 @@ def measure(bench: Mapping[str, Any], period_s: float, variant: str) -> dict[str
 
 def chosen(benches: Mapping[tuple[str, int], Mapping[str, Any]], more: Sequence[int]) -> dict[str, tuple[int, float]]:
     """Return the walks of the page by name: best, median and worst loaded part, the largest jumps, and `more`."""
+    told = family.within([b for (kind, _), b in benches.items() if kind == "family" and b.get("discrepancy")])
     walks = [(family.loaded(walk), family.jump(walk), int(walk["bench"]["serial"]), period)
-             for period in family.PERIODS_S for walk in family.walks(
-                 family.within([b for (kind, _), b in benches.items() if kind == "family"]), period)]
+             for period in family.PERIODS_S for walk in family.walks(told, period)]
+    if not walks:
+        raise SystemExit("docs/unseen.csv has no discrepancy; run python -m benchmarks.family --again first.")
     by_loaded, by_jump = sorted(walks), sorted(walks, key=lambda walk: -walk[1])
     middle = min(by_loaded, key=lambda walk: abs(walk[0] - median(each[0] for each in by_loaded)))
     named = {"best": by_loaded[0], "median": middle, "worst": by_loaded[-1], "largest jump": by_jump[0],

@@ -293,12 +293,32 @@ def page(benches: Sequence[Mapping[str, Any]]) -> str:
     if family:
         parts += ["\n## What is not met, and by which walks\n", _missed(groups["family"]),
                   "\n## By structure, both periods, within reach\n", _by_structure(family)]
+    parts += ["\n## With what identification told of END\n", _again(benches)]
     for name, chosen in groups.items():
         if chosen and name != "family":
             parts += [f"\n## {name.capitalize()}: {len(chosen)} benches\n", _group(chosen)]
     if family:
         parts += ["\n## Identification: constants within their own 95 % interval\n", _coverage(family)]
     return "\n".join(parts) + "\n"
+
+
+def _again(benches: Sequence[Mapping[str, Any]]) -> str:
+    """Return the walks by a calibration with a discrepancy beside those by the same calibration without one."""
+    rows = []
+    for bench in (b for b in benches if b.get("discrepancy")):
+        for period in PERIODS_S:
+            for walk in walks([bench], period):
+                if walk.get("before", {}).get("by_cycle"):
+                    pair = [{**walk, **walk["before"]}, walk]
+                    rows.append([f"{bench['kind']} {bench['serial']}", f"{period:g}", *(
+                        " → ".join(f"{figure(each):.2f}" for each in pair)
+                        for figure in (lambda w: float(w[TRUE]), loaded, jump, _rise))])
+    again = sum(bool(b.get("discrepancy")) for b in benches)
+    text = (f"{again} of {len(benches)} benches were walked again by a calibration with a discrepancy "
+            "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)); the other rows of this page are by "
+            "calibrations without one, and `python -m benchmarks.family --again` walks them again. Without → with:")
+    heads = ("bench", "period (s)", "RMSE (%)", "loaded part (%)", "jump (% of peak)", "RMSE above cycle 0's (points)")
+    return f"{text}\n\n{table(heads, rows)}"
 
 
 def within(benches: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

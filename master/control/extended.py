@@ -169,7 +169,8 @@ def step(
         deviation *= config.decay
     else:
         heard = _heard(paths, resting)
-        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * (desired - estimated)
+        apart = trusted(desired - estimated, here.doubt * desired)
+        deviation = (1.0 - heard + heard * config.decay) * deviation + heard * config.gain_m_n * apart
         if not resting and desired > config.least_n:
             evidence = friction_evidence(
                 state.law, state.followed, seen.servo_position_m - config.zero_m,
@@ -206,6 +207,17 @@ def _heard(paths: tuple[Ahead, ...], resting: int) -> float:
     here, after = paths[0], paths[min(1, len(paths) - 1)]
     change = abs(after.by_sheath + after.by_knee - here.by_sheath - here.by_knee)
     return TURNED / (1.0 + (change / TURNING_FAST) ** 2)
+
+
+def trusted(error_n: float, doubt_n: float) -> float:
+    """Return how much of an error of END is fed back and so learnt, N: e·e²/(e² + σ²).
+
+    σ is the standard deviation of the estimate by the identified discrepancy; without one the error is taken whole.
+    """
+    if not doubt_n:
+        return error_n
+    square = error_n * error_n
+    return error_n * square / (square + doubt_n * doubt_n)
 
 
 def _side(state: ExtendedState, here: Ahead, gait: GaitTable, now: int) -> float:

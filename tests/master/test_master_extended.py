@@ -315,3 +315,9 @@ def test_only_the_products_of_wrap_and_friction_move_the_rope() -> None:
     other = dataclasses.replace(one, wrap_slope=2.0 * one.wrap_slope, wrap_offset=2.0 * one.wrap_offset,
                                 fabric_friction=0.5 * one.fabric_friction)
     assert inverse.law(other, PERIOD_S) == inverse.law(one, PERIOD_S)
+
+
+def test_an_error_within_the_doubt_of_the_discrepancy_is_hardly_fed_back() -> None:
+    """Without a discrepancy all of it is; at one standard deviation half of it, at ten 99 %."""
+    assert extended.trusted(0.3, 0.0) == 0.3
+    assert [extended.trusted(error, 0.1) for error in (0.1, -0.1, 1.0)] == pytest.approx([0.05, -0.05, 0.99], rel=1e-3)
