@@ -249,8 +249,9 @@ def look_ahead(
     if config.beyond is not None:
         beyond, doubt, slips = end_discrepancy.evaluate(
             config.beyond, slips, gait.desired[then], knee, state.slip, slip, sheath_slow, knee_slow)
+    lacking = (start - drag) * math.expm1(beyond)
     answer = Ahead(
-        position - gait.slack[then], start, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
+        position + state.law.rope_compliance * lacking - gait.slack[then], start + lacking, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
         behind, beyond, doubt)
     return (*state.paths, answer)[-(config.ahead + 2):], slip, slips, (behind, knee)
 
