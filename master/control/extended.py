@@ -251,8 +251,8 @@ def look_ahead(
             config.beyond, slips, gait.desired[then], knee, state.slip, slip, sheath_slow, knee_slow)
     lacking = (start - drag) * math.expm1(beyond)
     answer = Ahead(
-        position + state.law.rope_compliance * lacking - gait.slack[then], start + lacking, drag, by_sheath, by_knee, sheath_slow, knee_slow, slip[0], slip[1],
-        behind, beyond, doubt)
+        position + state.law.rope_compliance * lacking - gait.slack[then], start + lacking, drag, by_sheath, by_knee,
+        sheath_slow, knee_slow, slip[0], slip[1], behind, beyond, doubt)
     return (*state.paths, answer)[-(config.ahead + 2):], slip, slips, (behind, knee)
 
 
