@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from eds.bench.bench_network import END, KNEE, NAMES, SERVO, START, WireLayout, tpdo_cob_id
-from eds.declaration import DeclaredDevice
+from eds.bench.bench_network import NAMES, WireLayout, tpdo_cob_id
+from eds.declaration import EXTENDS, MIRROR_RAD, DeclaredBench, DeclaredDevice, ForcePath
 from eds.pdo_plan import Field, PdoPlan
 from eds.scale_factors import drum_radius_m
 from trial.convert import clock
+from trial.signals import PDO_NAMES
 
 Floats = NDArray[np.float64]
 
@@ -26,19 +27,20 @@ NO_TENSION = -32768  # what a sensor without a valid value sends as 0x7130
 TENSION = 0x7130
 NMT_WORDS = {1: "start", 2: "stop", 128: "enter pre-operational", 129: "reset node", 130: "reset communication"}
 
-# (node, part that an object of its TPDO plays): signal
+# (place in a force path, part that an object of its TPDO plays): signal
 INPUTS = {
-    (SERVO, "statusword"): "servo_statusword", (SERVO, "position"): "servo_position_m",
-    (SERVO, "torque"): "servo_force_n", (KNEE, "statusword"): "knee_statusword", (KNEE, "position"): "knee_angle_rad",
-    (START, "value"): "tension_start_n", (END, "value"): "tension_end_n",
+    ("servo", "statusword"): "servo_statusword", ("servo", "position"): "servo_position_m",
+    ("servo", "torque"): "servo_force_n", ("knee", "statusword"): "knee_statusword",
+    ("knee", "position"): "knee_angle_rad", ("start", "value"): "tension_start_n", ("end", "value"): "tension_end_n",
 }
-TARGETS = ("servo_target_m", "knee_target_rad")
+TARGETS = {"servo": "servo_target_m", "knee": "knee_target_rad"}
+ANGLES = ("knee_angle_rad", "knee_target_rad")
 
 
 class Place(NamedTuple):
     """Meaning of one mapped object: its signal, raw × scale / divisor in SI, its field and its first bit.
 
-    `optional`: the least integer marks a missing value.
+    `optional`: the least integer marks a missing value.  `offset` is added, in SI.
     """
 
     signal: str
@@ -47,6 +49,7 @@ class Place(NamedTuple):
     optional: bool
     field: Field
     bit: int
+    offset: float = 0.0
 
 
 class PdoSource(NamedTuple):
@@ -66,20 +69,53 @@ class DecodedCycles(NamedTuple):
     counts: dict[str, int]
 
 
+def prefixes(bench: DeclaredBench) -> tuple[str, ...]:
+    """Return what the signals of each force path begin with: nothing on a bench of a single one."""
+    return ("",) if len(bench.force_paths) == 1 else tuple(f"{path.name}." for path in bench.force_paths)
+
+
 def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
-    """Return what every PDO of a bench carries: the nodes' TPDOs, then the targets."""
-    found = []
-    radius = drum_radius_m(wire.nodes[SERVO].dictionary)
-    for node in (node for node in (SERVO, KNEE, START, END) if node in wire.nodes):
-        plan, signals = wire.tpdo[tpdo_cob_id(node)], inputs_of(wire, node)
-        places = [Place(signals[field.key], field.scale, radius if signals[field.key] == "servo_force_n" else 1.0,
-                        field.key >> 8 == TENSION, field, bit)
-                  for field, bit in offsets(plan) if field.key in signals]
-        found.append(PdoSource(plan, NAMES[node], tuple(places), f"{NAMES[node]}_pdo_arrival_ns"))
-    found += [_observed(wire, device) for device in wire.network.bench.observers]
-    targets = [Place(signal, field.scale, 1.0, False, field, bit)
-               for (field, bit), signal in zip(offsets(wire.targets), TARGETS, strict=True)]
-    return (*found, PdoSource(wire.targets, "target", tuple(targets), None))
+    """Return what every PDO of a bench carries: the nodes' TPDOs by force path, then the targets.
+
+    The TPDO of a joint that two paths have is there for each of them.
+    """
+    found, bench = [], wire.network.bench
+    paths = list(zip(bench.force_paths, prefixes(bench), wire.paths, strict=True))
+    for path, prefix, nodes in paths:
+        radius = drum_radius_m(wire.nodes[nodes.servo].dictionary)
+        for place, node in zip(PDO_NAMES, nodes, strict=True):
+            if node:
+                found.append(_input(wire, path, prefix, place, node, radius))
+    found += [_observed(wire, device) for device in bench.observers]
+    for name, plan, nodes_of in wire.master_frames():
+        if name == "target":
+            targets = [_counted(Place(prefix + signal, field.scale, 1.0, False, field, bit), path)
+                       for (field, bit), node in zip(offsets(plan), nodes_of, strict=True)
+                       for path, prefix, nodes in paths
+                       for place, signal in TARGETS.items() if getattr(nodes, place) == node]
+            count_name = "target" if len(paths) == 1 else f"target_{plan.cob_id:x}"
+            found.append(PdoSource(plan, count_name, tuple(targets), None))
+    return tuple(found)
+
+
+def _input(wire: WireLayout, path: ForcePath, prefix: str, place: str, node: int, radius: float) -> PdoSource:
+    """Return what a TPDO carries for one force path."""
+    plan, entry = wire.tpdo[tpdo_cob_id(node)], wire.nodes[node]
+    sent = next(device.type.sent for device in wire.network.bench.devices if device.node_id == node)
+    signals = {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items()
+               if of == place and part in sent}
+    places = [_counted(Place(prefix + signals[field.key], field.scale,
+                             radius if signals[field.key] == "servo_force_n" else 1.0, field.key >> 8 == TENSION, field,
+                             bit), path)
+              for field, bit in offsets(plan) if field.key in signals]
+    return PdoSource(plan, prefix + place, tuple(places), f"{prefix}{place}_pdo_arrival_ns")
+
+
+def _counted(place: Place, path: ForcePath) -> Place:
+    """Return a place with a joint's angle as its path counts it."""
+    if path.acts != EXTENDS or not place.signal.endswith(ANGLES):
+        return place
+    return place._replace(scale=-place.scale, offset=MIRROR_RAD)
 
 
 def _observed(wire: WireLayout, device: DeclaredDevice) -> PdoSource:
@@ -91,16 +127,10 @@ def _observed(wire: WireLayout, device: DeclaredDevice) -> PdoSource:
     return PdoSource(plan, device.name, places, None)
 
 
-def inputs_of(wire: WireLayout, node: int) -> dict[int, str]:
-    """Signals by the keys of the objects that a node's TPDO carries, whichever device is in its place."""
-    entry = wire.nodes[node]
-    sent = next(device.type.sent for device in wire.network.bench.devices if device.node_id == node)
-    return {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items() if of == node and part in sent}
-
-
 def bench_channel(rows: NDArray[np.void], wire: WireLayout) -> int:
     """Return the channel with the most SYNC and PDO frames of this bench."""
-    ours = np.isin(rows["can_id"], [SYNC, wire.targets.cob_id, *wire.tpdo]) & (rows["flags"] == 0)
+    known = [SYNC, *(plan.cob_id for plan in wire.target_frames), *wire.tpdo]
+    ours = np.isin(rows["can_id"], known) & (rows["flags"] == 0)
     return int(np.bincount(rows["channel"][ours], minlength=1).argmax())
 
 
@@ -113,10 +143,10 @@ def cycles(rows: NDArray[np.void], wire: WireLayout) -> DecodedCycles:
                           {"cycles": len(sync), "coarse_stamps": coarse})
     for source in layout(wire):
         _fill(found, rows, sync, source)
-    position = found.columns["servo_position_m"]
-    if len(sync) > 1:
+    for prefix in prefixes(wire.network.bench) if len(sync) > 1 else ():
+        position = found.columns[f"{prefix}servo_position_m"]
         velocity = np.diff(position, prepend=np.nan) / np.diff(found.columns["time_s"], prepend=np.nan)
-        found.columns["servo_velocity_m_s"] = velocity
+        found.columns[f"{prefix}servo_velocity_m_s"] = velocity
     return DecodedCycles(times, {name: column for name, column in found.columns.items() if not np.isnan(column).all()},
                          found.counts)
 
@@ -144,6 +174,8 @@ def _fill(found: DecodedCycles, rows: NDArray[np.void], sync: NDArray[np.intp], 
     for one in source.places:
         raw = _raw(rows["data"][place], one.field, one.bit)
         values = raw * one.scale / one.divisor
+        if one.offset:
+            values += one.offset
         if one.optional:
             values[raw == NO_TENSION] = np.nan
         found.columns[one.signal] = _column(len(sync), cycle, values)
@@ -204,5 +236,5 @@ def decoded_events_and_cycles(
 ) -> tuple[list[tuple[int, str, str, str]], DecodedCycles]:
     """Return events and cycles of the bench's channel."""
     ours = rows[rows["channel"] == bench_channel(rows, wire)]
-    return events(ours), cycles(ours, wire)
+    return events(ours, {node: entry.name for node, entry in wire.nodes.items()}), cycles(ours, wire)
 

@@ -9,42 +9,50 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from eds.bench.bench_network import NAMES, WireLayout
-from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, PdoSource, layout, offsets
-from trial.signals import UNITS, with_observers
+from eds.bench.bench_network import WireLayout
+from trial.decode import INPUTS, NO_TENSION, SYNC, TARGETS, PdoSource, layout, offsets, prefixes
+from trial.signals import of_bench
 
-Place = tuple[int, int, float, float, bool]  # in the PDO, in the row, scale, divisor, optional
+Place = tuple[int, int, float, float, float, bool]  # in the PDO, in the row, scale, divisor, offset, optional
 
 
 class Follower:
     """Rows of one bench's bus; `names` are their columns, `units` the units."""
 
     def __init__(self, wire: WireLayout) -> None:
-        arrivals = [f"{NAMES[node]}_pdo_arrival_ns" for node in wire.nodes if node in NAMES]
-        units = {signal.name: signal.unit for signal in with_observers(wire.network.bench)}
-        observed = [name for name in units if name not in UNITS]
-        self.names = ("time_s", *INPUTS.values(), *TARGETS, "servo_velocity_m_s", *arrivals, *observed)
+        units = {signal.name: signal.unit for signal in of_bench(wire.network.bench)}
+        bench = wire.network.bench
+        self._prefixes = prefixes(bench)
+        own = [f"{prefix}{name}" for prefix, nodes in zip(self._prefixes, wire.paths, strict=True)
+               for name in (*INPUTS.values(), *TARGETS.values(), "servo_velocity_m_s",
+                            *(f"{place}_pdo_arrival_ns" for place, node in nodes._asdict().items() if node))]
+        observed = [f"{device.name}_{one.ending}" for device in bench.observers for one in device.type.observed]
+        self.names = ("time_s", *own, *observed)
         self.units = {name: units[name] for name in self.names}
         columns = {name: place for place, name in enumerate(self.names)}
         self._sources = _sources(wire, columns)
-        self._position, self._velocity = columns["servo_position_m"], columns["servo_velocity_m_s"]
+        self._moved = [(columns[f"{prefix}servo_position_m"], columns[f"{prefix}servo_velocity_m_s"])
+                       for prefix in self._prefixes]
         self._row: list[float] | None = None
         self._first_ns = self._sync_ns = 0
-        self._before = (math.nan, math.nan)  # time and position of the row before
+        self._before = [math.nan] * (1 + len(self._moved))  # time, and position of each path, of the row before
 
     def frame(self, time_ns: int, can_id: int, data: bytes) -> tuple[int, list[float]] | None:
         """Take a base-format data frame; returns the time of the SYNC (ns) and the row that it ended, or None."""
         if can_id == SYNC:
             return self._next(time_ns)
-        known, row = self._sources.get(can_id), self._row
-        if known is None or row is None or len(data) < known[0].plan.size:
+        row = self._row
+        if row is None:
             return None
-        source, places, arrival = known
-        values = source.plan.unpack(data)
-        for at, column, scale, divisor, optional in places:
-            row[column] = math.nan if optional and values[at] == NO_TENSION else values[at] * scale / divisor
-        if arrival is not None:
-            row[arrival] = float(time_ns - self._sync_ns)
+        for source, places, arrival in self._sources.get(can_id, ()):
+            if len(data) < source.plan.size:
+                return None
+            values = source.plan.unpack(data)
+            for at, column, scale, divisor, offset, optional in places:
+                value = values[at] * scale / divisor
+                row[column] = math.nan if optional and values[at] == NO_TENSION else value + offset if offset else value
+            if arrival is not None:
+                row[arrival] = float(time_ns - self._sync_ns)
         return None
 
     def _next(self, time_ns: int) -> tuple[int, list[float]] | None:
@@ -58,20 +66,21 @@ class Follower:
         return None if ended is None else (sync_ns, ended)
 
     def _differentiate(self, row: list[float]) -> None:
-        seconds, position = row[0], row[self._position]
-        step = seconds - self._before[0]
+        step = row[0] - self._before[0]
         if step > 0:
-            row[self._velocity] = (position - self._before[1]) / step
-        self._before = (seconds, position)
+            for (position, velocity), before in zip(self._moved, self._before[1:], strict=True):
+                row[velocity] = (row[position] - before) / step
+        self._before = [row[0], *(row[position] for position, _ in self._moved)]
 
 
 def _sources(
     wire: WireLayout, columns: Mapping[str, int]
-) -> dict[int, tuple[PdoSource, tuple[Place, ...], int | None]]:
-    found = {}
+) -> dict[int, list[tuple[PdoSource, tuple[Place, ...], int | None]]]:
+    found: dict[int, list[tuple[PdoSource, tuple[Place, ...], int | None]]] = {}
     for source in layout(wire):
         order = {bit: at for at, (_, bit) in enumerate(offsets(source.plan))}
-        places = tuple((order[one.bit], columns[one.signal], one.scale, one.divisor, one.optional)
+        places = tuple((order[one.bit], columns[one.signal], one.scale, one.divisor, one.offset, one.optional)
                        for one in source.places)
-        found[source.plan.cob_id] = source, places, None if source.arrival is None else columns[source.arrival]
+        found.setdefault(source.plan.cob_id, []).append(
+            (source, places, None if source.arrival is None else columns[source.arrival]))
     return found

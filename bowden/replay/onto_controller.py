@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bowden.replay.comparison import Comparison
-from eds.bench.bench_network import KNEE, WireLayout, wire
+from eds.bench.bench_network import WireLayout, wire
 from master.control.controller import Kind, signals
 from master.control.homing_fit import HomingFit
 from master.cycle.inputs import NOTHING, CycleAnnotations, Inputs
@@ -80,7 +80,7 @@ class RecordedInputs:
         ages = [columns[f"{name}_pdo_age_ns"][rows.start:rows.stop] > 0 for name in PDO_NAMES]
         missing = sum(late.astype(np.int64) << i for i, late in enumerate(ages))
         given = [columns[name][rows.start:rows.stop] for name in INPUTS]
-        if KNEE not in described.drives:  # an encoder has no statusword
+        if described.path.knee not in described.drives:  # an encoder has no statusword
             given[INPUTS.index("knee_statusword")] = np.zeros(len(rows))
         table = np.array(given).T.tolist()
         stamps = recorded.time_ns[rows.start:rows.stop].tolist()

@@ -21,7 +21,7 @@ from eds.cia301 import HEARTBEAT_BASE, NMT_COB_ID, SDO_REQUEST_BASE, SYNC_COB_ID
 from parameters import InputError
 from trial import decode
 from trial.read import Trial
-from trial.signals import SIGNALS, Signal
+from trial.signals import SIGNALS, Signal, of_bench
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def commands(described: WireLayout) -> Selection:
     """The frames that a master sends: NMT, SYNC, targets, controlwords, SDO requests and its heartbeat."""
     requests = {SDO_REQUEST_BASE + node for node in described.nodes}
     return Selection(cob_ids=frozenset({
-        NMT_COB_ID, SYNC_COB_ID, described.targets.cob_id, described.controlwords.cob_id, HEARTBEAT_BASE + MASTER,
+        NMT_COB_ID, SYNC_COB_ID, *(plan.cob_id for _, plan, _ in described.master_frames()), HEARTBEAT_BASE + MASTER,
         *requests}))
 
 
@@ -105,9 +105,9 @@ def residuals(recorded: Trial, simulated: Rows, described: WireLayout) -> Residu
     sides: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     columns: dict[str, Floats] = {}
     figures: dict[str, SignalResidual] = {}
-    for signal in SIGNALS:
+    for signal in of_bench(described.network.bench):
         one, other = then.columns.get(signal.name), again.columns.get(signal.name)
-        if (one is None and other is None) or signal.name in _NOT_COMPARED:
+        if (one is None and other is None) or signal.name.rpartition(".")[2] in _NOT_COMPARED:
             continue
         nothing = np.full(count, np.nan)
         one = nothing if one is None else one[:count]
@@ -120,9 +120,10 @@ def residuals(recorded: Trial, simulated: Rows, described: WireLayout) -> Residu
 
 def _gait(recorded: Trial, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return the rows in a gait cycle, all if the trial has no numbers of gait cycles."""
-    if "cycle" not in recorded.columns:
+    cycle = next((column for name, column in recorded.columns.items() if name.rpartition(".")[2] == "cycle"), None)
+    if cycle is None:
         return np.ones(len(time_ns), np.bool_)
-    return np.isin(time_ns, recorded.time_ns[recorded.columns["cycle"] >= 0])
+    return np.isin(time_ns, recorded.time_ns[cycle >= 0])
 
 
 def figure(
@@ -154,6 +155,8 @@ def table(recorded: Trial, found: Residuals) -> tuple[tuple[Signal, ...], dict[s
         column[ours] = recorded.columns[name][theirs]
     signals = [declared[name] for name in kept]
     for name in found.columns:
-        unit, text = declared[name].unit, declared[name].text
-        signals.append(Signal(f"{PREFIX}{name}", unit, f"recorded − simulated: {text}", derived=True))
-    return tuple(signals), kept | {f"{PREFIX}{name}": column for name, column in found.columns.items()}
+        path, dot, own = name.rpartition(".")
+        unit, text = declared[own].unit, declared[own].text
+        signals.append(Signal(f"{path}{dot}{PREFIX}{own}", unit, f"recorded − simulated: {text}", derived=True))
+    return tuple(signals), kept | dict(
+        zip([signal.name for signal in signals[len(kept):]], found.columns.values(), strict=True))

@@ -30,7 +30,7 @@ from dataclasses import dataclass, field, replace
 import can
 import numpy as np
 
-from eds.bench.bench_network import END, KNEE, Network, wire
+from eds.bench.bench_network import Network, wire
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle
@@ -147,8 +147,8 @@ def walk(
 def with_gait(what: str, network: Network) -> bool:
     """Say whether a procedure ends with gait trials: they need one force path, its END sensor and its knee drive."""
     described = wire(network)
-    return (what in WALKED and len(network.bench.force_paths) == 1 and END in described.nodes
-            and KNEE in described.drives)
+    return (what in WALKED and len(described.paths) == 1 and described.path.end > 0
+            and described.path.knee in described.drives)
 
 
 def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> Calibration:

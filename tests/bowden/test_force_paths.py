@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import bowden as api
+from bowden import model_files
 from bowden.bench import configuration
 from bowden.bench.buses import simulated
 from eds.declaration import MIRROR_RAD, packaged
@@ -19,6 +21,8 @@ from trial.read import open as opened
 
 Command = Callable[..., tuple[int, str, str]]
 SHAPES = {"bench_two_legs": ("left", "right"), "bench_antagonists": ("flexor", "extensor")}
+TAUT_S = {"bench_two_legs": 15.43, "bench_antagonists": 13.66}
+"""Time, s, at which the first rope is taut in the first gait cycle of 20 N and 1 s."""
 
 
 @pytest.fixture(scope="module", params=SHAPES)
@@ -113,10 +117,10 @@ def test_a_lost_node_of_one_path_lets_both_paths_go(ran: Path, recorded: Trial, 
 
 
 def test_a_calibration_is_missing_for_a_path(ran: Path, bowden: Command) -> None:
-    status, out, err = bowden("trial", "--config", ran / "bench.toml", "--calibration", ran / "own.toml",
+    status, out, err = bowden("trial", "--config", ran / "bench.toml", "--calibration", ran / "none.toml",
                               "-o", ran / "other.mcap")
     assert (status, out) == (2, "")
-    assert "own." in err
+    assert "none." in err
 
 
 @pytest.mark.parametrize("options", [("--experiment", "friction-loops"), ("--dry-run",)])
@@ -134,3 +138,59 @@ def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command)
     status, out, _ = bowden("tare", "start", "--config", ran / "bench.toml", "--interface", "bowden", "--channel",
                             f"tare {ran.name}", "--path", names(recorded)[1], "--json")
     assert (status, json.loads(out)["outcome"]) == (0, "completed")
+
+
+def test_every_path_is_identified_in_turn(ran: Path, bowden: Command) -> None:
+    status, out, _ = bowden("identify", "sensors", "--config", ran / "bench.toml", "-o", ran / "own.toml", "--json")
+    assert status == 0
+    for path, found in json.loads(out)["paths"].items():
+        assert found["calibration"] == str(ran / f"own.{path}.toml")
+        assert f'bench = "virtual 1 {path}"' in (ran / f"own.{path}.toml").read_text()
+        assert found["scalars"]["start_offset"]["value"] == pytest.approx(0.0, abs=0.5)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_effect_is_named_with_its_path(shape: str, tmp_path: Path, bowden: Command) -> None:
+    """Path k of bench 1 is drawn as bench 1 + 1000 k: benches of a single path are identified, ten times as fast."""
+    (tmp_path / "bench.toml").write_text(configuration.as_template(shape=shape))
+    one, other = SHAPES[shape]
+    for number, path in enumerate((one, other)):
+        single = configuration.as_template().replace("rate_hz = 1000", "rate_hz = 500")
+        (tmp_path / "single.toml").write_text(single)
+        known = api.identify("all", bus=simulated(1 + 1000 * number), config=tmp_path / "single.toml")
+        model_files.write(dataclasses.replace(known, bench=f"virtual 1 {path}"), tmp_path / f"own.{path}.toml")
+    (tmp_path / "gain.toml").write_text(f"[path.{other}.end_sensor]\ngain = 1.06\n")
+    status, out, _ = bowden(
+        "trial", "--config", tmp_path / "bench.toml", "--calibration", tmp_path / "own.toml", "--controller",
+        "extended", "--peak", 40, "--cycles", 6, "--plant-model", tmp_path / "gain.toml", "-o",
+        tmp_path / "trial.mcap", "--json")
+    paths = json.loads(out)["paths"]
+    assert (status, [found["true_relative_rmse_percent"] < 0.3 for found in paths.values()]) == (0, [True, True])
+    found = {}
+    for path in paths:
+        _, out, _ = bowden("diagnose", tmp_path / "trial.mcap", "--path", path, "--json")
+        found[path] = {each["effect"] for each in json.loads(out)["causes"]}
+    assert found == {one: set(), other: {"end_gain"}}
+
+
+NODES = [(shape, device.node_id) for shape in SHAPES for device in packaged(shape).devices]
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("shape", "node"), NODES)
+def test_whichever_node_is_lost_every_path_lets_go(shape: str, node: int, tmp_path: Path) -> None:
+    """A node loses its power while ropes are taut: the trial stops, and every drive that has power ends disabled."""
+    (tmp_path / "bench.toml").write_text(configuration.as_template(shape=shape))
+    found = api.run(api.Experiment(peak_n=20, period_s=1, cycles=1, settle=0, configuration=tmp_path / "bench.toml"),
+                    bus=simulated(faults=[{"kind": "power_off", "node": node, "start_s": TAUT_S[shape]}]),
+                    output=tmp_path / "stopped.mcap")
+    bench = packaged(shape)
+    name = next(device.name for device in bench.devices if device.node_id == node)
+    assert (found.outcome, name in str(found.figures["stop_reason"])) == ("stopped", True)
+    stopped = opened(tmp_path / "stopped.mcap")
+    for path in bench.force_paths:
+        assert not stopped.columns[f"{path.name}.tension_start_n"][-1] > 8.0
+    for drive in {drive for path in bench.force_paths for drive in bench.nodes_of(path)[:2]} - {node}:
+        (last,) = stopped.frames[stopped.frames["can_id"] == 0x180 + drive]["data"][-1:]
+        assert last[0] & 0x4F == 0x40  # SWITCH ON DISABLED
