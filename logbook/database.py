@@ -155,7 +155,7 @@ class Logbook:
     @contextmanager
     def _writing(self) -> Iterator[sqlite3.Connection]:
         """Hold the write lock for one transaction: all of it is kept, or nothing."""
-        with _told(self.folder / FILE):
+        with _reporting(self.folder / FILE):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -165,7 +165,7 @@ class Logbook:
             self._connection.execute("COMMIT")
 
     def _rows(self, query: str, given: Sequence[Any] = ()) -> list[tuple[Any, ...]]:
-        with _told(self.folder / FILE):
+        with _reporting(self.folder / FILE):
             return self._connection.execute(query, given).fetchall()
 
     # -- settings ------------------------------------------------------------------------------------------------
@@ -355,7 +355,7 @@ def create(folder: Path, name: str, references: int = REFERENCES) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); give a writable place.") from None
-    with _told(place):
+    with _reporting(place):
         db = _connected(place)
         try:
             db.execute("PRAGMA journal_mode = WAL")
@@ -369,7 +369,7 @@ def open_logbook(folder: Path) -> Logbook:
     place = folder / FILE
     if not place.is_file():
         raise InputError(f"{folder}: holds no logbook; say bowden logbook init {folder} first.")
-    with _told(place):
+    with _reporting(place):
         db = _connected(place)
         try:
             _migrate(db, place, {})
@@ -410,7 +410,7 @@ def _migrate(db: sqlite3.Connection, place: Path, settings: Mapping[str, str]) -
 
 
 @contextmanager
-def _told(place: Path) -> Iterator[None]:
+def _reporting(place: Path) -> Iterator[None]:
     """Raise `InputError` where the database cannot be used."""
     try:
         yield

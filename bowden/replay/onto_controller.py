@@ -183,7 +183,7 @@ def compare(
     then = {name: recorded.columns[name][stepped] for name in recording.outputs if name in recorded.columns}
     again = dict(zip(recording.outputs, np.array(recording.made).T, strict=True))
     frames = _frames_by_row(recorded, targets_cob_id)[stepped]
-    told = _told(recorded, stepped)
+    told = _sent_rows(recorded, stepped)
     marks = {name: _unlike(column, again[name]) for name, column in then.items()}
     marks[TARGETS_FRAME] = [i for i in told if frames[i] != recording.frames[i]]
     marks[ROWS] = [count - 1] if count < len(rows) else []
@@ -209,7 +209,7 @@ def _unlike(one: Floats, other: Floats) -> list[int]:
     return np.flatnonzero(bits & ~(np.isnan(one) & np.isnan(other))).tolist()
 
 
-def _told(recorded: Trial, stepped: slice) -> list[int]:
+def _sent_rows(recorded: Trial, stepped: slice) -> list[int]:
     """Rows whose targets left in time, from the first of `stepped`; none where no frames were recorded."""
     if not len(recorded.frames):
         return []

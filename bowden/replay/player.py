@@ -67,7 +67,7 @@ class Player:
         played = self.position_ns(now_ns) / self.schedule.length_ns if self.schedule.length_ns else 0.0
         return (self.pass_ + played) / self._loops
 
-    def _told(self, control: PlayerControl, now_ns: int, speed: float | None = None) -> None:
+    def _control(self, control: PlayerControl, now_ns: int, speed: float | None = None) -> None:
         here = self._playback.at(self.position_ns(now_ns), now_ns)
         self._playback = here.told(now_ns, control, speed=speed)
 
@@ -75,11 +75,11 @@ class Player:
         """Go on from where it is; from the first frame of the first pass where everything was played."""
         if self.status is PlayerStatus.ENDED:
             self._next = self.pass_ = 0
-        self._told(PlayerControl.PLAY, now_ns)
+        self._control(PlayerControl.PLAY, now_ns)
 
     def pause(self, now_ns: int) -> None:
         """Send nothing until it is played again; the bus keeps the last commands."""
-        self._told(PlayerControl.PAUSE, now_ns)
+        self._control(PlayerControl.PAUSE, now_ns)
 
     def set_speed(self, speed: float, now_ns: int) -> None:
         """Play faster or slower from here on."""

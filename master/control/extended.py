@@ -33,7 +33,7 @@ from physics.laws import Array
 NAN = math.nan
 DEPARTURES = 9
 """Control cycles over which the knee's departure from its reference is differentiated, and one."""
-SETTLED = 0.9
+SLIDING = 0.9
 """Pre-sliding states beyond which START determines END again; the feedback is frozen while they change sign."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 """Standard errors: of a followed exponent and of a turning one, relative; of START's gain; and the normal quantile."""
@@ -64,9 +64,9 @@ class Ahead(NamedTuple):
     doubt: float
 
     @property
-    def settled(self) -> bool:
+    def slides_fully(self) -> bool:
         """Both slide fully, one way or the other."""
-        return abs(self.rope_slip) > SETTLED and abs(self.fabric_slip) > SETTLED
+        return abs(self.rope_slip) > SLIDING and abs(self.fabric_slip) > SLIDING
 
 
 class ExtendedState(NamedTuple):
@@ -163,7 +163,7 @@ def step(
     rate = paths[min(1, len(paths) - 1)].start - here.start
     unlagged = start + config.start_lag * rate
     estimated = (unlagged - here.drag) / ratio
-    resting = max(state.resting - 1, 0) if here.settled else config.filter.lead
+    resting = max(state.resting - 1, 0) if here.slides_fully else config.filter.lead
     deviation, evidence = state.deviation_m, None
     if gait.slack[now] > 0.0:
         deviation *= config.decay

@@ -26,8 +26,8 @@ LEAST_SHARE = 0.3
 STEP = 0.5
 NOISE_N = 0.5
 """Error of START against the model that is believed of one sample."""
-WHOLE = 25.0
-"""Samples of a gait cycle that are worth as many independent ones."""
+EFFECTIVE_SAMPLES = 25.0
+"""Effective sample size of a gait cycle of observations."""
 HUBER = 1.5
 ROUNDS = 5
 PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.1e-3)
@@ -112,7 +112,7 @@ def estimate(evidence: list[CycleEvidence], doubts: tuple[float, ...] = PRIOR) -
     """Return the six unknowns estimated from one gait cycle, in the order of `PRIOR`, relative to the model after
     homing."""
     rows = np.array(evidence)
-    weight = rows[:, 7] * math.sqrt(min(1.0, WHOLE / len(rows)))
+    weight = rows[:, 7] * math.sqrt(min(1.0, EFFECTIVE_SAMPLES / len(rows)))
     prior = np.diag([1.0 / sigma for sigma in doubts])
     found = np.zeros(len(doubts))
     robust = np.ones(len(rows))

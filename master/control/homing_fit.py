@@ -26,8 +26,8 @@ TAUT_N = 4.0
 STEPS = 6
 SOFT_M = 60e-6
 """Residual beyond which a point counts less (Huber): reversals, where the lumped model is poorest."""
-WHOLE = 40.0
-"""Points of one motion that are worth as many independent ones."""
+EFFECTIVE_SAMPLES = 40.0
+"""Effective sample size of one motion."""
 _PRIOR: Final = np.array((0.2, 0.04, 1e-2, 2e-6))
 """Standard deviations: friction, stretch, zero (m), creep (m/(N·s))."""
 _DIFFERENCES: Final = np.array((0.02, 0.01, 1e-4, 1e-7))
@@ -90,7 +90,7 @@ def adapt(
             slopes.append((_missed(calibration, step_s, loop, found + way) - left) / size)
             yield
         by = np.sqrt(np.minimum(1.0, SOFT_M / np.maximum(np.abs(left), 1e-9))) / SOFT_M * math.sqrt(
-            min(1.0, WHOLE / max(left.size, 1)))
+            min(1.0, EFFECTIVE_SAMPLES / max(left.size, 1)))
         rows = np.vstack([np.column_stack(slopes) * by[:, None], prior])
         wanted = np.concatenate([-left * by, prior @ (_NEUTRAL - found)])
         found = np.clip(found + np.linalg.lstsq(rows, wanted, rcond=None)[0], _LOW, _HIGH)

@@ -302,7 +302,7 @@ class Exchange:
         values = self._unpack[i](bytes(message.data))
         if i >= FIRST_SENSOR and values[0] <= self._no_value[i]:
             return 0
-        if not self._reception.takes(i, values, self.rehoming):
+        if not self._reception.accepts(i, values, self.rehoming):
             self._tell_refused(i, stamp_ns(message))
             return 0
         self._keep(i, values, sync_ns, stamp_ns(message))
@@ -324,7 +324,7 @@ class Exchange:
         self._reception.begin()
         missing = 0
         for i, each in enumerate(values):
-            if each[0] <= self._no_value[i] or not self._reception.takes(i, each, self.rehoming):
+            if each[0] <= self._no_value[i] or not self._reception.accepts(i, each, self.rehoming):
                 missing |= 1 << i
             else:
                 self._keep(i, each, sync_ns, ends[i])

@@ -43,9 +43,9 @@ and since the window's beginning, repeated values; the window's place and sums; 
 RATIOS = 33
 """The normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
-SEEN = COUNTS + RELATIONS
+READINGS = COUNTS + RELATIONS
 """Reading and expected value of each relation, pairs."""
-RING = SEEN + 2 * RELATIONS
+RING = READINGS + 2 * RELATIONS
 """Ring of START/servo-force differences, then of positions, signs and speeds."""
 NORMAL_FORCE = RING + 4 * WINDOW
 NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
@@ -88,7 +88,7 @@ def _compare(s: Any, relation: int, seen: float, expected: float, tolerance: flo
     """Keep a relation's normalised residual; count the cycles in a row beyond it."""
     ratio = (seen - expected) / tolerance
     s[RATIOS + relation] = ratio
-    s[SEEN + 2 * relation], s[SEEN + 2 * relation + 1] = seen, expected
+    s[READINGS + 2 * relation], s[READINGS + 2 * relation + 1] = seen, expected
     s[COUNTS + relation] = s[COUNTS + relation] + 1.0 if abs(ratio) > 1.0 else 0.0
 
 
@@ -391,7 +391,7 @@ class Plausibility:
     def hidden_n(self) -> float:
         """Return the tension, N, by which the servo's force, friction and inertia aside, exceeds START."""
         s = self.s
-        beyond = float(s[SEEN + 2 * FORCE] - s[SEEN + 2 * FORCE + 1])
+        beyond = float(s[READINGS + 2 * FORCE] - s[READINGS + 2 * FORCE + 1])
         return beyond if beyond > FORCE_N else 0.0
 
     def doubt(self) -> Implausibility | None:
@@ -403,7 +403,7 @@ class Plausibility:
     def finding(self, relation: int) -> Implausibility:
         """Return the present residuals of all relations."""
         s, g = self.s, self.g
-        seen, expected = float(s[SEEN + 2 * relation]), float(s[SEEN + 2 * relation + 1])
+        seen, expected = float(s[READINGS + 2 * relation]), float(s[READINGS + 2 * relation + 1])
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),

@@ -77,7 +77,7 @@ class Reception:
         age[2] += 1
         age[3] += 1
 
-    def takes(self, i: int, values: Sequence[float], anew: bool) -> bool:
+    def accepts(self, i: int, values: Sequence[float], anew: bool) -> bool:
         """Whether these values are used; `anew`: the position may be counted from elsewhere."""
         column, low, high, step, rate = self._fast[i]
         value, last = values[column], self._last[i]

@@ -45,7 +45,7 @@ Above the greatest that healthy trials reached over own, foreign and family plan
 of 0.8 to 3.0 s: 0.94 of the first tolerance, 0.8 of the others (`python -m benchmarks.supervision --healthy 500`).  Too
 small: healthy trials stop.  Too large: a slow fault moves END by that much unsaid (`docs/faults.md`)."""
 
-(FILLED, PLACE, SUM, SUM_START, LAST_BIN, LAST_CYCLE, SEEN, EXPECTED, END_MOVED, START_MOVED, ROPE_MOVED) = range(11)
+(FILLED, PLACE, SUM, SUM_START, LAST_BIN, LAST_CYCLE, READING, EXPECTED, END_MOVED, START_MOVED, ROPE_MOVED) = range(11)
 """Indices of `s`: number and place of the values in the mean, its sums, the last phase and gait cycle; of the last
 comparison that failed, the reading and the expected value, and the departures of END, START (N) and the rope (m)."""
 COUNTS = 11
@@ -64,7 +64,7 @@ def _compare(s: Any, g: Any, which: int, seen: float, expected: float) -> bool:
     s[COUNTS + which] = s[COUNTS + which] + 1.0 if share > 1.0 else 0.0
     if s[COUNTS + which] < PERSIST:
         return False
-    s[SEEN], s[EXPECTED] = seen, expected
+    s[READING], s[EXPECTED] = seen, expected
     return True
 
 
@@ -172,7 +172,8 @@ class Repetition:
         if found < 0:
             return None
         s = self.s
-        return CycleDeparture(found, annotations.gait_percent, float(s[SEEN]), float(s[EXPECTED]), float(self.g[found]),
+        return CycleDeparture(found, annotations.gait_percent, float(s[READING]), float(s[EXPECTED]),
+                         float(self.g[found]),
                          float(s[END_MOVED]), float(s[START_MOVED]), float(s[ROPE_MOVED]))
 
     @property

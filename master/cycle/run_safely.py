@@ -126,19 +126,19 @@ def _attempt(exchange: Running, described: WireLayout, perform: Callable[[Any], 
     except LinkError as error:
         stop = StopError(Condition.BUS_LOST, str(error))
     except Exception as error:
-        stop = StopError(Condition.FAILED, _told(error))
+        stop = StopError(Condition.FAILED, _text_of(error))
     except BaseException:
         let_go(exchange)
         raise
     try:
         safe_stop(exchange, stop)
     except Exception as error:
-        exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop itself failed ({_told(error)}).")
+        exchange.log.event(exchange.link.clock(), "safety", "master", f"the stop itself failed ({_text_of(error)}).")
         let_go(exchange)
     return stop
 
 
-def _told(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
     """One sentence of an error nobody expected: its kind, its text, and where it was raised."""
     frame = error.__traceback__
     while frame is not None and frame.tb_next is not None:

@@ -101,10 +101,10 @@ class KernelCycles:
         ended = frames.cycle(self._numbers, bus.memory, bus.block_rows)
         if told[frames.DROPPED] >= 0:
             bus.lost = told[frames.DROPPED]
-        if ended != frames.WHOLE and not self._mended(ended, after_ns):
+        if ended != frames.COMPLETE and not self._mended(ended, after_ns):
             self._behind = True
             return ended != frames.NOT_SENT
-        self._behind = ended != frames.WHOLE or self._settings[frames.WOKEN] != self._last
+        self._behind = ended != frames.COMPLETE or self._settings[frames.WOKEN] != self._last
         self.count += 1
         heard = bus.told
         count = heard[frames.FIRST] = heard[frames.SYNC_END]

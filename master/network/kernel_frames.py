@@ -151,7 +151,7 @@ SIZES: Final = IDS + INPUTS
 HEED: Final = SIZES + INPUTS
 NUMBERS: Final = HEED + HEEDED
 """Further indices: identifiers of the inputs, their least sizes, results of `heed`."""
-WHOLE, FETCHED, NOT_SENT, FAILED = range(4)
+COMPLETE, FETCHED, NOT_SENT, FAILED = range(4)
 """Result of a cycle: complete; not, or not yet, a complete cycle in the frames read; nothing was sent; a socket
 failed."""
 _POLLIN: Final = 1 << 32
@@ -231,7 +231,7 @@ def cycle(c: Any, memory: Any, block: Any) -> int:
         return FETCHED
     mark(block, heard[SYNC_END], c[TARGETS], heard)
     c[WOKEN] = woke
-    return WHOLE
+    return COMPLETE
 
 
 def prepare() -> None:

@@ -20,8 +20,8 @@ from physics.drive_loops import loop, velocity_loop
 
 POSITION_INTEGRAL, VELOCITY_INTEGRAL, SATURATED, FOLLOWING, VELOCITY_DEMAND, SPEED_LOW, SPEED_HIGH, LIMITED, YIELDING, \
     TIME_NS, POSITION, VELOCITY, TORQUE, DEMAND, RAMP, TARGET, FRESH, SEGMENT_VELOCITY, SEGMENT_LEFT_S, FOLLOWING_S, \
-    STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, SEEN, APART, EVENTS, STATES = \
-    range(31)
+    STILL_S, STOP_LEFT_S, START, TENSION, TENSION_AGE_S, FREE_HIGH, TENSION_HIGH, POSITION_BEFORE, APART, EVENTS, \
+    STATES = range(31)
 """Slots of `s`, the first five `physics.drive_loops.LOOP`; `STATES` is their number."""
 
 KP, KI, KV, KVI, TORQUE_BOUND, SPEED_MAX, FEED_FORWARD, VELOCITY_OFFSET, TORQUE_OFFSET, TORQUE_MAX, TORQUE_HIGH, \
@@ -235,8 +235,8 @@ def _compile(digest: int) -> tuple[Any, Any]:
     def step(s: Any, g: Any, now_ns: int, position: float, velocity: float) -> float:
         _ = digest
         dt_s = min(MAX_DT_S, (now_ns - s[TIME_NS]) * 1e-9)
-        moved = position - s[SEEN]
-        s[SEEN] = position
+        moved = position - s[POSITION_BEFORE]
+        s[POSITION_BEFORE] = position
         if g[RESOLUTION] > 0.0:
             position = math.floor(position / g[RESOLUTION] + 0.5) * g[RESOLUTION]
         mode = int(g[MODE])

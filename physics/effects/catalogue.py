@@ -15,7 +15,7 @@ from typing import Final
 from parameters import InputError
 from physics.converter import SensorParameters
 from physics.effects import drive_effects, friction_effects, path_effects, sensor_effects
-from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, takes, unchanged
+from physics.effects.effect import Effect, EffectParameter, Trajectory, Values, unchanged, value_of
 from physics.plant.state_layout import PlantParameters
 
 __all__ = [
@@ -28,8 +28,8 @@ __all__ = [
     "compensate",
     "register",
     "registered",
-    "takes",
     "unchanged",
+    "value_of",
 ]
 
 BUS: Final = frozenset({"late_s", "late_share", "lost_share"})

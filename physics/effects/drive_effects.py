@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from physics.effects.effect import Effect, Trajectory, Values, of_table, takes, unchanged
+from physics.effects.effect import Effect, Trajectory, Values, of_table, unchanged, value_of
 from physics.plant.motor import ServoParameters
 from physics.sampling_laws import Staleness
 
@@ -22,7 +22,7 @@ def _drive(
 ) -> Effect:
     return Effect(
         name=name, site="servo drive", law=law, source="friction of motor and reducer; J·ω̇",
-        parameters=(of_table(name),), forward={f"plant.{target}": takes(name)}, inverse=unchanged,
+        parameters=(of_table(name),), forward={f"plant.{target}": value_of(name)}, inverse=unchanged,
         relations=relations, signature=signature, words=words, rivals=rivals, experiment="three_speeds",
     )
 
@@ -53,7 +53,8 @@ EFFECTS: Final = (
     Effect(
         name="unbalance", site="servo drive", law="F = (m·g·r/R)·sin(q + φ)", source="weight on a lever",
         parameters=(of_table("unbalance"), of_table("unbalance_phase")),
-        forward={"plant.servo_unbalance_n": takes("unbalance"), "plant.servo_unbalance_rad": takes("unbalance_phase")},
+        forward={"plant.servo_unbalance_n": value_of("unbalance"),
+                 "plant.servo_unbalance_rad": value_of("unbalance_phase")},
         relations=("drive_force",), signature="servo force follows the sine of the axis' angle, at any speed",
         words="A mass off the axis pulls with gravity: it is another than it was.",
         rivals=("drive_offset", "drive_inertia", "demand_gain"), level=("drive_inertia",), experiment="three_speeds",
@@ -61,8 +62,8 @@ EFFECTS: Final = (
     Effect(
         name="drive_stribeck", site="servo drive", law="F = Fc·s·(1 + (r − 1)·e^(−(v/vs)²))",
         source="Stribeck curve", parameters=(of_table("drive_stribeck_ratio"), of_table("drive_stribeck_speed")),
-        forward={"plant.servo_stribeck_ratio": takes("drive_stribeck_ratio"),
-                 "plant.servo_stribeck_speed_m_s": takes("drive_stribeck_speed")},
+        forward={"plant.servo_stribeck_ratio": value_of("drive_stribeck_ratio"),
+                 "plant.servo_stribeck_speed_m_s": value_of("drive_stribeck_speed")},
         relations=("drive_force",), signature="servo force is greater at creep than in quick motion",
         words="The drive breaks away: it rubs more at creep than when it runs.",
         rivals=("drive_coulomb", "drive_viscous"), level=("drive_coulomb",), experiment="three_speeds",
@@ -74,7 +75,7 @@ EFFECTS: Final = (
     Effect(
         name="saturation", site="servo drive", law="|i| ≤ i_max", source="current limit",
         parameters=(of_table("current_limit"),),
-        forward={"plant.current_limit_a": takes("current_limit")}, relations=("servo",),
+        forward={"plant.current_limit_a": value_of("current_limit")}, relations=("servo",),
         signature="the target leaves motion behind while the servo force stands at one value",
         words="The servo reaches its current limit.",
         rivals=("supply_sag", "drive_coulomb"), experiment="log_current",
@@ -82,7 +83,7 @@ EFFECTS: Final = (
     Effect(
         name="supply_sag", site="supply", law="U = U0 − R·P/U0", source="internal resistance of the supply",
         parameters=(of_table("supply_ohm"),),
-        forward={"plant.supply_ohm": takes("supply_ohm")}, relations=("servo",),
+        forward={"plant.supply_ohm": value_of("supply_ohm")}, relations=("servo",),
         signature="the target leaves motion behind at speed under load",
         words="The supply sags, so that voltage limits speed.",
         rivals=("saturation",), experiment="log_current",
@@ -90,7 +91,7 @@ EFFECTS: Final = (
     Effect(
         name="timestamp_skew", site="bus", law="tensions(t) = true(t − d)", source="stamps taken at another instant",
         parameters=(of_table("timestamp_skew"),),
-        forward={"start_sensor.skew_s": takes("timestamp_skew"), "end_sensor.skew_s": takes("timestamp_skew")},
+        forward={"start_sensor.skew_s": value_of("timestamp_skew"), "end_sensor.skew_s": value_of("timestamp_skew")},
         inverse=_skew, relations=("friction", "elasticity", "kinematics", "drive_force"),
         signature="both tensions are late against both positions",
         words="Tensions and positions are stamped at different instants.",
@@ -102,7 +103,7 @@ EFFECTS: Final = (
             of_table("late"),
             of_table("late_share"),
         ),
-        forward={"bus.late_s": takes("late"), "bus.late_share": lambda values: values.get("late_share", 1.0)},
+        forward={"bus.late_s": value_of("late"), "bus.late_share": lambda values: values.get("late_share", 1.0)},
         relations=("bus",), signature="ages above one cycle, values that repeat and then jump",
         words="PDOs arrive after the cycle they belong to.",
         rivals=("end_delay", "lost_pdo"), experiment="bus_log",
@@ -111,7 +112,7 @@ EFFECTS: Final = (
     Effect(
         name="lost_pdo", site="bus", law="the value of one cycle never arrives", source="bus log",
         parameters=(of_table("lost_share"),),
-        forward={"bus.lost_share": takes("lost_share")},
+        forward={"bus.lost_share": value_of("lost_share")},
         relations=("bus",), signature="gaps in the frames, repeats in the signals",
         words="PDOs are lost on the wire.",
         rivals=("late_pdo", "quantisation"), experiment="bus_log",

@@ -14,7 +14,7 @@ from physics.parameters import PARAMETERS
 from physics.sampling_laws import Staleness
 
 Values = Mapping[str, float]
-Law = Callable[[Values], float]
+Submodel = Callable[[Values], float]
 
 
 class EffectParameter(NamedTuple):
@@ -98,7 +98,7 @@ class Effect:
     law: str
     source: str
     parameters: tuple[EffectParameter, ...]
-    forward: Mapping[str, Law]
+    forward: Mapping[str, Submodel]
     relations: tuple[str, ...]
     signature: str
     words: str
@@ -107,10 +107,10 @@ class Effect:
     inverse: Inverse = unchanged
     measured: Mapping[str, Measured] = field(default_factory=dict)
     stale: Callable[[Values, float], Staleness] | None = None
-    grid: Law | None = None
+    grid: Submodel | None = None
     level: tuple[str, ...] = ()
 
 
-def takes(name: str) -> Law:
-    """Return the law that hands the value `name` on as it is."""
+def value_of(name: str) -> Submodel:
+    """Return the submodel that passes the parameter `name` on unchanged."""
     return lambda values: values[name]

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
+from physics.effects.effect import Effect, Trajectory, Values, of_table, value_of
 from physics.laws import Array
 from physics.memory_laws import slipped
 from physics.plant.cable import CableParameters
@@ -64,7 +64,7 @@ EFFECTS: Final = (
     Effect(
         name="cable_friction", site="cable", law="T_start/T_end = e^(μ1·θ1·s)", source="(3)",
         parameters=(of_table("mu1"),),
-        forward={"plant.mu1": takes("mu1")}, inverse=_cable, relations=("friction", "elasticity"),
+        forward={"plant.mu1": value_of("mu1")}, inverse=_cable, relations=("friction", "elasticity"),
         signature="END and START step apart with the rope's direction, in proportion to the tension",
         words="The rope rubs in its sheath more, or less, than the calibration says.",
         rivals=("fabric_friction", "stribeck", "load_dependent_friction"), experiment="known_bend",
@@ -72,7 +72,7 @@ EFFECTS: Final = (
     Effect(
         name="fabric_friction", site="fabric", law="T_in/T_out = e^(μ2·φ·s)", source="(7)",
         parameters=(of_table("mu2"),),
-        forward={"plant.mu2": takes("mu2")}, inverse=_fabric, relations=("friction", "elasticity", "kinematics"),
+        forward={"plant.mu2": value_of("mu2")}, inverse=_fabric, relations=("friction", "elasticity", "kinematics"),
         signature="END and START step apart with the fabric's strain rate, in proportion to tension and wrap",
         words="The fabric rubs on the knee more, or less, than the calibration says.",
         rivals=("fabric_wrap", "cable_friction"), experiment="locked_angles",
@@ -81,7 +81,7 @@ EFFECTS: Final = (
         name="fabric_wrap", site="fabric", law="φ = φ0 + κ·|θk|", source="(7), φ(t)",
         parameters=(
             of_table("fabric_wrap"),),
-        forward={"plant.fabric_wrap": takes("fabric_wrap")}, inverse=_fabric,
+        forward={"plant.fabric_wrap": value_of("fabric_wrap")}, inverse=_fabric,
         relations=("friction", "elasticity", "kinematics"),
         signature="the friction loop widens as the knee flexes",
         words="The fabric wraps round the knee more, or less, with flexion than the calibration says.",
@@ -90,7 +90,7 @@ EFFECTS: Final = (
     Effect(
         name="cable_bend", site="cable", law="θ1 = θ10·(1 + κb·|θk|)", source="capstan law at a moving bend",
         parameters=(of_table("cable_bend"),),
-        forward={"plant.cable_bend": takes("cable_bend")}, inverse=_bend, relations=("friction", "elasticity"),
+        forward={"plant.cable_bend": value_of("cable_bend")}, inverse=_bend, relations=("friction", "elasticity"),
         signature="the loop's width follows the knee angle, with the rope's direction",
         words="The leg bends the sheath as it swings, so that its friction changes with the knee angle.",
         rivals=("cable_friction", "fabric_wrap"), level=("mu1",), experiment="locked_angles",
@@ -99,7 +99,7 @@ EFFECTS: Final = (
         name="load_dependent_friction", site="cable and fabric", law="μ(T) = μ·(1 + λ·(T/40 N − 1))",
         source="first order of Howell's law F = a·N^n",
         parameters=(of_table("load_slope"),),
-        forward={"plant.load_slope": takes("load_slope")}, inverse=_load,
+        forward={"plant.load_slope": value_of("load_slope")}, inverse=_load,
         relations=("friction", "elasticity", "kinematics"),
         signature="the loop is not proportional to the tension",
         words="The friction coefficient itself changes with the load.",
@@ -108,7 +108,7 @@ EFFECTS: Final = (
     Effect(
         name="viscous_friction", site="cable", law="F = b·v", source="Newtonian grease film",
         parameters=(of_table("viscous"),),
-        forward={"plant.viscous": takes("viscous")}, inverse=_viscous, relations=("friction", "elasticity"),
+        forward={"plant.viscous": value_of("viscous")}, inverse=_viscous, relations=("friction", "elasticity"),
         signature="START exceeds END in proportion to the rope's speed, whatever the load",
         words="Grease drags on the rope in proportion to its speed.",
         rivals=("end_delay", "end_filter"), experiment="two_speeds",
@@ -121,8 +121,9 @@ EFFECTS: Final = (
             of_table("stribeck_speed"),
             of_table("stribeck_memory"),
         ),
-        forward={"plant.stribeck_ratio": takes("stribeck_ratio"), "plant.stribeck_speed_m_s": takes("stribeck_speed"),
-                 "plant.stribeck_memory_s": takes("stribeck_memory")},
+        forward={"plant.stribeck_ratio": value_of("stribeck_ratio"),
+                 "plant.stribeck_speed_m_s": value_of("stribeck_speed"),
+                 "plant.stribeck_memory_s": value_of("stribeck_memory")},
         inverse=_stribeck, relations=("friction", "elasticity", "kinematics"),
         signature="a peak of friction after each reversal and at the start of loading",
         words="The rope breaks away: it rubs more at rest and at creep than when it slides.",
@@ -131,7 +132,7 @@ EFFECTS: Final = (
     Effect(
         name="presliding", site="cable and fabric", law="ds/dx = (1 − s·sgn v)/δ", source="Dahl; Palli et al.",
         parameters=(of_table("presliding"),),
-        forward={"plant.presliding_m": takes("presliding"), "plant.fabric_presliding_m": takes("presliding")},
+        forward={"plant.presliding_m": value_of("presliding"), "plant.fabric_presliding_m": value_of("presliding")},
         inverse=_presliding, relations=("friction", "elasticity", "kinematics"),
         signature="friction turns over with travel after a reversal, at no rate; minor loops",
         words="Friction needs a travel, not a moment, to turn over after a reversal.",
@@ -143,7 +144,7 @@ EFFECTS: Final = (
         parameters=(
             of_table("friction_drift"),),
         forward={
-            "plant.friction_drift": takes("friction_drift"),
+            "plant.friction_drift": value_of("friction_drift"),
             "plant.friction_drift_s": lambda values: values.get("trial_s", CABLE.friction_drift_s),
         },
         inverse=_drift, relations=("friction", "elasticity", "kinematics"),

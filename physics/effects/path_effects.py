@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from physics.effects.effect import Effect, Trajectory, Values, of_table, takes
+from physics.effects.effect import Effect, Trajectory, Values, of_table, value_of
 from physics.memory_laws import crept
 from physics.plant.fabric import FabricParameters
 from physics.plant.leg import KNEE_AT_FIT, LegParameters
@@ -75,7 +75,7 @@ EFFECTS: Final = (
             of_table("creep_compliance"),
             of_table("creep_time"),
         ),
-        forward={"plant.creep_compliance": takes("creep_compliance"), "plant.creep_s": takes("creep_time")},
+        forward={"plant.creep_compliance": value_of("creep_compliance"), "plant.creep_s": value_of("creep_time")},
         inverse=_creep, relations=("friction", "elasticity", "kinematics"),
         signature="tension relaxes while position is held, and comes back after unloading",
         words="The fabric creeps under load and recovers.",
@@ -84,7 +84,7 @@ EFFECTS: Final = (
     Effect(
         name="slack", site="cable", law="T = 0 while e < 0; e = x − x0 − slack", source="a rope cannot push",
         parameters=(of_table("slack"),),
-        forward={"plant.slack_m": takes("slack")}, inverse=_slack, relations=("elasticity", "kinematics"),
+        forward={"plant.slack_m": value_of("slack")}, inverse=_slack, relations=("elasticity", "kinematics"),
         signature="tension begins late; elsewhere the curve is only shifted along the rope",
         words="There is rope to be wound up before it is taut.",
         rivals=("start_offset", "end_offset", "fabric_creep"), experiment="unload",
@@ -93,7 +93,7 @@ EFFECTS: Final = (
         name="knee_backlash", site="knee drive", law="dead band in θk", source="gear play of the reducer",
         parameters=(
             of_table("knee_backlash"),),
-        forward={"plant.knee_backlash_rad": takes("knee_backlash")}, inverse=_backlash,
+        forward={"plant.knee_backlash_rad": value_of("knee_backlash")}, inverse=_backlash,
         relations=("elasticity", "kinematics"),
         signature="the leg lags the knee drive by a fixed angle after each of its reversals",
         words="The knee's reducer has play.",
@@ -105,7 +105,7 @@ EFFECTS: Final = (
             of_table("rope_per_knee_quadratic"),
             of_table("rope_per_knee"),
         ),
-        forward={"plant.rope_per_knee_quadratic": takes("rope_per_knee_quadratic"),
+        forward={"plant.rope_per_knee_quadratic": value_of("rope_per_knee_quadratic"),
                  "plant.rope_per_knee": lambda values: values.get("rope_per_knee", ROPE_PER_KNEE)},
         inverse=_moment_arm,
         relations=("elasticity", "kinematics"),
@@ -119,7 +119,8 @@ EFFECTS: Final = (
             of_table("eccentricity"),
             of_table("eccentricity_phase"),
         ),
-        forward={"plant.eccentricity_m": takes("eccentricity"), "plant.eccentricity_rad": takes("eccentricity_phase")},
+        forward={"plant.eccentricity_m": value_of("eccentricity"),
+                 "plant.eccentricity_rad": value_of("eccentricity_phase")},
         inverse=_eccentricity, relations=("elasticity", "kinematics", "drive_force"),
         signature="rope and knee angle part periodically with the drum's angle, servo force and START tension by "
                   "its slope",

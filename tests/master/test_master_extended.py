@@ -206,7 +206,8 @@ def test_what_the_drive_makes_of_a_target_is_learnt_and_converges(lag_hz: float,
 
 
 def evidence_of(
-    law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0, play_m: float = 0.0
+    law: inverse.Law, followed: Followed, true: inverse.Law, offset_m: float = 0.0,
+    play_m: float = 0.0,
 ) -> list[friction_following.CycleEvidence]:
     """What one gait cycle tells a controller that believes `law` as followed on a bench that is `true`, with noise.
 

@@ -188,12 +188,12 @@ def test_healthy_trials_raise_nothing(composer: Composer) -> None:
 
 def test_values_that_cannot_be_are_not_taken() -> None:
     reception = Reception(1e-3, Limits())
-    assert reception.takes(1, (0x27, -0.5), False)
+    assert reception.accepts(1, (0x27, -0.5), False)
     for wrong in (-0.6, 0.5, 4.0e4, float("nan"), float("inf")):
         reception.begin()
-        assert not reception.takes(1, (0x27, wrong), False)
+        assert not reception.accepts(1, (0x27, wrong), False)
     assert reception.refused[1] == ENOUGH
-    assert reception.takes(1, (0x27, -0.49), False)
+    assert reception.accepts(1, (0x27, -0.49), False)
     assert reception.refused == [0, 0, 0, 0]
 
 
@@ -208,12 +208,12 @@ def test_four_values_at_once_are_taken_as_one_by_one(cycles: list[tuple[float, f
     for servo, knee, start, end in cycles:
         frames = (0x27, servo, 0.0), (0x27, knee), (start,), (end,)
         singly.begin()
-        taken = [singly.takes(i, values, False) for i, values in enumerate(frames)]
+        taken = [singly.accepts(i, values, False) for i, values in enumerate(frames)]
         if once.takes_all(servo, knee, start, end):
             assert all(taken)
         else:
             once.begin()
-            assert [once.takes(i, values, False) for i, values in enumerate(frames)] == taken
+            assert [once.accepts(i, values, False) for i, values in enumerate(frames)] == taken
         assert once.refused == singly.refused
         for i in range(4):
             assert once.refusal(i) == singly.refusal(i)
@@ -221,10 +221,10 @@ def test_four_values_at_once_are_taken_as_one_by_one(cycles: list[tuple[float, f
 
 def test_a_position_that_is_counted_from_elsewhere_is_taken() -> None:
     reception = Reception(1e-3, Limits())
-    assert reception.takes(0, (0x27, 0.0, 0.0), False)
+    assert reception.accepts(0, (0x27, 0.0, 0.0), False)
     reception.begin()
-    assert not reception.takes(0, (0x27, 0.05, 0.0), False)
-    assert reception.takes(0, (0x27, 0.05, 0.0), True)
+    assert not reception.accepts(0, (0x27, 0.05, 0.0), False)
+    assert reception.accepts(0, (0x27, 0.05, 0.0), True)
 
 
 def test_one_corrupt_frame_is_a_counted_miss_and_no_more(composer: Composer) -> None:

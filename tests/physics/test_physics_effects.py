@@ -18,7 +18,7 @@ from physics.effects.catalogue import (
     compensate,
     register,
     registered,
-    takes,
+    value_of,
 )
 from physics.effects.catalogue_page import page
 from physics.effects.separating_experiments import EXPERIMENTS
@@ -149,7 +149,7 @@ def test_an_effect_is_added_at_run_time() -> None:
     bearing = Effect(
         name="knee_bearing", site="knee", law="τ = b·ω", source="dry bearing",
         parameters=(EffectParameter("bearing", "N·m·s/rad", 0.0, 5.0, (0.1, 1.0), 0.02, "b"),),
-        forward={"plant.leg_damping": takes("bearing")}, relations=("knee",), signature="the leg lags with speed",
+        forward={"plant.leg_damping": value_of("bearing")}, relations=("knee",), signature="the leg lags with speed",
         words="The knee's bearing drags.", rivals=("knee_backlash",), experiment="locked_motor",
     )
     with registered(bearing):
@@ -160,7 +160,7 @@ def test_an_effect_is_added_at_run_time() -> None:
             register(bearing)
     assert "knee_bearing" not in CATALOGUE
     with pytest.raises(ValueError, match=r"forward sets plant\.bering"):
-        register(dataclasses.replace(bearing, forward={"plant.bering": takes("bearing")}))
+        register(dataclasses.replace(bearing, forward={"plant.bering": value_of("bearing")}))
 
 
 def test_page_is_up_to_date() -> None:

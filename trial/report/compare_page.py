@@ -36,7 +36,7 @@ def build(a: Trial, b: Trial, found: TrialComparison) -> Page:
     _figures(page, a, b)
     _result(page, found)
     _signals(page, a, b, found)
-    _told(page, found)
+    _attached(page, found)
     return page
 
 
@@ -104,7 +104,7 @@ def _plot(page: Page, a: Trial, b: Trial, name: str, unit: str) -> None:
               height=150)
 
 
-def _told(page: Page, found: TrialComparison) -> None:
+def _attached(page: Page, found: TrialComparison) -> None:
     if not found.attachments:
         return
     page.section("Attached files that differ")

@@ -96,11 +96,11 @@ def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
     _figures(page, trial, judged, published)
     seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
     told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
-    page.facts({**{name: _told(value) for name, value in labels.shown(told).items()}, **_counted(trial),
+    page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()}, **_counted(trial),
                 "recorded time (s)": seconds})
     rest = labels.folded(told)
     if rest:
-        page.attachment("commit, digests and homing", "".join(f"{name}: {_told(one)}\n" for name, one in rest.items()))
+        page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
     missing = unknown(trial)
     if missing:
         page.text(f"Not in this trial: {', '.join(missing)}.", "note")
@@ -113,9 +113,9 @@ def _counted(trial: Trial) -> dict[str, Cell]:
     return {"control cycles": len(trial.time_ns), "CAN frames": len(trial.frames), "events": len(trial.events)}
 
 
-def _told(value: object) -> Cell:
+def _cell(value: object) -> Cell:
     if isinstance(value, Mapping):
-        return ", ".join(f"{str(name).replace('_', ' ')} {_told(one)}" for name, one in value.items()) or "none"
+        return ", ".join(f"{str(name).replace('_', ' ')} {_cell(one)}" for name, one in value.items()) or "none"
     if isinstance(value, list) and not value:
         return "none"
     if isinstance(value, list):
