@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from benchmarks import supervision
 from tests.faults import names
 from tests.faults.argument import ACTIONS, HAZARDS
 from tests.faults.names import name_of
@@ -86,6 +88,16 @@ def test_a_run_of_one_part_of_the_page_keeps_the_others(tmp_path: Path) -> None:
     after = kept(path.read_text(encoding="utf-8"))
     assert set(before) == {"at once", "slow", "unsaid"}
     assert after == before | {"unsaid": "## The worst that goes unsaid\n\nanother search"}
+
+
+def test_false_alarms_are_bounded_by_count_and_by_the_tail() -> None:
+    """Without an alarm by −ln 0.05; with a Pareto law of exponent 3 through the trials, by that law's own share."""
+    assert supervision.most_alarms(0) == pytest.approx(2.996, abs=1e-3)
+    greatest = 0.1 * (np.arange(1, 10_001) / 10_000.5) ** (-1.0 / 3.0)
+    share, exponent, high = supervision.tail(greatest)
+    assert exponent == pytest.approx(3.0, rel=0.02)
+    assert share == pytest.approx(1e-3, rel=0.1)
+    assert share < high < 2.0 * share
 
 
 @pytest.mark.faults
