@@ -20,7 +20,8 @@ SIMULATED_DAYS: Final = (0, 1, 2)
 
 @dataclass(frozen=True)
 class ExperimentPlan:
-    """What decides between the effects `among`: `experiments`, the most promising first; `by_hand` in words.
+    """Experiments that decide between the effects `among`: `experiments`, the most promising first; `by_hand` in
+    words.
 
     `verdict` of the trials so far; `tried`: experiments among them, which are not proposed again.
     """
@@ -112,7 +113,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: dict
 
 
 def _by_hand(among: Sequence[str]) -> dict[str, str]:
-    """Return, by experiment that needs hands and is named for an effect of the set, what the hands do."""
+    """Return the manual work by experiment, for those that need hands and are named for an effect of the set."""
     from physics.effects.catalogue import CATALOGUE
     from physics.effects.separating_experiments import EXPERIMENTS
 

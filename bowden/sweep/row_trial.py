@@ -53,9 +53,9 @@ def bench_of(row: Row) -> Row:
 
 
 def identify(bench: Row, what: str = "all", guess: Calibration | None = None) -> tuple[str | None, str]:
-    """Identify a bench; returns the reason why there is no calibration, or None and its text.
+    """Identify a bench; return the reason for a missing calibration, or None and its text.
 
-    `guess`: what a procedure that does not identify all starts from.
+    `guess`: starting point of a procedure that does not identify all.
     """
     from physics.calibration import write
 

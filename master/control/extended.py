@@ -46,8 +46,8 @@ TARGET_CYCLES = 2
 
 
 class Ahead(NamedTuple):
-    """What the model answered for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
-    exponents, slowness, slips; how far the leg is from the knee's drive, rad, by the play; the identified discrepancy
+    """Model's result for one control cycle: rope position less slack, m; START and the rope's drag in it, N;
+    exponents, slowness, slips; distance of the leg from the knee's drive by backlash, rad; the identified discrepancy
     of ln(START/END) and its standard deviation."""
 
     position: float

@@ -38,9 +38,9 @@ TURN: Final = 21
 
 
 def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> EndDiscrepancy | None:
-    """Fit the discrepancy to the gait segments of an identification; None where there is none.
+    """Fit the discrepancy to the gait segments of an identification; None without such segments.
 
-    The ramps among `segments` tell END's lag.
+    The ramps among `segments` determine END's lag.
     """
     gaits = [segment for segment in segments if segment.kind == "gait"]
     if not gaits:
@@ -102,7 +102,7 @@ def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
 def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> float:
     """Return END's lag, s, by the ramps: its tension against the model's behind START, over its rate.
 
-    Turns of a ramp do not count: what the model lacks of friction there is larger than what a lag makes.
+    Reversals of a ramp do not count: the model's friction error there is larger than the effect of a lag.
     """
     lag, whole = 0.0, 0.0
     for ramp in (segment for segment in segments if segment.kind == "ramp"):

@@ -152,7 +152,8 @@ def with_gait(what: str, network: Network) -> bool:
 
 
 def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> Calibration:
-    """Return the calibration with the discrepancy that the gait trials among the segments tell, if there are any."""
+    """Return the calibration with the discrepancy that follows from the gait trials among the segments, if there are
+    any."""
     return dataclasses.replace(
         calibration, discrepancy=discrepancy_fit.fit(segments, calibration, calibration_fit.rest(segments)))
 

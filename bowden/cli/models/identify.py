@@ -50,8 +50,8 @@ def identify(
 ) -> int:
     """Measure a bench and write its calibration.
 
-    The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus.
-    identify all ends with two short gait trials, which tell what END is beyond the calibrated model.
+    The trial that it was measured in is recorded beside it; --from fits such trials again, without a bus. identify
+    all ends with two short gait trials, which measure END's departure from the calibrated model.
 
     Example: bowden identify all --serial 3 -o calibration.toml
     """
