@@ -123,7 +123,7 @@ def test_a_calibration_is_missing_for_a_path(ran: Path, bowden: Command) -> None
     assert "none." in err
 
 
-@pytest.mark.parametrize("options", [("--experiment", "friction-loops"), ("--dry-run",)])
+@pytest.mark.parametrize("options", [("--experiment", "friction-loops"), ("--dry-run",), ("--picture", "shown.png")])
 def test_what_runs_on_one_path_only_is_refused(ran: Path, bowden: Command, options: tuple[str, ...]) -> None:
     status, out, err = bowden("trial", "--config", ran / "bench.toml", *options, "-o", ran / "other.mcap")
     assert (status, out, (ran / "other.mcap").exists()) == (2, "", False)
