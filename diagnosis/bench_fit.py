@@ -18,21 +18,17 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import rig_fit, simulation
+from diagnosis import rig_fit, simulation, simulation_fit
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
-from diagnosis.problem import blocks, learnt_bands, simulated_blocks
-from diagnosis.problem.healthy_reference import like_this_bench, of_bench
-from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.learnt_bands import Learnt
+from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.simulation_fit import IdentifiedBench, identified
 from parameters import InputError, declarations, read_toml
 from physics import bench_model
 from physics.bench_model import FITTED, OLDER, RIG, BenchModel
 from physics.calibration import VERSION, Calibration, nominal
 from physics.conversions import UNRELATED, converted, to_scalars
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
-from physics.plant.leg import KNEE_AT_FIT
-from physics.relations.relation import RELATIONS
 
 Values = Mapping[str, float]
 
@@ -44,8 +40,10 @@ DETERMINED: Final = 0.7
 """1σ, of that known beforehand, below which the data have said something of a constant."""
 SEEN: Final = 0.6
 """Share of each trial that the fit which is judged has seen."""
-UNFIT: Final = 0.2
-"""Share of a signal's spread that a fit may leave of it before it says nothing."""
+ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
+"""Columns of the rope's motion."""
+FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
+"""Constants that only scale others: no trial determines them."""
 SECONDS: Final = 6.0
 """Length of each trial that the simulation is fitted on, s."""
 
@@ -166,51 +164,30 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
             raise InputError(finding.text)
     usable = [integrity.usable(t) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
-    tables, pulls = learnt_bands.oriented([_locked(t) for t in usable])
-    known = read_toml(Path(calibration)) if isinstance(calibration, str | Path) else calibration
-    other, like = _other_rig(tables), like_this_bench(usable)
-    if other is not None:
-        if like:
-            raise InputError(other)
+    tables, pulls = oriented([table.with_locked_knee(t) for t in usable])
+    if any(PATH_MODEL.lacking(t) for t in tables):
         return _rig(usable, given, findings)
     first, rest = _parts(tables)
-    early = _learnt(first, known)
-    if not like and any(left > UNFIT * early.spread[name] for name, left in early.misfit.items()):
+    early = identified(first)
+    if early.unlike:
         return _rig(usable, given, findings)
-    unseen = _unseen(rest, _values(early, first))
-    whole = _learnt(tables, known)
-    values = _values(whole, tables)
-    floors = {n: {"unit": RELATIONS[n].unit, "left": whole.floors[n], "laws_alone": whole.plain[n]}
-              for n in whole.floors}
-    return FittedBench(_constants(values, whole), unseen, floors,
-                       tuple(Path(t.source).name for t in given), pulls, tuple(f.text for f in findings))
+    unseen = _unseen(rest, simulation_fit.fitted(first, early, SECONDS))
+    whole = identified(tables)
+    values = simulation_fit.fitted(tables, whole, SECONDS)
+    return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
+                       pulls=pulls, warnings=tuple(f.text for f in findings))
 
 
-def _locked(given: Table) -> Table:
-    """Return a trial whose knee is not recorded, or does not move, as one with a knee that is locked."""
-    if "knee_angle_rad" in given:
-        return given
-    still = np.full(len(given), KNEE_AT_FIT)
-    return dataclasses.replace(given, columns={**given.columns, "knee_angle_rad": still},
-                               notes=(*given.notes, "knee_angle_rad is not recorded, or constant: a locked knee."))
+def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
+    """Return the trials with ropes that grow where they pull, and 1, or −1 where they were counted the other way."""
+    if any("servo_position_m" not in t or "tension_start_n" not in t for t in tables) or all(
+            PATH_MODEL.pulls(t) for t in tables):
+        return list(tables), 1
+    return [_turned(t) for t in tables], -1
 
 
-def _other_rig(tables: Sequence[Table]) -> str | None:
-    """Return what speaks against a rope over a knee that a tension stretches, as a sentence; None: it is one."""
-    source = ", ".join(t.source for t in tables)
-    lacking = [t.source for t in tables if "servo_position_m" not in t]
-    if lacking:
-        return f"{lacking[0]}: no column servo_position_m; a bench is fitted to the motion of its rope."
-    if not any(n in t for t in tables for n in simulation.SIGNALS):
-        return f"{source}: no column tension_start_n or tension_end_n; give one at least."
-    found = learnt_bands.geometry([t.columns for t in tables])
-    if found is not None and found.stretches:
-        return None
-    told = "too few samples above 5 N" if found is None else (
-        f"60 N stretch it by {1e3 * (60.0 * found.linear + 3600.0 * found.bend):.3g} mm, R² {found.straight:.2f}")
-    least, most = (1e3 * bound for bound in learnt_bands.STRETCH_AT_60_N)
-    return (f"{source}: a gait, but no rope that a tension stretches over a knee ({told}); expected {least:g}…{most:g} "
-            "mm: check the columns.")
+def _turned(given: Table) -> Table:
+    return dataclasses.replace(given, columns={n: -v if n in ROPE else v for n, v in given.columns.items()})
 
 
 def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[integrity.Finding]) -> FittedBench:
@@ -227,18 +204,6 @@ def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[int
              if row["unseen"] is not None and row["unseen"] > row["spread"])
     return FittedBench(constants, {}, relations, tuple(Path(t.source).name for t in given),
                        warnings=(*(f.text for f in findings), *found.on_bounds, *blind), rig=found.effects)
-
-
-def _learnt(tables: Sequence[Table], known: Mapping[str, Any] | None) -> Learnt:
-    lacks = blocks.allowed(tables)
-    checked = tuple(n for n, columns in lacks.items() if not columns)
-    return HealthyTrials(tables).fit(checked, of_bench(known))
-
-
-def _values(found: Learnt, tables: Sequence[Table]) -> dict[str, float]:
-    """Return what was learnt, moved to where the simulation fits."""
-    values = {n: found.reference.values[n] for n in RELATION_PARAMETERS}
-    return simulated_blocks.fitted(tables, values, found.sigma, found.like, SECONDS)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -268,26 +233,20 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
     return figures
 
 
-def _constants(values: Values, found: Learnt) -> dict[str, Constant]:
-    known = {**{f.name: f.sigma for f in found.like if f.name in RELATION_PARAMETERS},
-             **learnt_bands.WIDE,
-             "rope_per_knee": learnt_bands.KNEE_RATIO * abs(values["rope_per_knee"])}
+def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
+    """Return each constant with its 95 % interval, within the bounds of its row of the parameter table."""
     constants = {}
     for name, sigma in found.sigma.items():
-        if name not in RELATION_PARAMETERS:
-            continue
-        stated = RELATION_PARAMETERS[name]  # a fit lets END lead START by a millisecond, a simulation cannot
+        stated = RELATION_PARAMETERS[name]
         value, low, high = (min(max(values[name] + side * 1.96 * sigma, stated.low), stated.high)
                             for side in (0.0, -1.0, 1.0))
-        constants[name] = Constant(value, low, high, stated.unit, sigma < DETERMINED * known.get(name, math.inf))
-    fixed = ("theta1", "phi0", "home_preload", "drum_radius")
-    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False) for n in fixed}
+        constants[name] = Constant(value, low, high, stated.unit, sigma < DETERMINED * found.prior_sigma[name])
+    return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
+                        for n in FIXED}
 
 
 def as_fitted(given: Table, model: FittedBench) -> Table:
     """Return a trial with its rope counted as the model's trials were, a knee that is not recorded as locked."""
     if model.pulls > 0:
         return given
-    return dataclasses.replace(given, columns={
-        n: -v if n in ("servo_position_m", "servo_target_m", "servo_velocity_m_s") else v
-        for n, v in given.columns.items()})
+    return _turned(given)

@@ -5,6 +5,7 @@ One row a constant.  The same rows serve the reference fit, the evidence of an e
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,10 @@ from physics import force_path
 from physics.constant_table import ConstantTable, ModelConstant
 from physics.laws import Array
 
+PRESLIDING: Final = 1.0 / math.log(2.0)
+"""Pre-sliding distance of Dahl's equation over that of `force_path`: both turn from −1 to 0 over the same way."""
+LOAD_PER_STEP: Final = 0.25
+"""Change of `load` between 30 N, to which exponents of the path refer, and 40 N, to which the simulation's refer."""
 _C = ModelConstant
 TABLE: Final = (
     _C("zero", "m", 0.0, "linear", 50e-3, 2e-4, "encoder at the taut, unloaded rope; session: repeatability of homing"),

@@ -19,6 +19,7 @@ from scipy.signal import butter, sosfiltfilt
 from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
+from physics.plant.leg import KNEE_AT_FIT
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE
@@ -213,3 +214,12 @@ def low_passed(given: Table, cutoff_hz: float) -> Table:
     filtered = {name: values if name in COUNTERS or name.endswith(AGE_SUFFIX) else sosfiltfilt(sos, values)
                 for name, values in given.columns.items()}
     return replace(given, columns=filtered, lowpass_hz=cutoff_hz)
+
+
+def with_locked_knee(given: Table) -> Table:
+    """Return a trial whose knee is not recorded, or does not move, as one with a knee that is locked."""
+    if "knee_angle_rad" in given:
+        return given
+    still = np.full(len(given), KNEE_AT_FIT)
+    return replace(given, columns={**given.columns, "knee_angle_rad": still},
+                               notes=(*given.notes, "knee_angle_rad is not recorded, or constant: a locked knee."))

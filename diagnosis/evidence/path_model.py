@@ -77,17 +77,17 @@ class PathModel:
     def origin(self, trial: PathRecording) -> Array:
         """Return coordinates to start from: zero, lever arm and stiffness by regression of rope on knee and load."""
         q = np.zeros(len(CONSTANTS))
-        taut = trial.start_n > 4.0
-        load = trial.start_n[taut]
-        on = trial.knee_rad[taut] + 0.5
-        design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
-        if load.size < 50:
-            return q
-        zero, arm, _, linear, curved = np.linalg.lstsq(design, trial.rope_m[taut], rcond=None)[0]
-        stretch = max(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0), 2e-3)
-        q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
-        q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * stretch))
+        found = _regressed(trial)
+        if found is not None:
+            zero, arm, stretch = found
+            q[INDEX["zero"]], q[INDEX["arm"]] = zero, np.clip(arm - 0.04, -0.01, 0.01)
+            q[INDEX["stiffness"]] = np.log(0.01 / (1.5 * max(stretch, 2e-3)))
         return q
+
+    def pulls(self, table: Table) -> bool:
+        """Return whether the rope position grows with tension, at a given knee angle; True where tension is low."""
+        found = _regressed(self.record(table))
+        return found is None or found[2] > 0.0
 
     def scanned(self, middle: Array, trial: PathRecording) -> list[Array]:
         """Return the `STARTS` coordinates about `middle` that miss the trial's data least, simulated in one batch.
@@ -118,6 +118,18 @@ class PathModel:
         if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
             errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
         return errors
+
+
+def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
+    """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, of the taut rope; None below 50 taut samples."""
+    taut = trial.start_n > 4.0
+    load = trial.start_n[taut]
+    if load.size < 50:
+        return None
+    on = trial.knee_rad[taut] + 0.5
+    design = np.stack([np.ones(load.size), on, on**2, load, 3.0 * np.log1p(load / 3.0)], axis=1)
+    zero, arm, _, linear, curved = np.linalg.lstsq(design, trial.rope_m[taut], rcond=None)[0]
+    return float(zero), float(arm), float(40.0 * linear + 3.0 * curved * np.log1p(40.0 / 3.0))
 
 
 PATH_MODEL: Final = PathModel()

@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
+from physics.path_constants import LOAD_PER_STEP, PRESLIDING
+
 Values = Mapping[str, float]
 Read = Callable[[Values, Values], float]
 """Value of an effect's parameter from the constants of the trial and of the bench in the reference condition."""
@@ -80,8 +82,6 @@ THETA1: Final = math.pi / 2
 """Bend of the sheath, rad, by which an exponent is reported as a coefficient: the nominal bench's."""
 PHI: Final = 0.65
 """Wrap, rad, at the loaded knee by which an exponent is reported as a coefficient: the nominal bench's."""
-TURN: Final = 1.0 / math.log(2.0)
-"""Pre-sliding distance of Dahl's equation over `cable_travel`: both turn from −1 to 0 over the same way."""
 
 HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "cable_friction": _one(FRICTION, "cable", 0.4, "mu1", factor=1.0 / THETA1),
@@ -92,17 +92,18 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
         "cable_bend": lambda v, b: v["bend"] / max(0.2, 1.0 - 0.5 * v["bend"])}),
     "load_dependent_friction": Hypothesis(FRICTION, lambda v: (_frees(
         ({"load": 1.0}, 0.35), ({"cable": 1.0, "fabric": 1.0}, 0.08)),), {
-            "load_slope": lambda v, b: v["load"] / (1.0 + 0.25 * v["load"])}),
+            "load_slope": lambda v, b: v["load"] / (1.0 + LOAD_PER_STEP * v["load"])}),
     "viscous_friction": Hypothesis(
         FRICTION, lambda v: (_frees(({"viscous": 1.0}, 12.0)), _frees(({"drag": 1.0}, 12.0))), {
             "viscous": lambda v, b: v["viscous"] + v["drag"]}),
-    "stribeck": Hypothesis(FRICTION, lambda v: (_frees(
-        ({"cable_rest": 1.0, "fabric_rest": 1.0}, 0.8), ({"rest_speed": 1.0}, 0.8)),), {
-            "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
-            "stribeck_speed": lambda v, b: v["rest_speed"]}),
+    "stribeck": Hypothesis(FRICTION, lambda v: tuple(
+        _frees((along, 0.8), ({"rest_speed": 1.0}, 0.8)) for along in (
+            {"cable_rest": 1.0, "fabric_rest": 1.0}, {"cable_rest": 1.0}, {"fabric_rest": 1.0})), {
+                "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
+                "stribeck_speed": lambda v, b: v["rest_speed"]}),
     "presliding": Hypothesis(FRICTION, lambda v: (_frees(
         ({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4)),), {
-            "presliding": lambda v, b: TURN * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
+            "presliding": lambda v, b: PRESLIDING * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
     "friction_drift": _one(FRICTION, "drift", 0.5, "friction_drift"),
     "stiffness": Hypothesis(ELASTICITY, _stiffer, {"stiffness_scale": lambda v, b: v["stiffness"] / 40.0}),
     "fabric_creep": Hypothesis(ELASTICITY, _creeps, {
@@ -135,7 +136,7 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "drive_asymmetry": _one(DRIVE, "drive_asymmetry", 0.5, needs=FORCE),
     "drive_inertia": _one(DRIVE, "drive_inertia", 1.5, needs=FORCE),
     "drive_viscous_asymmetry": _one(DRIVE, "drive_viscous_asymmetry", 0.5, needs=FORCE),
-    "drive_presliding": _one(DRIVE, "drive_travel", 2.5, "drive_presliding", FORCE, TURN),
+    "drive_presliding": _one(DRIVE, "drive_travel", 2.5, "drive_presliding", FORCE, PRESLIDING),
     "demand_gain": _one(DRIVE, "demand_gain", 0.1, needs=FORCE),
 }
 """Effects that the forward model of the force path can have.  Sizes: the catalogue's likely ranges as a 1σ."""

@@ -1,0 +1,166 @@
+"""Parameters of the simulation from reference trials: the fitted force path, then the simulation fitted from there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from diagnosis import simulation
+from diagnosis.data.table import Table
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.reference_fit import ReferenceFit
+from physics.bench_model import BenchModel
+from physics.calibration import ScalarEvidence
+from physics.laws import Array
+from physics.parameters import RELATION_PARAMETERS
+from physics.path_parameters import DIRECT, simulation_values
+from physics.plant import imposed
+from physics.plant.imposed import ImposedMotion, Tensions
+from physics.plant.state_layout import PlantParameters
+
+Values = Mapping[str, float]
+
+MOVED: Final = (
+    "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
+    "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
+"""Parameters that are fitted again: those in which the two models of the path differ."""
+DIFFERENCE: Final = 0.1
+"""1σ by which the two models of a path differ in a parameter, relative to its nominal size (`SIZE` where that is 0)."""
+SIZE: Final = {"load_slope": 0.3, "viscous": 10.0, "stiffness_shape": 1.0, "timestamp_skew": 5e-3, "end_delay": 5e-3,
+               "rope_zero": 5e-3}
+NOISE_N: Final = 1.0
+"""1σ of a sample, N: 0.3 N of model error, correlated over ten samples of `LOOKED_AT_HZ`."""
+LOOKED_AT_HZ: Final = 100.0
+OWN: Final = {"rope_zero": 2e-4, "start_offset": 0.1, "end_offset": 0.1}
+"""Parameters of which each trial has its own deviation, with its published 1σ between sessions."""
+CENTRE, STEP = 10.0, 0.03
+"""Variables of the fit are departures in prior σ about `CENTRE`, differenced by `STEP` σ: SciPy's step is relative."""
+EVALUATIONS: Final = 6
+"""Steps of the fit; each simulates every trial once a parameter."""
+
+
+@dataclass(frozen=True)
+class IdentifiedBench:
+    """Parameters of the simulation, SI, that a fitted force path gives; 1σ by parameter, after and before the trials.
+
+    `unlike`: why the trials are not of a rope over a knee, as a sentence ("": they are).
+    """
+
+    values: Values
+    sigma: Values
+    prior_sigma: Values
+    unlike: str = ""
+
+
+def identified(trials: Sequence[Table]) -> IdentifiedBench:
+    """Fit the force path to reference trials of one bench and return it as parameters of the simulation."""
+    finder = EvidenceFinder(trials)
+    unlike = finder.unlike(trials)
+    if unlike:
+        return IdentifiedBench({}, {}, {}, unlike)
+    return identified_by(finder.reference(trials))
+
+
+def identified_by(fit: ReferenceFit) -> IdentifiedBench:
+    """Return a fitted force path as parameters of the simulation."""
+    names, free = _determined(fit.outputs), list(fit.model.constants.free)
+    size = len(free)
+    return IdentifiedBench(simulation_values(_path(fit, fit.bench.mean[:size])),
+                           _sigma(fit, fit.bench.covariance[:size, :size], names),
+                           _sigma(fit, np.diag(fit.model.constants.bench_sd[free] ** 2), names))
+
+
+def bench_model_of(fit: ReferenceFit) -> BenchModel:
+    """Return a fitted force path as a bench model: each determined parameter with its 95 % interval."""
+    bench = identified_by(fit)
+    return BenchModel({n: bench.values[n] for n in bench.sigma}, {
+        n: ScalarEvidence(bench.values[n] - 1.96 * sd, bench.values[n] + 1.96 * sd) for n, sd in bench.sigma.items()})
+
+
+def _path(fit: ReferenceFit, departure: Array) -> dict[str, float]:
+    q = fit.origin.copy()
+    q[list(fit.model.constants.free)] += departure
+    return fit.model.constants.named(q)
+
+
+def _determined(outputs: Sequence[str]) -> list[str]:
+    """Return the parameters of the simulation that the outputs can determine."""
+    every = [*MOVED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"]
+    return [n for n in dict.fromkeys(every) if ("tension_end_n" in outputs or not n.startswith("end_"))
+            and ("servo_force_n" in outputs or not n.startswith(("drive_", "demand_")))]
+
+
+def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str]) -> dict[str, float]:
+    """Return 1σ of each parameter by the delta method: √(gᵀΣg), g the gradient by the path's coordinates."""
+    here = fit.bench.mean[:covariance.shape[0]]
+    base = simulation_values(_path(fit, here))
+    step = 0.3 * fit.model.constants.session_sd[list(fit.model.constants.free)]
+    slopes = np.zeros((len(names), here.size))
+    for k, size in enumerate(step):
+        moved = here.copy()
+        moved[k] += size
+        values = simulation_values(_path(fit, moved))
+        slopes[:, k] = [(values[n] - base[n]) / size for n in names]
+    variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
+    return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+
+
+class _Simulated:
+    """One trial against the simulation; a plant that was simulated last is not simulated again."""
+
+    def __init__(self, given: Table, seconds: float) -> None:
+        last = int(np.searchsorted(given["time_s"], given["time_s"][0] + seconds))
+        self.table = dataclasses.replace(given, columns={n: v[:last] for n, v in given.columns.items()})
+        self.signals = [n for n in simulation.SIGNALS if n in given]
+        step = float(np.median(np.diff(self.table["time_s"])))
+        known = np.flatnonzero(simulation.counted(self.table) & np.all(
+            [np.isfinite(self.table[n]) for n in self.signals], axis=0))
+        self.rows = known[:: max(1, round(1.0 / (step * LOOKED_AT_HZ)))]
+        self._motion: ImposedMotion = simulation.motion(self.table, 0.0)
+        self._last: tuple[PlantParameters, Tensions] | None = None
+
+    def residual(self, values: Values) -> Array:
+        """Return measured less simulated tensions over `NOISE_N`."""
+        plant = simulation.plant_of(values, simulation.length_s(self.table))
+        if self._last is None or self._last[0] != plant:
+            self._last = plant, imposed.simulate(plant, self._motion)
+        told = simulation.read(self.table["time_s"], self._last[1], values)
+        return np.concatenate([(self.table[n] - getattr(told, n))[self.rows] for n in self.signals]) / NOISE_N
+
+
+def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float) -> dict[str, float]:
+    """Fit the simulation to the first `seconds` of each trial, from the parameters of the fitted path.
+
+    Maximum a posteriori: the prior is the path's posterior, wider by how far the two models differ.
+    """
+    simulated = [_Simulated(t, seconds) for t in trials]
+    names = [n for n in MOVED if n in bench.sigma]
+    width = np.array([np.hypot(bench.sigma[n], DIFFERENCE * SIZE.get(n, abs(RELATION_PARAMETERS[n].nominal)))
+                      for n in names])
+    own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]
+    mean = np.concatenate([[bench.values[n] for n in names], np.zeros(len(own))])
+    scale = np.concatenate([width, [OWN[n] for _, n in own]])
+    low = np.array([*(RELATION_PARAMETERS[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
+    high = np.array([*(RELATION_PARAMETERS[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
+    bounds = [(edge - mean) / scale + CENTRE for edge in (low, high)]
+
+    def values(x: Array, trial: int) -> dict[str, float]:
+        told = {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
+        for (k, name), deviation in zip(own, x[len(names):], strict=True):
+            if k == trial:
+                told[name] += float(deviation)
+        return told
+
+    def residual(u: Array) -> Array:
+        x = mean + scale * (u - CENTRE)
+        return np.concatenate([*(s.residual(values(x, k)) for k, s in enumerate(simulated)), u - CENTRE])
+
+    start = np.clip(np.full(mean.size, CENTRE), bounds[0] + 1e-6, bounds[1] - 1e-6)
+    found = least_squares(residual, start, bounds=bounds, diff_step=STEP / CENTRE, max_nfev=EVALUATIONS)
+    x = mean + scale * (found.x - CENTRE)
+    return {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}

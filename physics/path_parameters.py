@@ -1,0 +1,81 @@
+"""Parameters of the many-segment simulation from the constants of the two-node force path.
+
+Each conversion follows from equating the two models where both are exact: friction exponents by tension and knee angle,
+stretch between 10 and 60 N, displacement of the anchor between 0 and 70° of flexion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from physics.force_path import KNEE_RAD, STRETCH_M
+from physics.laws import MILLI, STIFFNESS_A_MM_N2, STIFFNESS_B_MM_N
+from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
+from physics.path_constants import LOAD_PER_STEP, PRESLIDING
+from physics.plant.leg import KNEE_AT_FIT
+
+Values = Mapping[str, float]
+
+STRETCH_LINEAR: Final = STIFFNESS_B_MM_N * MILLI
+STRETCH_BEND: Final = STIFFNESS_A_MM_N2 * MILLI
+TENSIONS_N: Final = np.linspace(10.0, 60.0, 11)
+"""Tensions at which the two stretch equations are equated: those of a gait cycle's loading."""
+ANGLES_RAD: Final = np.linspace(-1.2, 0.0, 13)
+"""Knee angles at which the two displacements of the anchor are equated."""
+DIRECT: Final = {
+    "viscous": "viscous", "stribeck_speed": "rest_speed", "stribeck_memory": "memory", "creep_compliance": "creep",
+    "creep_time": "creep_time", "start_gain": "start_gain", "end_gain": "end_gain", "start_offset": "start_offset",
+    "end_offset": "end_offset", "timestamp_skew": "start_lag", "drive_coulomb": "drive_coulomb",
+    "drive_viscous": "drive_viscous", "drive_inertia": "drive_inertia", "drive_offset": "drive_offset",
+    "drive_asymmetry": "drive_asymmetry", "drive_viscous_asymmetry": "drive_viscous_asymmetry",
+    "demand_gain": "demand_gain"}
+"""Parameter of the simulation → constant of the path that is the same quantity."""
+
+
+def simulation_values(path: Values) -> dict[str, float]:
+    """Return every parameter that the simulation reads, SI, from constants of the path by name.
+
+    Each value lies within the bounds of its row of the parameter table.
+    """
+    given = healthy() | {name: path[constant] for name, constant in DIRECT.items()} | _friction(path)
+    given |= _stretch(path) | _anchor(path)
+    given |= {"home_preload": 0.0, "end_delay": path["end_lag"] - path["start_lag"],
+              "drive_presliding": PRESLIDING * path["drive_travel"]}
+    return {name: min(max(value, p.low), p.high) for name, value in given.items()
+            for p in (RELATION_PARAMETERS[name],)}
+
+
+def _friction(path: Values) -> dict[str, float]:
+    loaded = 1.0 + LOAD_PER_STEP * path["load"]
+    bent, wrapped = 1.0 + KNEE_RAD * path["bend"], 1.0 + KNEE_RAD * path["wrap"]
+    phi0 = PARAMETERS["phi0"].nominal
+    return {
+        "mu1": path["cable"] * loaded * bent / PARAMETERS["theta1"].nominal, "cable_bend": path["bend"] / bent,
+        "load_slope": path["load"] / loaded, "mu2": path["fabric"] * loaded * wrapped / phi0,
+        "fabric_wrap": phi0 * path["wrap"] / max(wrapped, 0.02),
+        "stribeck_ratio": 1.0 + 0.5 * (path["cable_rest"] + path["fabric_rest"]),
+        "presliding": PRESLIDING * path["cable_travel"],
+        "fabric_presliding_ratio": path["fabric_travel"] / path["cable_travel"]}
+
+
+def _stretch(path: Values) -> dict[str, float]:
+    strain = np.linspace(0.0, 4.0, 4001)
+    tension = path["stiffness"] * strain * (1.0 + strain * (path["curve2"] + strain * path["curve3"]))
+    delayed = path["prompt"] + 0.5 * path["slow"]
+    stretch = STRETCH_M * np.interp(TENSIONS_N, tension, strain) + (path["lead"] + delayed) * TENSIONS_N
+    linear, bend = np.linalg.lstsq(np.stack([TENSIONS_N, TENSIONS_N**2], axis=1), stretch, rcond=None)[0]
+    scale = STRETCH_LINEAR / max(float(linear), 1e-6)
+    return {"stiffness_scale": scale, "stiffness_shape": float(bend) * scale / STRETCH_BEND - 1.0,
+            "cable_share": path["lead"] * scale / STRETCH_LINEAR}
+
+
+def _anchor(path: Values) -> dict[str, float]:
+    on = ANGLES_RAD - KNEE_RAD
+    moved = path["arm"] * on + path["arm2"] * on**2 + path["arm3"] * on**3
+    design = np.stack([np.ones(on.size), ANGLES_RAD - KNEE_AT_FIT, ANGLES_RAD**2 - KNEE_AT_FIT**2], axis=1)
+    zero, arm, quadratic = np.linalg.lstsq(design, moved, rcond=None)[0]
+    return {"rope_zero": path["zero"] + float(zero), "rope_per_knee": float(arm),
+            "rope_per_knee_quadratic": float(quadratic)}
