@@ -11,12 +11,16 @@ import pytest
 from diagnosis.data.table import Table, table
 from diagnosis.extension import read, text
 from diagnosis.findings import Findings
+from eds.declaration import PathNodes
 from parameters import InputError
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.effects.catalogue import CATALOGUE, apply, complete
 from virtual_bus.machine import plant_model
+
+NODES = PathNodes(1, 2, 3, 4)
+"""Node ids of the packaged bench."""
 
 TRIAL: Table = table("runs/gait.mcap", {"time_s": np.arange(0.0, 13.0, 0.5), "tension_end_n": np.ones(26)})
 
@@ -40,7 +44,7 @@ def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
     assert extension.evidence["class"] == ["presliding", "end_gain", "stiffness"]
     assert extension.evidence["gain_percent"] == {"presliding": 31.23, "end_gain": 31.23}
     assert extension.evidence["lowpass_hz"] == 20.0
-    assert plant_model.read(str(path)).effects == apply(extension.effects)
+    assert plant_model.read(str(path), NODES).effects == apply(extension.effects)
 
 
 def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> None:
@@ -53,7 +57,7 @@ def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> 
     assert model.values == known.values
     assert model.evidence["mu1"] == ScalarEvidence(0.10, 0.12)
     assert model.effects == {"presliding": {"presliding": 4e-4}}
-    simulated = plant_model.read(str(path)).effects["plant"]
+    simulated = plant_model.read(str(path), NODES).effects["plant"]
     assert simulated["mu1"] == 0.11
     assert simulated["presliding_m"] == 4e-4
 
@@ -63,7 +67,7 @@ def test_an_effect_per_trial_says_how_long_the_trial_was(tmp_path: Path) -> None
     drift = Findings("found", [cause("friction_drift", friction_drift=0.4)], ["friction_drift"],
                      reference="nominal")
     path.write_text(text(drift, [TRIAL]), encoding="utf-8")
-    assert plant_model.read(str(path)).effects["plant"]["friction_drift_s"] == 12.5
+    assert plant_model.read(str(path), NODES).effects["plant"]["friction_drift_s"] == 12.5
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from eds.declaration import PathNodes
 from parameters import Remark, declarations
 from physics import calibration
 from physics.calibration import Calibration
@@ -20,6 +21,9 @@ from physics.parameters import BY_CALIBRATION, BY_PLANT, PARAMETERS, RELATION_PA
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS
+
+NODES = PathNodes(1, 2, 3, 4)
+"""Node ids of the packaged bench."""
 
 BASE = (PARAMETERS[name] for name in (
     "mu1", "mu2", "phi0", "fabric_wrap", "presliding", "fabric_presliding", "stribeck_speed", "rope_per_knee",
@@ -108,7 +112,7 @@ def test_a_whole_calibration_comes_back() -> None:
 
 def test_older_names_are_read_with_a_remark() -> None:
     with pytest.warns(Remark, match="moment_arm_m is called rope_per_knee today"):
-        model = plant_model.read({"plant": {"moment_arm_m": 0.05, "moment_arm": 1e-3}})
+        model = plant_model.read({"plant": {"moment_arm_m": 0.05, "moment_arm": 1e-3}}, NODES)
     assert model.tables["plant"] == {"rope_per_knee": 0.05, "rope_per_knee_quadratic": 1e-3}
     with pytest.warns(Remark, match="knee_ratio is called rope_per_knee today"):
         found = stated({"effects": {"moment_arm": {"moment_arm": 1e-3, "knee_ratio": {"value": 0.04}}}}, "m.toml")
