@@ -14,10 +14,11 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis.bench_fit import UNFIT
+from diagnosis import simulation_fit
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.held_out import BLOCK_S
 from diagnosis.evidence.likelihood_data import MOTION
 from diagnosis.findings import Findings
 from diagnosis.judgement import simulator_verdict as judgement
@@ -33,8 +34,8 @@ from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.relations.relation import RELATIONS
 
-CORES: Final = ("evidence", "relations")
-"""How causes are found: forward simulation and Bayes factors, or relations between the columns of any rig."""
+UNFIT: Final = 0.2
+"""Share of a relation's spread that the reference trials may miss before they are refused."""
 Given = str | Path | Table
 """A trial: its file (MCAP or CSV), or its columns in memory."""
 
@@ -43,18 +44,14 @@ class Finder:
     """Diagnoses trials of one bench: `fit` examines healthy trials once, `diagnose` uses that for trial after trial.
 
     `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
-    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `core`: see `CORES`; evidence
-    needs reference trials, and rope, knee and START recorded on a rig that the model fits.
-    `session_sd`: 1σ of each constant between sessions, from a logbook (None: the published one).
-    Raises `InputError` for a core that is none.
+    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `session_sd`: 1σ of each
+    constant between sessions, from a logbook (None: the published one).
+    With reference trials of a bench effects compete by evidence; without, and on rigs of other kinds, by relations.
     """
 
     def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
-                 core: str = "relations", session_sd: Mapping[str, float] | None = None) -> None:
-        if core not in CORES:
-            raise InputError(f"--core {core} is no core of the diagnosis; expected {' or '.join(CORES)}.")
-        self.calibration, self.lowpass, self.core = _calibration(calibration), lowpass, core
-        self.session_sd = session_sd
+                 session_sd: Mapping[str, float] | None = None) -> None:
+        self.calibration, self.lowpass, self.session_sd = _calibration(calibration), lowpass, session_sd
         self._evidence: EvidenceFinder | None = None
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
@@ -80,8 +77,8 @@ class Finder:
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [self._usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
-        by_evidence = self._healthy and self.core != "relations"
-        self._evidence = EvidenceFinder(self._healthy.tables, self.session_sd) if by_evidence else None
+        self._evidence = EvidenceFinder([table.with_locked_knee(t) for t in self._healthy],
+                                        self.session_sd) if self._healthy else None
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
@@ -92,11 +89,6 @@ class Finder:
         # matrices of some hundred columns: threads that wait for each other cost more than they calculate
         with threadpool_limits(1, user_api="blas"):
             return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
-
-    def _bench(self, trials: Sequence[Table]) -> BenchModel | None:
-        """Return the bench in the terms of the parameter table, as its reference trials or its calibration have it."""
-        known = self._known(trials)
-        return _bench(problem.build_problem(trials, self._healthy, known), known)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
@@ -124,21 +116,29 @@ class Finder:
             return self._judged(groups[0], groups[1], carried, warnings)
         if carried.told:
             return replace(_of_wire(carried, warnings), part="wire", evidence={})
-        return replace(by_evidence.diagnose(groups[0], groups[1], warnings), bench=self._bench(groups[0]))
+        groups = [[table.with_locked_knee(t) for t in group] for group in groups]
+        short = _short(groups[0])
+        if short:
+            return Findings("refused", warnings=[short, *warnings])
+        refused = by_evidence.lacking([*groups[0], *groups[1]]) or by_evidence.unlike(groups[0])
+        if refused:
+            return Findings("refused", warnings=[refused, *warnings])
+        found = by_evidence.diagnose(groups[0], groups[1], warnings)
+        undecided = _undecided(groups[0], found.verdict, found.rivals, [])
+        again = undecided is not None and found.experiment in {t.experiment for t in groups[0]}
+        return replace(found, bench=simulation_fit.bench_model_of(by_evidence.reference(groups[0])),
+                       undecided=undecided, experiment=None if again else found.experiment)
 
     def _usable(self, given: Table) -> Table:
-        """Return a table without the signals that hold nothing; the evidence core simulates from a locked knee, too."""
-        return integrity.usable(given, MOTION if self.core == "evidence" else ())
+        """Return a table without the signals that hold nothing; the knee of a gait may be locked."""
+        return integrity.usable(given, MOTION if "gait_percent" in given else ())
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
-        """Return the evidence core where it is asked for; raises `InputError` where it cannot simulate these trials."""
-        if self.core != "evidence":
-            return None
-        core = self._evidence or EvidenceFinder([])
-        reason = core.lacking([*trials, *holdout]) or core.unlike([*trials, *holdout])
-        if reason:
-            raise InputError(reason)
-        return core
+        """Return the diagnosis by evidence where these are trials of the bench of the reference trials."""
+        core, every = self._evidence, [*trials, *holdout]
+        if core is None or any("gait_percent" in t for t in [*every, *self._healthy]):
+            return core
+        return None if core.lacking(every) or core.unlike(every) else core
 
     def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
                 ) -> Findings:
@@ -246,10 +246,20 @@ def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> 
 
 def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
-    holdout: Sequence[Given] = (), lowpass: float | None = None, core: str = "relations",
+    holdout: Sequence[Given] = (), lowpass: float | None = None,
 ) -> Findings:
     """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
-    return Finder(calibration, lowpass, core).examine(healthy).diagnose(trials, holdout)
+    return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
+
+
+def _short(trials: Sequence[Table]) -> str:
+    """Return, as a sentence, that trials hold too few cycles to be predicted from each other; "" where they do not."""
+    cycles = int(sum(np.floor(float(t["time_s"][-1] - t["time_s"][0]) / BLOCK_S) if "cycle" not in t
+                     else np.unique(t["cycle"][np.isfinite(t["cycle"])]).size for t in trials))
+    if cycles >= integrity.LEAST_CYCLES:
+        return ""
+    return (f"{', '.join(t.source for t in trials)}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so "
+            "that some stay unseen.")
 
 
 def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,

@@ -71,6 +71,23 @@ class ConstantTable:
                 out[i] = np.clip(at, low, high)
         return out
 
+    def lifted(self, q: Array) -> Array:
+        """Return coordinates with each "positive" constant at least where its value follows its coordinate.
+
+        Below, the smooth maximum is flat: a slope there would not show what the constant does once it acts.
+        """
+        least = [0.5 * row.rounding - row.middle if row.form == "positive" else -np.inf for row in self.rows]
+        return np.maximum(q, least)
+
+    def slope(self, q: Array) -> Array:
+        """Return dv/dq of each "positive" constant at coordinates `q`, 1 for the other forms, shape (rows,)."""
+        out = np.ones(len(self.rows))
+        for i, row in enumerate(self.rows):
+            if row.form == "positive":
+                at = row.middle + q[i]
+                out[i] = 0.5 * (1.0 + at / np.sqrt(at**2 + row.rounding**2))
+        return out
+
     def coordinates_of(self, constants: Array) -> Array:
         """Return the coordinates of constants inside their bounds, the inverse of `values`, shape (rows,)."""
         out = np.empty_like(constants)

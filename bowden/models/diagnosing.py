@@ -27,16 +27,15 @@ class Diagnosis:
     """Diagnosis of trials of one bench, with the interface of a scikit-learn estimator.
 
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
-    cut-off of the zero-phase low-pass put on every signal first. `core`: evidence or relations, as of `bowden
-    diagnose`.
+    cut-off of the zero-phase low-pass put on every signal first.
     """
 
-    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, core: str = "relations") -> None:
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None) -> None:
         from diagnosis.finder import Finder
 
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
-        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz, core)
+        self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
         self._measured = known is not None
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:

@@ -1,4 +1,4 @@
-"""Trials into a logbook: figures, conditions and the bench constants of the session, by the evidence core.
+"""Trials into a logbook: figures, conditions and the bench constants of the session, by the fitted force path.
 
 The first two sessions' first trials are the reference model; every trial is then fitted relative to it, so that what
 the model lacks is the same in every session and no change.

@@ -30,7 +30,6 @@ class Given:
     healthy: tuple[Path, ...]
     holdout: tuple[Path, ...]
     lowpass: float | None
-    core: str = "relations"
 
 
 def crew(scheduler: str | None, workers: int | None, tls: Path | None = None) -> AbstractContextManager[run.Workers]:
@@ -57,7 +56,7 @@ def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
     """Return what diagnoses the trials: its healthy trials are read and fitted once in a process."""
     from diagnosis.finder import Finder
 
-    return Finder(given.calibration, given.lowpass, given.core).examine(given.healthy)
+    return Finder(given.calibration, given.lowpass).examine(given.healthy)
 
 
 def _state(given: Given) -> tuple[tuple[int, int], ...]:

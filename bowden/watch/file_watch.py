@@ -99,8 +99,8 @@ class FileWatch:
         return bool(found.suspected) and named and found.cost_percent >= STOP_PERCENT
 
     def diagnosis(self) -> Findings:
-        """Return the diagnosis of the whole file, as `bowden diagnose --core evidence` gives it."""
-        finder = Finder(core="evidence", session_sd=self._bench.session_sd).examine(list(self._bench.healthy))
+        """Return the diagnosis of the whole file, as `bowden diagnose` gives it."""
+        finder = Finder(session_sd=self._bench.session_sd).examine(list(self._bench.healthy))
         return finder.diagnose([self._file.path])
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:

@@ -69,7 +69,7 @@ def decide(found: Searched) -> Decision:
     if second is not None and further[second] >= max(FURTHER_NATS, FURTHER_SHARE * gains[best]):
         chosen, at = (best, second), found.pair[(best, second)]
     misfit = misfits(found, at)
-    if lacks(misfit):
+    if lacks(misfit, misfits(found, found.null)):
         return Decision("unexplained", (), (), part, gains, misfit)
     among = _set(gains, chosen)
     if len(chosen) == 2:
@@ -93,9 +93,13 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
     return told | {"session": at.cost / (observed.data.size * observed.cost)}
 
 
-def lacks(misfit: Mapping[str, float]) -> bool:
-    """Say whether a model misses the data, or fits them by constants that no session moves so far."""
-    return any(value > (STRAINED if name == "session" else MISFIT) for name, value in misfit.items())
+def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:
+    """Return whether a model misses the data, or fits them by constants that no session moves so far.
+
+    `before`: misfit of the null. An effect whose equation differs from the bench's leaves up to `FURTHER_SHARE` of it.
+    """
+    return any(value > max(STRAINED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0))
+               for name, value in misfit.items())
 
 
 def none(decided: Decision) -> Decision:

@@ -16,12 +16,12 @@ from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, hypotheses, search
 from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.posterior import PosteriorMode, named_change, projected
+from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change, projected
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.findings import Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import FRICTION, Variant
+from physics.effects.hypotheses import FRICTION, Read, Variant
 from physics.laws import Array
 
 SURROGATE: Final = 0.1
@@ -44,8 +44,8 @@ class EvidenceFinder:
         """
         self.model = model
         if not reference:
-            raise InputError("the evidence core needs reference trials of this bench; name at least one with "
-                             "--healthy, or say --core relations.")
+            raise InputError("a diagnosis by evidence needs reference trials of this bench; name at least one with "
+                             "--healthy.")
         self._tables = reference
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
@@ -55,14 +55,8 @@ class EvidenceFinder:
         for given in [*trials, *self._tables]:
             missing = self.model.lacking(given)
             if missing:
-                return (f"{given.source}: has no column {', '.join(missing)}; the evidence core simulates the force "
-                        "path from rope and knee motion. Record it, or say --core relations.")
-        outputs = self._outputs(trials)
-        for given in self._tables:
-            missing = [n for n in outputs if n not in given]
-            if missing:
-                return (f"{given.source}: has no column {', '.join(missing)}, which the trial has; record reference "
-                        "trials with the same columns, or leave it out of the trial.")
+                return (f"{given.source}: has no column {', '.join(missing)}; the force path is simulated from rope "
+                        "and knee motion and compared with START. Record it.")
         return ""
 
     def unlike(self, trials: Sequence[Table]) -> str:
@@ -73,14 +67,15 @@ class EvidenceFinder:
         spread = float(np.std(self.model.record(self._tables[0]).measured(name)))
         if left <= UNLIKE * spread:
             return ""
-        return (f"{self._tables[0].source}: the model of the force path misses START by {left:.3g} N of {spread:.3g} N "
-                f"where it was fitted; expected below {100 * UNLIKE:g} %. Give reference trials of this bench, recorded"
-                " as the trial is.")
+        return (f"{self._tables[0].source}: the reference trials do not fit: the model of the force path misses "
+                f"START by {left:.3g} N of {spread:.3g} N; expected below {100 * UNLIKE:g} %. Give reference trials of "
+                "this bench, recorded as the trial is.")
 
     def diagnose(self, trials: Sequence[Table], holdout: Sequence[Table] = (), warnings: Sequence[str] = ()
                  ) -> Findings:
         """Decide which effects of the catalogue, if any, trials of one session show against the reference trials.
 
+        Experiments beside a gait, of a motion that no reference trial has, only split the ambiguity set of the gait.
         `holdout`: nothing is fitted to them.  `warnings`: of the files, for the reader.  Raises `InputError` where the
         force path of the trials cannot be simulated.
         """
@@ -89,6 +84,7 @@ class EvidenceFinder:
             raise InputError(refused)
         outputs = self._outputs([*trials, *holdout])
         reference = self._reference(outputs)
+        trials, others = self._by_motion(trials)
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
         found = search(observed, reference.prior, reference.starts())
@@ -99,6 +95,8 @@ class EvidenceFinder:
         if beyond:
             said.append(beyond)
             decided = decision.unexplained(decided)
+        if others and len(decided.chosen) == 1 < len(decided.among):
+            decided = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
         figures = _held_out(found, decided, reference, trials, read)
         if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
             said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
@@ -124,11 +122,22 @@ class EvidenceFinder:
         return Findings(
             decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
             experiment, figures.figures(reference, kept), said, _limits(found, bench), reference="healthy",
-            simulation={"before_rms_n": before, "after_rms_n": after, "signals": [
+            simulation={"before_rms_n": before, "after_rms_n": after, "healthy_rms_n": reference.rmse_n, "signals": [
                 n for n in self.model.judged if n in outputs],
                 "on": "cycles that no fit has seen"},
             part=decided.part, evidence=evidence, traces=figures.traces(trials),
             held_traces=kept.traces(holdout) if kept is not None else {})
+
+    def _by_motion(self, trials: Sequence[Table]) -> tuple[Sequence[Table], Sequence[Table]]:
+        """Return the trials of a motion that a reference trial has, and experiments beside a gait that none has."""
+        if any("gait_percent" not in t for t in self._tables):
+            return trials, ()
+        walked = [t for t in trials if "gait_percent" in t]
+        return (walked, [t for t in trials if "gait_percent" not in t]) if walked else (trials, ())
+
+    def reference(self, trials: Sequence[Table]) -> ReferenceFit:
+        """Return the fit of the reference trials to the outputs that `trials` have, too."""
+        return self._reference(self._outputs(trials))
 
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
@@ -138,8 +147,8 @@ class EvidenceFinder:
         return self._fits[outputs]
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
-        """Return the outputs that all the trials have."""
-        return tuple(n for n in self.model.signals if all(n in t for t in trials))
+        """Return the outputs that the trials and the reference trials all have."""
+        return tuple(n for n in self.model.signals if all(n in t for t in [*trials, *self._tables]))
 
     def _read(self, given: Table, outputs: Sequence[str]) -> Recording:
         """Return a trial with no other outputs than `outputs`."""
@@ -163,7 +172,7 @@ class EvidenceFinder:
         for parameter, read in self.model.hypotheses[name].reads.items():
             value = read(at.table.named(at.q), bench)
             was = read(bench, bench)
-            half = 1.96 * float(np.hypot(_sd(at, lambda v, read=read: read(v, bench)), SURROGATE * abs(value - was)))
+            half = _half(at, read, bench)
             low, high, unit = self.model.limits(name, parameter)
             told[parameter] = {"value": min(max(value, low), high), "low": min(max(value - half, low), high),
                                "high": max(min(value + half, high), low), "unit": unit}
@@ -171,6 +180,35 @@ class EvidenceFinder:
         gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
                 "gain_percent": max(gain, 0.0)}
+
+
+def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
+           others: Sequence[Recording]) -> Decision:
+    """Return the decision with the effects that experiments `others` leave in the ambiguity set, the best first.
+
+    No reference trial shows the model's error in another motion: it is estimated there from the residual of the best
+    effect of the set.  An effect leaves the set if another one exceeds it by `NAMED_NATS`.
+    """
+    observed = reference.observe(*read, *others)
+    modes = _refitted(found, decided.among, observed)
+    best = max(modes.values(), key=lambda at: at.log_evidence)
+    squares = best.residual**2 * observed.weight
+    weight = observed.weight.copy()
+    known = sum(trial.data.size for trial in read)
+    scaled = [rows / max(1.0, float(np.mean(squares_of))) for (_, rows), (_, squares_of) in zip(
+        observed.each(weight), observed.each(squares), strict=True)]
+    weight[known:] = np.concatenate(scaled)[known:]
+    modes = _refitted(found, decided.among, replace(observed, weight=weight))
+    most = max(at.log_evidence for at in modes.values())
+    kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > most - NAMED_NATS),
+                        key=lambda name: -modes[name].log_evidence))
+    return replace(decided, verdict="found" if len(kept) == 1 else "ambiguous", chosen=kept[:1], among=kept,
+                   part=found.observed.model.hypotheses[kept[0]].part)
+
+
+def _refitted(found: Searched, names: Sequence[str], observed: Observed) -> dict[str, PosteriorMode]:
+    return {name: mode(observed, found.prior, [found.variants[name]],
+                       begun(found.single[name], None, kept=[found.variants[name]])) for name in names}
 
 
 def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
@@ -181,15 +219,23 @@ def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
     return found.pair[(decided.chosen[0], decided.chosen[1])]
 
 
+def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
+    """Return half the 95 % interval of an effect's parameter: posterior, and the surrogate's share of its change."""
+    change = read(at.table.named(at.q), bench) - read(bench, bench)
+    return 1.96 * float(np.hypot(_sd(at, lambda v: read(v, bench)), SURROGATE * abs(change)))
+
+
 def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> str:
-    """Return, as a sentence, which chosen effect explains the trial only beyond what it can be; "" where none does."""
-    model = found.observed.model
-    constants = model.constants.named(_mode_of(found, decided).q)
+    """Return, as a sentence, which chosen effect has its 95 % interval beyond the bounds of its parameter; "" for none.
+    """
+    model, at = found.observed.model, _mode_of(found, decided)
+    constants = model.constants.named(at.q)
     for name in decided.chosen:
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
         low, high, unit = model.limits(name, parameter)
         value = read(constants, bench)
-        if not low <= value <= high:
+        half = _half(at, read, bench)
+        if value + half < low or value - half > high:
             return (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
                     + f", which is outside {low:g} … {high:g}: it is not named.")
     return ""

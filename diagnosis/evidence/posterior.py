@@ -239,7 +239,9 @@ def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tupl
     for name, (amount, size) in observed.model.amounts.items():
         if name in names:
             q[table.index[amount]] += size
-    _, slopes = observed.jacobian(q, [table.index[n] for n in names])
+    moved = [table.index[n] for n in names]
+    q[moved] = table.lifted(q)[moved]
+    _, slopes = observed.jacobian(q, moved)
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
     inward = null.design @ null.factor
@@ -267,7 +269,8 @@ def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = No
     if variant is not None and sizes is not None:
         for direction, size in zip(variant.directions, sizes, strict=True):
             for name, share in direction.along.items():
-                x[active.index(table.index[name])] += float(np.clip(size, -2.5, 2.5)) * direction.sd * share
+                step, i = float(np.clip(size, -2.5, 2.5)) * direction.sd * share, table.index[name]
+                x[active.index(i)] += step + (float(table.lifted(base.q)[i] - base.q[i]) if step > 0.0 else 0.0)
     return np.concatenate([x, base.x[base.constants:]])
 
 

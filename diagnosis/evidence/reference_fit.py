@@ -8,7 +8,7 @@ simulates under the trial's motion, never of its sensors.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final, NamedTuple
 
@@ -178,12 +178,32 @@ class _Fit:
             self._noise()
             self._amplitudes()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
-        bench = self._posterior(range(len(self.trials)))
+        bench = self._bounded(self._posterior(range(len(self.trials))))
         # features are simulated at the bench's own constants; their change is far below their length scale
-        prior = Gaussian(bench.origin, bench.mean, bench.covariance + np.diag(self._session()))
+        prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
+                         bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.amplitude,
                             self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n,
                             self._mean_cost(), tuple(self.identified))
+
+    def _bounded(self, bench: Gaussian) -> Gaussian:
+        """Return the bench with the covariance that follows where "positive" constants act.
+
+        At a value near 0 the smooth maximum is flat, so that the trials seem not to bound the coordinate from above.
+        """
+        q = self._constants(bench.mean)
+        ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
+        scale = np.ones(bench.mean.size)
+        scale[:len(self.free)] = ratio[self.free]
+        self.linear = [linear._replace(design=linear.design * scale) for linear in self.linear]
+        return replace(bench, covariance=self._posterior(range(len(self.trials))).covariance)
+
+    def _lift(self, departure: Array) -> Array:
+        """Return how far "positive" constants are below where they act, as a departure."""
+        q = self._constants(departure)
+        lift = np.zeros(departure.size)
+        lift[:len(self.free)] = (self.constants.lifted(q) - q)[self.free]
+        return lift
 
     def _mean_cost(self) -> float:
         """Return the cost per datum of the reference trials at their modes."""

@@ -18,6 +18,8 @@ MOST: Final = 3
 def told(found: Findings) -> Iterator[str]:
     """Yield the sentences of a diagnosis by evidence, most important first."""
     evidence = found.evidence or {}
+    if found.undecided is not None:
+        yield f"{found.undecided[0].upper()}{found.undecided[1:]}"
     error = evidence.get("error_n")
     if error is not None:
         after = f", {error['after']:.2f} N with what is named below" if found.causes else ""

@@ -140,10 +140,10 @@ def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns
 
 
 @pytest.mark.exhaustive
-def test_the_same_files_give_the_same_bytes_in_any_process(walked: Columns, here: Path) -> None:
+def test_the_same_files_give_the_same_bytes_in_any_process(whole: Columns, here: Path) -> None:
     # sums in the order of a set of names would differ in the last digit, and a fit from there in more
-    good = {**walked, "tension_end_n": walked["tension_end_n"] - 3.0}
-    asked = [sys.executable, "-c", "import bowden.cli; bowden.cli.main()", "diagnose", written(here / "a.csv", walked),
+    good = {**whole, "tension_end_n": whole["tension_end_n"] - 3.0}
+    asked = [sys.executable, "-c", "import bowden.cli; bowden.cli.main()", "diagnose", written(here / "a.csv", whole),
              "--healthy", written(here / "b.csv", good), "--json"]
     told = [json.loads(subprocess.run(
         asked, env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=True, text=True).stdout)

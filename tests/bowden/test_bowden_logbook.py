@@ -97,7 +97,7 @@ def test_the_page_shows_constants_and_leads_to_trials(bench: Path, browser: Any,
 
 @pytest.mark.exhaustive
 def test_a_diagnosis_by_the_logbook_is_kept(bench: Path, bowden: Callable[..., Any]) -> None:
-    found = told(bowden, "diagnose", bench / "2.mcap", "--core", "evidence", "--logbook", bench / "book")
+    found = told(bowden, "diagnose", bench / "2.mcap", "--logbook", bench / "book")
     kept = told(bowden, "logbook", "show", bench / "book", "--trial", DAYS)["verdicts"]
     assert [row["verdict"] for row in kept] == [found["verdict"]]
 

@@ -47,7 +47,7 @@ def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bow
     assert "presliding" in cycles[-1]["suspected"]
     assert cycles[-1]["since"] == 0
     assert 0.2 < cycles[-1]["end_error_n"] < 3.0
-    _, out, _ = bowden("diagnose", place / "whole.mcap", "--healthy", place / "good.mcap", "--core", "evidence",
+    _, out, _ = bowden("diagnose", place / "whole.mcap", "--healthy", place / "good.mcap",
                        "--json")
     offline = json.loads(out)
     told = found["watch"]["diagnosis"]

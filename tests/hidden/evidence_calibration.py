@@ -1,4 +1,4 @@
-"""Quantiles of the development family that the evidence core's threshold and ambiguity set are calibrated on.
+"""Quantiles of the development family that the threshold and ambiguity set are calibrated on.
 
     python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--workers N]
 
@@ -43,7 +43,7 @@ def hidden_jobs(count: int) -> list[Job]:
 def gains(job: Job) -> dict[str, float]:
     """Return the log Bayes factors of a case; none where wire or integrity come first."""
     made = case(job)
-    said = diagnose([made.trial], healthy=list(made.healthy), core="evidence")
+    said = diagnose([made.trial], healthy=list(made.healthy))
     return dict((said.evidence or {}).get("log_bayes_factors", {}))
 
 

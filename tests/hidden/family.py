@@ -157,23 +157,21 @@ def _table(name: str, columns: dict[str, np.ndarray], left_out: tuple[str, ...])
     return table(name, {n: v for n, v in columns.items() if n not in left_out})
 
 
-def answer(job: Job, judged: bool = True, core: str = "relations") -> Answer:
+def answer(job: Job, judged: bool = True) -> Answer:
     """Ask the finder, and once more with the experiment that it proposes; `judged`: the oracle, too.
-
-    `core`: that of the diagnosis.
     """
     made = case(job)
-    told = diagnose([made.trial], healthy=list(made.healthy), core=core)
-    return replace(answered(job, made, told, judged), after=_again(job, made, told, core))
+    told = diagnose([made.trial], healthy=list(made.healthy))
+    return replace(answered(job, made, told, judged), after=_again(job, made, told))
 
 
-def _again(job: Job, made: Case, told: Findings, core: str) -> After | None:
+def _again(job: Job, made: Case, told: Findings) -> After | None:
     """Run the proposed experiment on the changed bench where that needs no hands, and ask with both trials."""
     if told.verdict != "ambiguous" or told.experiment not in moves.EXPERIMENTS:
         return None
     seed = int(np.random.default_rng((job.serial, job.seed, 4)).integers(1 << 30))
     second = _table("experiment.csv", family_moves.run(told.experiment, made.changed, seed, made.rate_hz), job.left_out)
-    said = diagnose([made.trial, second], healthy=list(made.healthy), core=core)
+    said = diagnose([made.trial, second], healthy=list(made.healthy))
     return After(told.experiment, said.verdict, tuple(said.rivals))
 
 

@@ -1,7 +1,7 @@
 """The finder on the family, by structure: each effect once on each implementation, healthy benches, pairs, no END.
 
     python -m tests.hidden.family_run [--aside] [--first N] [--kinds maxwell,lugre] [--every N] [--rest]
-                                      [--core relations|evidence] [--most N] [--workers N] [--no-oracle]
+                                      [--most N] [--workers N] [--no-oracle]
                                       [--answers FILE] [--hash | --page]
 
 The rule of this file: `--aside` are the serials that nothing was tuned on; run them once, at the end.  What is asked is
@@ -26,7 +26,6 @@ from tests.hidden.family_jobs import KINDS, SERIALS, digest, jobs
 
 OUT = Path("out")
 DOCS = Path(__file__).parents[2] / "docs" / "diagnosis_figures.md"
-EVIDENCE = DOCS.with_name("evidence.md")
 
 
 def said(answered: Answer) -> str:
@@ -49,10 +48,9 @@ def options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--most", type=int, help="only so many, from the first on, the structures in turns")
     parser.add_argument("--workers", type=int, help="processes (default: one a processor)")
     parser.add_argument("--no-oracle", action="store_true")
-    parser.add_argument("--core", default="relations", choices=("relations", "evidence"))
-    parser.add_argument("--answers", type=Path, help="where answers are kept (default: out/family-CORE-COMMIT.jsonl)")
+    parser.add_argument("--answers", type=Path, help="where answers are kept (default: out/family-COMMIT.jsonl)")
     parser.add_argument("--hash", action="store_true", help="print the hash of what would be asked, and ask nothing")
-    parser.add_argument("--page", action="store_true", help=f"write the table into {DOCS.name}, or {EVIDENCE.name}")
+    parser.add_argument("--page", action="store_true", help=f"write the table into {DOCS.name}")
     given = parser.parse_args(arguments)
     if given.rest and given.every < 2:
         parser.error("--rest: all but each single case are none; give --every 2 or more.")
@@ -83,18 +81,18 @@ def main(arguments: list[str]) -> None:
     print(f"{len(every)} cases, SHA-256 {key}", flush=True)
     if given.hash:
         return
-    name = f"family-{given.core}-{provenance.commit()}{'-no-oracle' if given.no_oracle else ''}.jsonl"
+    name = f"family-{provenance.commit()}{'-no-oracle' if given.no_oracle else ''}.jsonl"
     kept = run.Kept(given.answers or OUT / name, from_json)
     whole, every = len(every), every[:given.most]
     run.answered(every, kept, lambda: sweep.local(given.workers), functools.partial(
-        answer, judged=not given.no_oracle, core=given.core))
+        answer, judged=not given.no_oracle))
     by_kind = [[kept.answers[job] for job in asked[kind] if job in every] for kind in kinds]
     for told in by_kind:
         print("\n".join(said(a) for a in told))
     text = page(run.asking(arguments), sorted({kept.commits[job] for job in every}), key, whole, kinds, by_kind)
     print(text)
     if given.page:
-        marked.put(*((DOCS, "family") if given.core == "relations" else (EVIDENCE, given.core)), text)
+        marked.put(DOCS, "family", text)
 
 
 if __name__ == "__main__":

@@ -41,8 +41,6 @@ Scheduler = Annotated[str | None, typer.Option(
     metavar="ADDRESS", help="With --each: Dask scheduler to run on, host:port.")]
 Tls = Annotated[Path | None, typer.Option(
     "--scheduler-tls", metavar="DIR", help="With --scheduler: ca.pem, cert.pem and key.pem.")]
-Core = Annotated[str, typer.Option(
-    metavar="NAME", help="relations: any columns; evidence: forward simulation and Bayes factors, needs --healthy.")]
 Planned = Annotated[str | None, typer.Option(
     "--plan", metavar="EXPERIMENT", help="Without a trial: the smallest of each effect that gait, or an experiment of "
     "bowden trial --experiment, would show.")]
@@ -72,10 +70,8 @@ def diagnose(
     workers: Workers = None,
     scheduler: Scheduler = None,
     tls: Tls = None,
-    core: Core = "relations",
     logbook: Annotated[Path | None, typer.Option(
-        metavar="DIR", help="Logbook of the bench: enters the verdict; with --core evidence also in place of "
-        "--healthy.")] = None,
+        metavar="DIR", help="Logbook of the bench: enters the verdict, and stands in place of --healthy.")] = None,
     plan: Planned = None,
     peak: options.Peak = None,
     period: options.Period = None,
@@ -102,7 +98,7 @@ def diagnose(
         return _plan(plan, (peak, period, cycles, noise), calibration, healthy or [], json)
     chosen = _trials(trials, asked, given)
     if each:
-        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, core, (scheduler, workers, tls), json)
+        return _each(chosen, calibration, healthy or [], holdout or [], lowpass, (scheduler, workers, tls), json)
     output_files.refuse([output, report], overwrite=overwrite, inputs=[
         *chosen, *(healthy or ()), *(holdout or ()), calibration, *(tracked or ())])
     output_files.refuse_ending(report, ".html", ".htm", what="a page")
@@ -113,14 +109,14 @@ def diagnose(
         figure_export.refuse(figures, overwrite=overwrite)
     deviations: dict[str, float] | None = None
     if logbook is not None:
-        healthy, deviations = _of_logbook(logbook, healthy, chosen, core)
+        healthy, deviations = _of_logbook(logbook, healthy, chosen)
     began = time.perf_counter()
     if path is not None and calibration is not None:
         calibration = force_paths.file_of(calibration, path)
     with (force_paths.single_paths(chosen, path) as asked_of, force_paths.single_paths(healthy or [], path) as good,
           force_paths.single_paths(holdout or [], path) as unseen, _steps(shown=not json) as step):
         found = _diagnosed(asked_of, calibration, good, unseen, lowpass, output, report, tracked, step,
-                           figures, core, deviations, overwrite=overwrite)
+                           figures, deviations, overwrite=overwrite)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
         from bowden.models import logbook_entries
@@ -137,15 +133,13 @@ def diagnose(
     return 2 if found.verdict == "refused" else 0
 
 
-def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path],
-                core: str) -> tuple[list[Path] | None, dict[str, float] | None]:
-    """Return reference trials and deviations between sessions, by the logbook where the evidence core has none."""
+def _of_logbook(logbook: Path, healthy: list[Path] | None, trials: list[Path]
+                ) -> tuple[list[Path] | None, dict[str, float] | None]:
+    """Return reference trials, the logbook's where none are given, and its deviations between sessions."""
     from bowden.models import logbook_entries
     from bowden.trials import session
 
     session.refuse_no_logbook(logbook)
-    if core == "relations":
-        return healthy, None
     found, deviations = logbook_entries.reference_trials(logbook) if not healthy else (
         healthy, logbook_entries.deviations(logbook))
     same = {trial.resolve() for trial in trials}
@@ -183,12 +177,12 @@ def _trials(trials: list[Path] | None, asked: dict[str, Any], given: dict[str, A
 
 def _each(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    core: str, where: tuple[str | None, int | None, Path | None], json: bool,
+    where: tuple[str | None, int | None, Path | None], json: bool,
 ) -> int:
     """Diagnose every trial for itself; return 0 with a result for each, 1 if some were refused, 2 if all were."""
     from bowden.sweep import diagnose_each
 
-    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass, core)
+    given = diagnose_each.Given(calibration, tuple(healthy), tuple(holdout), lowpass)
     with diagnose_each.crew(*where) as crew, terminal.progress("diagnosing", shown=not json) as update:
         told = diagnose_each.each(trials, given, crew, update)
     terminal.emit({"trials": told}) if json else _tell_each(told, lowpass)
@@ -231,7 +225,7 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 def _diagnosed(
     trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
     output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, core: str, deviations: dict[str, float] | None, *, overwrite: bool,
+    figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
@@ -245,7 +239,7 @@ def _diagnosed(
         step(f"reading {path.name}", READING * done / len(paths))
         groups[group].append(table.read(path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
-    finder = Finder(calibration, lowpass, core, deviations).examine(groups[1])
+    finder = Finder(calibration, lowpass, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)
     found = finder.diagnose(groups[0], groups[2])
     found = diagnosing.on_its_footing(found, trials, measured=bool(calibration or healthy))
