@@ -67,7 +67,7 @@ def of_logbook(folder: Path) -> ExperimentPlan:
                 same = [t for t in book.trials(session=entry.session)
                         if t.there and (t.id == entry.id or t.experiment not in ("", "gait"))]
                 return of_trials([book.place(t.path) for t in same], healthy, deviations)
-    raise InputError(f"{folder}: no verdict of this logbook is ambiguous; bowden diagnose TRIAL --core evidence "
+    raise InputError(f"{folder}: no verdict of this logbook is ambiguous; bowden diagnose TRIAL "
                      f"--logbook {folder} enters verdicts.")
 
 
