@@ -106,7 +106,7 @@ def _part(found: Sequence[Verdict], slow: bool) -> list[str]:
 
 def _by_action(found: Sequence[Verdict]) -> list[str]:
     """Return the table of unsafe control actions (STPA) with what their rows did."""
-    lines = ["| unsafe control action | leads to | required | faults, rows | said | unsaid, with a reason | "
+    lines = ["| unsafe control action | leads to | required | faults, rows | said | unsaid | "
              "END off | true peak START / END, N |", "|---|---|---|---|---|---|---|---|"]
     for action in ACTIONS:
         mine = [v for v in found if v.action == action.words]
