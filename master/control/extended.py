@@ -32,7 +32,8 @@ from physics.laws import Array
 
 NAN = math.nan
 DEPARTURES = 9
-"""Control cycles over which the knee's departure from its reference is differentiated, and one."""
+"""Samples of the knee's departure from its reference that are kept for its derivative: the span in control cycles,
+plus one."""
 SLIDING = 0.9
 """Pre-sliding states beyond which START determines END again; the feedback is frozen while they change sign."""
 FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96

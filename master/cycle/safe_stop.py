@@ -115,7 +115,8 @@ def _stopping(exchange: Exchange) -> Work[None]:
 
 
 def _slackening(exchange: Exchange) -> Work[None]:
-    """See the rope go slack after the torque was taken off; a stage that does not let go needs the operator's hand."""
+    """Check that the rope goes slack after the torque was taken off; a stage that does not let go needs the
+    operator's hand."""
     inputs = exchange.inputs
     deadline = inputs.sync_ns + SLACK_NS
     while inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N:

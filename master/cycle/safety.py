@@ -61,7 +61,7 @@ class StopError(Exception):
 
 _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
 NOBODY: Final = -1
-"""In place of a place: the condition names no device."""
+"""Number used for a condition that names no device."""
 _BY_PLACE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
 """Reaction to the loss of each node: without START no signal shows when the rope is slack; without the servo nothing
 can unwind it; a knee without torque loads the rope faster than it is unwound."""
