@@ -179,10 +179,9 @@ def page(walks: Mapping[str, tuple[int, float]], found: Mapping[tuple[int, float
     rows = []
     for name, walk in walks.items():
         told = found.get(walk, {})
-        if all(variant in told for variant in VARIANTS):
-            cells = ["stopped" if "stopped" in told[v] else f"{told[v]['loaded']:.2f} / {told[v]['jump']:.2f}"
-                     for v in VARIANTS]
-            rows.append([name, str(walk[0]), f"{walk[1]:g}", *cells])
+        cells = ["–" if v not in told else "stopped" if "stopped" in told[v]
+                 else f"{told[v]['loaded']:.2f} / {told[v]['jump']:.2f}" for v in VARIANTS]
+        rows.append([name, str(walk[0]), f"{walk[1]:g}", *cells])
     parts += ["Loaded part of the RMSE (%) / jump at the peak (% of it):\n",
               family.table(("walk", "serial", "period (s)", *HEADS.values()), rows), "\n"]
     reached = [(told["without"]["jump"] - told["with"]["jump"]) / (told["without"]["jump"] - best)
@@ -224,8 +223,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = read_table()
     if not options.page:
         session.compile_laws(simulated=True)
-        for serial, period in walks.values():
-            for variant in VARIANTS:
+        for variant in VARIANTS:
+            for serial, period in dict.fromkeys(walks.values()):
                 if variant in found.get((serial, period), {}):
                     continue
                 told = measure(benches["family", serial], period, variant)

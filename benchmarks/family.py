@@ -315,8 +315,10 @@ def _again(benches: Sequence[Mapping[str, Any]]) -> str:
                         for figure in (lambda w: float(w[TRUE]), loaded, jump, _rise))])
     again = sum(bool(b.get("discrepancy")) for b in benches)
     text = (f"{again} of {len(benches)} benches were walked again by a calibration with a discrepancy "
-            "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)); the other rows of this page are by "
-            "calibrations without one, and `python -m benchmarks.family --again` walks them again. Without → with:")
+            "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)): scalars as identified before, gait "
+            "trials by `identify gait`, which has two pulls in place of 15 ramps to measure END's lag. The other rows "
+            "of this page are by calibrations without one; `python -m benchmarks.family --again` walks them again. "
+            "Without → with:")
     heads = ("bench", "period (s)", "RMSE (%)", "loaded part (%)", "jump (% of peak)", "RMSE above cycle 0's (points)")
     return f"{text}\n\n{table(heads, rows)}"
 

@@ -14,7 +14,7 @@ from physics import bench_model, calibration, end_discrepancy
 from physics.end_discrepancy import COUNT, EndDiscrepancy
 
 SLID = (1.0,) * len(end_discrepancy.UNTURNED)
-MEAN = (0.02, 0.01, -0.03, *(0.0,) * (COUNT - 3))
+MEAN = (0.2, 0.1, -0.3, *(0.0,) * (COUNT - 3))
 
 
 def known(sigma: float) -> EndDiscrepancy:
@@ -32,10 +32,10 @@ def at(table: EndDiscrepancy, force: float = 40.0, knee: float = -0.4, moved: fl
 
 
 def test_a_known_discrepancy_is_the_posterior_mean_and_an_unknown_one_is_shrunk() -> None:
-    assert at(known(1e-6))[0] == pytest.approx(-0.01, rel=1e-3)
-    shrunk, sigma = at(known(0.01))
-    assert sigma == pytest.approx(0.01 * math.sqrt(3.0 + 0.05**2), rel=1e-3)
-    assert shrunk == pytest.approx(-0.01 / 4.0, rel=0.01)
+    assert at(known(1e-6))[0] == pytest.approx(-0.1, rel=1e-3)
+    shrunk, sigma = at(known(0.1))
+    assert sigma == pytest.approx(0.1 * math.sqrt(3.0 + 0.05**2), rel=1e-3)
+    assert shrunk == pytest.approx(-0.1 / 4.0, rel=0.01)
 
 
 def test_outside_of_the_ranges_seen_it_is_zero() -> None:
@@ -44,7 +44,7 @@ def test_outside_of_the_ranges_seen_it_is_zero() -> None:
         assert at(table, **away) == (0.0, 0.0)
     force = 60.0 + 0.5 * end_discrepancy.BEYOND * 55.0
     whole = MEAN[0] + MEAN[1] * (force / 40.0 - 1.0) + MEAN[2]
-    assert at(table, force=force)[0] == pytest.approx(0.5 * whole, rel=1e-3)
+    assert at(table, force=force)[0] == pytest.approx(0.5 * whole, rel=1e-2)
 
 
 def test_a_calibration_with_a_discrepancy_is_read_back_and_one_without_opens(tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_a_calibration_with_a_discrepancy_is_read_back_and_one_without_opens(tmp
 
 
 @pytest.mark.parametrize(("was", "becomes", "says"), [
-    ("mean = [0.02", "mean = [nan", "mean"), ("force_n = [5.0, 60.0]", "force_n = [5.0]", "force_n"),
+    ("mean = [0.2", "mean = [nan", "mean"), ("force_n = [5.0, 60.0]", "force_n = [5.0]", "force_n"),
     ('"level"', '"levels"', "features"), ("residual = 0.01", "residual = true", "residual"),
     ("covariance = [[0.0001", "covariance = [[-0.0001", "negative eigenvalue")])
 def test_a_wrong_discrepancy_is_refused_by_file_and_key(tmp_path: Path, was: str, becomes: str, says: str) -> None:
