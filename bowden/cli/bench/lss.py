@@ -84,7 +84,7 @@ def assign(
 @lss.command()
 @grouped
 def bitrate(
-    rate: Annotated[int, typer.Argument(metavar="BIT/S", help="1000000, 800000, 500000, 250000, 125000, 50000, …",
+    rate: Annotated[int, typer.Argument(metavar="RATE", help="bit/s: 1000000, 800000, 500000, 250000, 125000, …",
                                         show_default=False)],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False,
     activate: Annotated[int | None, typer.Option(
