@@ -55,7 +55,8 @@ class Decision:
 def decide(found: Searched) -> Decision:
     """Decide what the evidence of one trial supports."""
     gains = found.gains()
-    named = [name for name, gain in gains.items() if gain >= IMITATED.get(name, 1.0) * NAMED_NATS]
+    factor = found.observed.model.nats_factor
+    named = [name for name, gain in gains.items() if gain >= factor * IMITATED.get(name, 1.0) * NAMED_NATS]
     if not named:
         misfit = misfits(found, found.null)
         return Decision("unexplained" if lacks(misfit) else "none", (), (), None, gains, misfit)

@@ -18,6 +18,7 @@ from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change, projected
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
+from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
@@ -27,10 +28,32 @@ from physics.laws import Array
 SURROGATE: Final = 0.1
 """1σ of a parameter by the difference between the bench's friction and stretch equations and the model's, of its
 change: with it intervals cover 90 to 98 % on the development family."""
-UNLIKE: Final = 0.2
-"""Share of START's spread that the fitted model may miss of reference trials: beyond, the rig is of another kind."""
 FARTHEST: Final = 6.0
 """Largest size, in prior σ of an effect, of which a detection limit is stated."""
+
+
+COMPRESSED: Final = 0.1
+"""Share of its largest tension by which a rope may push: what pushes more is no rope."""
+
+
+def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardModel:
+    """Return the forward model of the rig that all these tables are of: the bench's where they can be of a bench.
+
+    A gait is a bench's; so is a rope, with START recorded beside the motion of rope and knee.
+    """
+    every = [*reference, *trials]
+    if any("gait_percent" in t for t in every):
+        return PATH_MODEL
+    if not any(t.turning or PATH_MODEL.lacking(t) for t in every) and all(
+            t["tension_start_n"].min() > -COMPRESSED * t["tension_start_n"].max() for t in every):
+        return PATH_MODEL
+    return rig_model_of(reference, trials)
+
+
+def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
+    """Return the model of another rig by the columns that the reference trials and the trials all have."""
+    kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
+    return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])
 
 
 class EvidenceFinder:
@@ -65,11 +88,12 @@ class EvidenceFinder:
         name = self.model.judged[0]
         left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index(name)])))
         spread = float(np.std(self.model.record(self._tables[0]).measured(name)))
-        if left <= UNLIKE * spread:
+        if left <= self.model.unlike_share * spread:
             return ""
-        return (f"{self._tables[0].source}: the reference trials do not fit: the model of the force path misses "
-                f"START by {left:.3g} N of {spread:.3g} N; expected below {100 * UNLIKE:g} %. Give reference trials of "
-                "this bench, recorded as the trial is.")
+        what, unit = ("START" if name == "tension_start_n" else name), self.model.signals[name]
+        return (f"{self._tables[0].source}: the reference trials do not fit: the model misses {what} by {left:.3g} "
+                f"{unit} of {spread:.3g} {unit}; expected below {100 * self.model.unlike_share:g} %. Give reference "
+                "trials of this bench, recorded as the trial is.")
 
     def diagnose(self, trials: Sequence[Table], holdout: Sequence[Table] = (), warnings: Sequence[str] = ()
                  ) -> Findings:
@@ -142,8 +166,8 @@ class EvidenceFinder:
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
         """Return the fit of the reference trials to the outputs that the trial has, too."""
         if outputs not in self._fits:
-            self._fits[outputs] = fit_reference(self.model, [self._read(t, outputs) for t in self._tables],
-                                                self._session_sd)
+            read = self.model.sessions([self._read(t, outputs) for t in self._tables])
+            self._fits[outputs] = fit_reference(self.model, read, self._session_sd)
         return self._fits[outputs]
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:

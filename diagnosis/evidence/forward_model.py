@@ -24,8 +24,11 @@ class ForwardModel(Protocol):
     `least`: least 1σ of the model error of a bin by output.  `first_noise`: noise of the coarse and of the fine stage
     of the first fit, by output.  `regressed`: constants whose population middle is taken from the first reference
     trial itself, since any value is as likely.  `states`: number of states of the discrepancy; `load_state`: row of
-    that by whose quarters the model error is estimated.  `amounts`: for a constant that moves nothing where another
-    one is zero, that one's name and a value.
+    that by whose quarters the model error is estimated.  `session_share`: 1σ of the discrepancy's change between
+    sessions, of the discrepancy.  `pools_sessions`: the reference trials estimate how far sessions lie apart, beside
+    `session_at`.  `nats_factor`: of the bench's detection threshold.  `unlike_share`: share of the first judged
+    output's spread that the model may miss of reference trials; beyond, they are of another rig.  `amounts`: for a
+    constant that moves nothing where another one is zero, that one's name and a value.
     """
 
     @property
@@ -47,6 +50,14 @@ class ForwardModel(Protocol):
     @property
     def load_state(self) -> int: ...
     @property
+    def pools_sessions(self) -> bool: ...
+    @property
+    def session_share(self) -> float: ...
+    @property
+    def nats_factor(self) -> float: ...
+    @property
+    def unlike_share(self) -> float: ...
+    @property
     def amounts(self) -> Mapping[str, tuple[str, float]]: ...
 
     def lacking(self, table: Table) -> list[str]:
@@ -57,6 +68,9 @@ class ForwardModel(Protocol):
 
     def record(self, table: Table) -> Any:
         """Return the trial as this model reads it, a `Recording`."""
+
+    def sessions(self, recordings: Any) -> Any:
+        """Return the reference recordings by session, each as one recording."""
 
     def predict(self, q: Array, trial: Any) -> Array:
         """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
@@ -69,6 +83,12 @@ class ForwardModel(Protocol):
 
     def scanned(self, middle: Array, trial: Any) -> list[Array]:
         """Return coordinates about `middle` at which the first fit starts."""
+
+    def session_at(self, q: Array) -> Array:
+        """Return 1σ between sessions by constant, in coordinates, of a bench whose coordinates are `q`."""
+
+    def growth(self, trial: Any, name: str) -> float:
+        """Return the factor of the model error's variance of a trial whose signals are larger than the reference's."""
 
     def aliased(self, q: Array, trial: Any, name: str) -> Array | float:
         """Return the variance of an output's data that sampling has made noise of."""

@@ -50,8 +50,9 @@ class Searched:
 
 def hypotheses(observed: Observed, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
     """Return the variants of each effect that moves one of the outputs."""
-    return {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
-            if set(h.needs) <= set(observed.outputs)}
+    offered = {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
+               if set(h.needs) <= set(observed.outputs)}
+    return {name: variants for name, variants in offered.items() if variants}
 
 
 def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) -> Searched:

@@ -37,43 +37,47 @@ def lacking(table: Table) -> list[str]:
 
 
 class Recording:
-    """Signals of one trial, low-passed alike on one time grid, and its data: outputs averaged over bins.
+    """Signals of one trial, low-passed alike on one time grid, and its data: means over bins of `width` samples.
 
     `outputs`: names of the signals that form the data, in the order of `data`: their bins, one after the other;
-    `noise_n`: sensor noise of a bin of each, 1σ.  `along`: signals on the grid that errors are shown over.
+    `noise_n`: sensor noise of a bin of each, 1σ, `coarsest` at least.  `along`: signals on the grid over which errors
+    are shown.
     """
 
     data: Array
     along: Mapping[str, Array]
 
     def __init__(self, table: Table, outputs: Sequence[str], grid_s: float = GRID_S, lowpass_hz: float = LOWPASS_HZ,
-                 skip_s: float = START_S) -> None:
+                 skip_s: float = START_S, coarsest: Mapping[str, float] | None = None,
+                 width: int = BIN) -> None:
         time = table["time_s"]
-        self.grid_s, self.lowpass_hz = grid_s, lowpass_hz
+        self.grid_s, self.lowpass_hz, self.width = grid_s, lowpass_hz, width
         self.rate = 1.0 / float(np.median(np.diff(time)))
         grid = np.arange(time[0], time[-1], grid_s)
-        self._table, self._grid = table, grid[:grid.size // BIN * BIN]
+        self._table, self._grid = table, grid[:grid.size // width * width]
         self._sos = _lowpass(self.rate, lowpass_hz)
         self.source = table.source
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
-        self.skip = round(skip_s / grid_s / BIN)
+        self.skip = round(skip_s / grid_s / width)
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
-        self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
+        self.noise_n = {name: _noise(table[name], self, (coarsest or {}).get(name, COARSEST_N))
+                        for name in self.outputs}
 
-    def sampled(self, name: str) -> Array:
-        """Return a column on the grid, low-passed without phase."""
-        return np.asarray(np.interp(self._grid, self._table["time_s"], sosfiltfilt(self._sos, self._table[name])))
+    def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:
+        """Return a column on the grid, low-passed without phase; `cutoff_hz`: None, that of the outputs."""
+        sos = self._sos if cutoff_hz is None else _lowpass(self.rate, cutoff_hz)
+        return np.asarray(np.interp(self._grid, self._table["time_s"], sosfiltfilt(sos, self._table[name])))
 
     @property
     def bins(self) -> int:
         """Number of data of one output."""
-        return self.time_s.size // BIN - self.skip
+        return self.time_s.size // self.width - self.skip
 
     def binned(self, values: Array) -> Array:
         """Return means over bins without the start, shape (…, bins), of `values` of shape (…, samples)."""
-        means = values.reshape(*values.shape[:-1], -1, BIN).mean(axis=-1)
+        means = values.reshape(*values.shape[:-1], -1, self.width).mean(axis=-1)
         return np.asarray(means[..., self.skip:])
 
     def part(self, values: Array, output: int) -> Array:
@@ -121,17 +125,17 @@ class PathRecording(Recording):
         return np.asarray(np.clip(np.where(start > TAUT_N, end / np.maximum(start, TAUT_N), 0.8), 0.3, 1.3))
 
 
-def _noise(values: Array, of: Recording) -> float:
+def _noise(values: Array, of: Recording, coarsest: float) -> float:
     """Return 1σ of a bin's sensor noise from third differences: smooth signals have none."""
     sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
-    return float(max(sample * np.sqrt(_passed(of)), COARSEST_N))
+    return float(max(sample * np.sqrt(_passed(of)), coarsest))
 
 
 def _passed(of: Recording) -> float:
     """Return the share of white noise's variance that low-pass and bin leave."""
     frequency = np.linspace(0.0, 0.5 * of.rate, 2001)[1:]
     _, low = sosfreqz(_lowpass(of.rate, of.lowpass_hz), worN=frequency, fs=of.rate)
-    mean = np.sin(np.pi * BIN * of.grid_s * frequency) / (BIN * np.sin(np.pi * of.grid_s * frequency))
+    mean = np.sin(np.pi * of.width * of.grid_s * frequency) / (of.width * np.sin(np.pi * of.grid_s * frequency))
     return float(np.mean(np.abs(low) ** 4 * mean**2))
 
 

@@ -63,7 +63,7 @@ def _drive(given: Array, trial: PathRecording) -> Array:
     angle = trial.rope_m / column("drum")
     arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / column("drum")
     travels, row = np.unique(given[INDEX["drive_travel"]], return_inverse=True)
-    slip = _slip(trial.rope_m, travels)[row]
+    slip = dahl_states(trial.rope_m, travels)[row]
     coulomb = column("drive_coulomb") * slip * (1.0 + column("drive_asymmetry") * slip)
     viscous = column("drive_viscous") * (
         trial.rope_m_s + column("drive_viscous_asymmetry") * np.abs(trial.rope_m_s))
@@ -72,8 +72,8 @@ def _drive(given: Array, trial: PathRecording) -> Array:
 
 
 @njit(cache=True)
-def _slip(rope, travels):  # type: ignore[no-untyped-def]
-    """Return the friction state −1…1 of the servo for each pre-sliding distance, shape (travels, samples)."""
+def dahl_states(rope, travels):  # type: ignore[no-untyped-def]
+    """Return the friction state −1…1 for each pre-sliding distance, shape (travels, samples)."""
     out = np.zeros((travels.size, rope.size))
     for j in range(travels.size):
         s = 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -44,7 +44,15 @@ class PathModel:
     states = 9
     load_state = 4
     """Row of the logarithm of START tension among the states."""
+    pools_sessions = False
+    session_share = 0.35
+    nats_factor = 1.0
+    unlike_share = 0.2
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
+
+    def sessions(self, recordings: Sequence[PathRecording]) -> list[PathRecording]:
+        """Return the recordings: each trial of the bench is of a session of its own."""
+        return list(recordings)
 
     def lacking(self, table: Table) -> list[str]:
         """Return the needed columns that a trial does not have."""
@@ -105,6 +113,14 @@ class PathModel:
         for k in np.argsort(misses):
             chosen.setdefault((stiffness[k], friction[k]), int(k))
         return [q[:, k] for k in list(chosen.values())[:STARTS]]
+
+    def session_at(self, q: Array) -> Array:
+        """Return the published deviations between sessions, in coordinates."""
+        return CONSTANTS.session_sd
+
+    def growth(self, trial: PathRecording, name: str) -> float:
+        """Return 1: peaks of the bench's gaits differ little."""
+        return 1.0
 
     def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:
         """Return the variance of the servo force that motion sampled too slowly leaves, N²."""

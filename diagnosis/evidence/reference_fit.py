@@ -22,10 +22,8 @@ from physics.laws import Array
 
 FEATURES: Final = 60
 """Random Fourier features of each output: with 120 the held-out likelihood of reference trials is the same."""
-SESSION_SHARE: Final = 0.35
-"""1σ of the discrepancy's change between sessions, of the discrepancy."""
 IN_SAMPLE: Final = 2.0
-"""Factor of the residual variance of a single reference trial, which no other one predicts."""
+"""Factor of the residual variance of a single reference trial, which no other one predicts, and of a rig's."""
 HELD_OUT: Final = 1.3
 """The same where other trials predict it: cavity residuals are partly fitted."""
 MOST_TAU: Final = 12.0
@@ -33,6 +31,8 @@ MOST_TAU: Final = 12.0
 QUARTERS: Final = (0.25, 0.5, 0.75)
 STAGES: Final = 3
 """Estimates of noise and discrepancy, each after a descent to the joint mode."""
+PRIOR_SESSIONS: Final = 3.0
+"""Weight of a model's own deviations between sessions, in sessions: two sessions determine a scatter badly."""
 ROUNDS: Final = 8
 """Steps of a descent."""
 
@@ -80,8 +80,14 @@ class ReferenceFit:
 
     def missed(self, observed: Observed) -> Array:
         """Return what the models of the reference trials, averaged, leave of the data."""
+        models = self.identified
+        if self.model.pools_sessions:
+            count, mean = len(self.model.constants.free), self.bench.mean
+            q = self.origin.copy()
+            q[list(self.model.constants.free)] += mean[:count]
+            models = ((q, mean[count:]),)
         return np.asarray(np.mean([observed.data - observed.predicted(q) - observed.features @ c
-                                   for q, c in self.identified], axis=0))
+                                   for q, c in models], axis=0))
 
     @property
     def rmse_n(self) -> float:
@@ -105,7 +111,7 @@ class ReferenceFit:
         quarter = np.searchsorted(self.quarters, states[self.model.load_state])
         parts = []
         for k, name in enumerate(self.outputs):
-            variance = self.model_error[k][quarter] + trial.noise_n[name] ** 2
+            variance = self.model.growth(trial, name) * self.model_error[k][quarter] + trial.noise_n[name] ** 2
             parts.append((variance + self.model.aliased(self.origin, trial, name)) * self.tau[k])
         return np.concatenate(parts)
 
@@ -152,9 +158,8 @@ class _Fit:
                  session_sd: Mapping[str, float] | None = None) -> None:
         self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
         self.trials = trials
-        self.session_sd = self.constants.session_sd.copy()
-        for name, sd in (session_sd or {}).items():
-            self.session_sd[self.constants.index[name]] = sd
+        self.stated_sd = session_sd or {}
+        self.session_sd = self._stated(self.constants.session_sd)
         self.bench_sd: Array = self.constants.bench_sd[self.free]
         self.outputs = trials[0].outputs
         self.origin = model.origin(trials[0])
@@ -177,6 +182,8 @@ class _Fit:
             self._descend()
             self._noise()
             self._amplitudes()
+            if self.model.pools_sessions and len(self.trials) > 1:
+                self._scatter()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
         bench = self._bounded(self._posterior(range(len(self.trials))))
         # features are simulated at the bench's own constants; their change is far below their length scale
@@ -204,6 +211,29 @@ class _Fit:
         lift = np.zeros(departure.size)
         lift[:len(self.free)] = (self.constants.lifted(q) - q)[self.free]
         return lift
+
+    def _stated(self, published: Array) -> Array:
+        """Return 1σ between sessions by constant: of those that a logbook measured, as it did."""
+        sd = published.copy()
+        for name, stated in self.stated_sd.items():
+            sd[self.constants.index[name]] = stated
+        return sd
+
+    def _scatter(self) -> None:
+        """Estimate how far sessions lie apart from the reference trials, by steps of expectation maximisation.
+
+        σ² is inverse-gamma about the model's own value with the weight of `PRIOR_SESSIONS` sessions.
+        """
+        prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
+        squares = np.zeros(len(self.free))
+        for k, x in enumerate(self.at):
+            deviation = np.sqrt(self._session())
+            design = self.linear[k].design * deviation
+            inner = np.linalg.inv(np.eye(deviation.size) + (design.T * self.linear[k].weight) @ design)
+            left = deviation**2 * np.diag(inner)
+            squares += ((x - self.bench) ** 2 + left)[:len(self.free)]
+        count = len(self.trials)
+        self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * prior + squares) / (PRIOR_SESSIONS + count))
 
     def _mean_cost(self) -> float:
         """Return the cost per datum of the reference trials at their modes."""
@@ -300,6 +330,7 @@ class _Fit:
         self.features = [features(self.model, s, self.scaling, self.outputs) for s in self.states]
         self.quarters = np.quantile(every[self.model.load_state], QUARTERS)
         self.origin = q
+        self.session_sd = self._stated(self.model.session_at(q))
         self._set_amplitude([self.trials[0].data - predicted(self.model, q, self.trials[0])], self.trials[:1])
         self.bench = np.zeros(len(self.free) + FEATURES * len(self.outputs))
         self.at = [self.bench for _ in self.trials]
@@ -314,7 +345,7 @@ class _Fit:
 
     def _session(self) -> Array:
         return np.concatenate([self.session_sd[self.free] ** 2,
-                               SESSION_SHARE**2 * np.repeat(self.amplitude**2, FEATURES)])
+                               self.model.session_share**2 * np.repeat(self.amplitude**2, FEATURES)])
 
     def _posterior(self, which: Sequence[int]) -> Gaussian:
         """Return the posterior of the bench, about `origin`, by the linearised trials of `which`.
@@ -347,7 +378,7 @@ class _Fit:
 
     def _noise(self) -> None:
         """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
-        more = IN_SAMPLE if len(self.trials) == 1 else HELD_OUT
+        more = IN_SAMPLE if len(self.trials) == 1 or self.model.pools_sessions else HELD_OUT
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
         tau = np.zeros(len(self.outputs))
         rests = [self._residual(k, x) for k, x in enumerate(self.at)]
@@ -382,12 +413,24 @@ class _Fit:
         """Return by output the RMS, N, that the others' models, averaged, miss on a trial (a single one: on itself)."""
         squares: dict[str, list[float]] = {name: [] for name in self.outputs}
         for j, trial in enumerate(self.trials):
-            models = [at for k, at in enumerate(self.identified) if k != j] or self.identified
+            models = self._others(j)
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
                             for q, c in models], axis=0)
             for name, error in self.model.errors(trial, np.asarray(rest)).items():
                 squares[name].append(float(np.mean(error**2)))
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
+
+    def _others(self, j: int) -> list[tuple[Array, Array]]:
+        """Return the models by which a reference trial is predicted: those of the others, if there are any.
+
+        Where the trials estimate how far sessions lie apart, the bench that the others show.
+        """
+        others = [k for k in range(len(self.trials)) if k != j] or [j]
+        if not self.model.pools_sessions:
+            return [self.identified[k] for k in others]
+        self.linear = self.linear or [self._linearised(k) for k in range(len(self.trials))]
+        mean = self._posterior(others).mean
+        return [(self._constants(mean), mean[len(self.free):])]
 
 
 def autocorrelation(rest: Array) -> float:

@@ -1,0 +1,119 @@
+"""Known changes and repeats of measured rigs through the evidence core: `python -m benchmarks.rig_changes [--other]`.
+
+The recordings are those beside the repository (`../shared/data`).  Half of the cases was used for development, and
+`--other` asks the rest.  A change is right if its cause is in the answer's set and every name is allowed; a repeat is
+right if the answer is `none`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from diagnosis.data.table import Table, read
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.rig_model import RigModel
+from parameters import InputError
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+FRICTION = frozenset({"cable_friction", "viscous_friction", "load_dependent_friction", "stribeck", "presliding"})
+LEVER_M, GRAVITY = 0.1, 9.81
+SESSIONS = ("rerun1", "reconnected3", "rerun3", "reconnected2")
+
+
+class RigCase(NamedTuple):
+    """A case: kind, reference files, name, trials, and the names that are right (none: nothing has changed)."""
+
+    kind: str
+    reference: tuple[Path, ...]
+    name: str
+    trials: tuple[Table, ...]
+    right: frozenset[str] = frozenset()
+
+
+def _files(pattern: str) -> tuple[Path, ...]:
+    return tuple(sorted(DATA.glob(pattern)))
+
+
+def _read(pattern: str) -> tuple[Table, ...]:
+    return tuple(read(path) for path in _files(pattern))
+
+
+def _rubs(given: Table, share: float) -> Table:
+    """Return a recording whose friction is `share` of what it was; what both directions share is the sensors'."""
+    apart = given["tension_start_n"] - given["tension_end_n"]
+    return replace(given, digest=f"{given.digest}{share}", columns={
+        **given.columns, "tension_start_n": given["tension_start_n"] + (share - 1.0) * (apart - apart.mean())})
+
+
+def _heavier(given: Table, mass_kg: float) -> Table:
+    """Return a recording of the pendulum with a mass beside its own one."""
+    angle, step = given["servo_position_m"], float(np.median(np.diff(given["time_s"])))
+    turns = savgol_filter(angle, 11, 3, deriv=2, delta=step)
+    more = mass_kg * (LEVER_M**2 * turns + GRAVITY * LEVER_M * np.sin(angle))
+    return replace(given, digest=f"{given.digest}{mass_kg}", columns={
+        **given.columns, "servo_force_n": given["servo_force_n"] + more})
+
+
+def cases() -> list[RigCase]:
+    """Return every case, the pairs of a kind in turns: one for development, one set aside."""
+    seal, same = "pneumatic_seal/", _files("pneumatic_seal/oring257_*_fit*") + _files("pneumatic_seal/oring257_*_hold*")
+    made = [RigCase("seal", _files(f"{seal}{a}_*"), f"{a} → {b}", _read(f"{seal}{b}_*"), FRICTION)
+            for a, b in (("circle", "napn"), ("napn", "circle"), ("napn", "pk"), ("pk", "napn"), ("circle", "pk"),
+                         ("pk", "circle"))]
+    again = {name: _read(f"{seal}oring257_{name}_*") for name in SESSIONS}
+    made += [RigCase("repeat", same, f"oring → {name}", trials) for name, trials in again.items()]
+    made += [RigCase("seal", same, f"oring {name} × {share}", tuple(_rubs(t, share) for t in again[name]), FRICTION)
+             for share in (0.5, 2.0, 0.7, 1.4, 3.0) for name in ("rerun3", "reconnected2")]
+    gains = {gain: (_files(f"servo_pendulum/{gain}*"), _read(f"servo_pendulum/{gain}*")) for gain in ("kp200", "kp400")}
+    for own, other in (("kp200", "kp400"), ("kp400", "kp200")):
+        made.append(RigCase("repeat", gains[own][0], f"{own} → {other}", gains[other][1]))
+        made += [RigCase("mass", gains[own][0], f"{own} → {other} + {mass} kg",
+                         tuple(_heavier(t, mass) for t in gains[other][1]), frozenset({"unbalance"}))
+                 for mass in (0.1, 0.2, 0.4)]
+    made.append(RigCase("repeat", _files("cable_drive/fit/*"), "cable drive", _read("cable_drive/check/*")))
+    made.append(RigCase("repeat", _files("tribometer/fit*"), "tribometer", _read("tribometer/holdout*")))
+    return made
+
+
+def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
+    """Print one case; return whether it is right and whether a wrong name was given."""
+    try:
+        found = finder.diagnose(case.trials)
+    except InputError as error:
+        print(f"{case.kind:7} {case.name:28} refused: {error}")
+        return False, False
+    named = set(found.rivals)
+    wrong = bool(named - case.right)
+    right = (bool(named & case.right) and not wrong) if case.right else found.verdict == "none"
+    best = next(iter((found.evidence or {}).get("log_bayes_factors", {}).items()), ("", 0.0))
+    error = (found.evidence or {}).get("error_n", {})
+    print(f"{case.kind:7} {case.name:28} {'right' if right else 'WRONG' if wrong else 'missed':6} {found.verdict:11} "
+          f"{', '.join(found.rivals):40} {best[0]} {best[1]:.1f} nats; "
+          + " → ".join(f"{error.get(n, 0.0):.3g}" for n in ("reference", "before", "after")), flush=True)
+    return right, wrong
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print the table of one half of the cases, and the share of changes and repeats that were right."""
+    half = int("--other" in arguments)
+    finders: dict[tuple[Path, ...], EvidenceFinder] = {}
+    told: list[tuple[RigCase, bool, bool]] = []
+    for case in cases()[half::2]:
+        if case.reference not in finders:
+            reference = [read(path) for path in case.reference]
+            finders[case.reference] = EvidenceFinder(reference, model=RigModel(reference))
+        told.append((case, *_asked(finders[case.reference], case)))
+    for kind in dict.fromkeys(case.kind for case, _, _ in told):
+        mine = [(right, wrong) for case, right, wrong in told if case.kind == kind]
+        print(f"{kind}: {sum(r for r, _ in mine)} of {len(mine)} right, {sum(w for _, w in mine)} wrong names")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

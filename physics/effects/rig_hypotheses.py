@@ -1,0 +1,142 @@
+"""What each effect of the catalogue frees in the forward model of a rig of another kind than the bench.
+
+A rig's friction is one constant, its size in N, and the shares of it that load and speed carry; what is left is dry:
+
+    F = G·[(1 − a − b)·s·(1 + α·s) + a·s·T/T₀]·(1 + r·e^(−(v/vₛ)²)) + G·b·(v + β·abs(v))/v₀     s Dahl's state
+
+`prefix` "" for friction between two tensions, "drive_" for that of a drive; `load`, `speed`: T₀ and v₀ of the rig.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from physics.effects.hypotheses import (
+    DRIVE,
+    ELASTICITY,
+    FRICTION,
+    SENSOR,
+    THETA1,
+    Direction,
+    Hypothesis,
+    Values,
+    Variant,
+)
+from physics.path_constants import PRESLIDING
+
+FAINT: Final = 0.5
+"""Torque of gravity, of the friction, below which no mass hangs off the axis."""
+LOAD_N: Final = 40.0
+"""Tension, N, at which `load_slope` of the catalogue is stated."""
+
+
+def parts_of(values: Values, prefix: str, load: float, speed: float) -> tuple[float, float, float]:
+    """Return dry friction, N, friction per N of load, and viscous friction, N·s/m."""
+    size, a, b = (values[prefix + name] for name in ("friction", "load_share", "viscous_share"))
+    return size * dry_share(a, b), size * a / load, size * b / speed
+
+
+def dry_share(a: float, b: float) -> float:
+    """Return the share of dry friction, 1 − a − b where that is positive, rounded over 0.02."""
+    dry = 1.0 - a - b
+    return 0.5 * (dry + math.sqrt(dry * dry + 4e-4))
+
+
+def _variant(*directions: tuple[Mapping[str, float], float]) -> Callable[[Values], tuple[Variant, ...]]:
+    return lambda values: (Variant(tuple(Direction(*given) for given in directions), {}),)
+
+
+def _share(prefix: str, name: str, sd: float) -> Callable[[Values], tuple[Variant, ...]]:
+    """Return the variant that changes one part of the friction and leaves the others; `name`: load, viscous or dry."""
+    def variants(values: Values) -> tuple[Variant, ...]:
+        a, b = values[prefix + "load_share"], values[prefix + "viscous_share"]
+        along = {prefix + "friction": 1.0, prefix + "load_share": float(name == "load") - a,
+                 prefix + "viscous_share": float(name == "viscous") - b}
+        return (Variant((Direction(along, sd),), {}),)
+    return variants
+
+
+def _heavier(values: Values) -> tuple[Variant, ...]:
+    """Return a mass that is added or taken off an axis that has one: it has weight and inertia."""
+    if values["unbalance"] < FAINT * values["drive_friction"]:
+        return ()
+    return (Variant((Direction({"unbalance": 1.0}, 0.4), Direction({"inertia": 1.0}, 0.4 * values["inertia"])), {}),)
+
+
+def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypothesis]:
+    """Return the effects between two tensions of a rig; `peak`: largest tension, N."""
+    def part(k: int) -> Callable[[Values, Values], float]:
+        return lambda values, bench: parts_of(values, "", load, speed)[k]
+
+    def slope(values: Values, bench: Values) -> float:
+        dry, per_load, _ = parts_of(values, "", load, speed)
+        return -dry / max(dry + per_load * LOAD_N, 1e-9)
+
+    return {
+        "cable_friction": Hypothesis(FRICTION, _variant(
+            ({"friction": 1.0}, 0.7), ({"load_share": 1.0}, 0.2), ({"viscous_share": 1.0}, 0.2)), {
+                "mu1": lambda v, b: part(1)(v, b) / THETA1, "coulomb": part(0), "viscous": part(2)}),
+        "viscous_friction": Hypothesis(FRICTION, _share("", "viscous", 0.5), {"viscous": part(2)}),
+        "load_dependent_friction": Hypothesis(FRICTION, _share("", "load", 0.5), {"load_slope": slope}),
+        "stribeck": Hypothesis(FRICTION, _variant(({"rest": 1.0}, 0.5), ({"rest_speed": 1.0}, 0.8)), {
+            "stribeck_ratio": lambda v, b: 1.0 + v["rest"], "stribeck_speed": lambda v, b: v["rest_speed"]}),
+        "presliding": Hypothesis(FRICTION, _variant(({"travel": 1.0}, 1.0)), {
+            "presliding": lambda v, b: PRESLIDING * v["travel"]}),
+        "friction_drift": Hypothesis(FRICTION, _variant(({"drift": 1.0}, 0.5)), {
+            "friction_drift": lambda v, b: v["drift"]}),
+        "start_gain": Hypothesis(SENSOR, lambda v: (Variant((Direction(
+            {"ratio": v["ratio"], "friction": 1.0, "offset": v["offset"]}, 0.06),), {}),), {
+                "start_gain": lambda v, b: v["ratio"] / b["ratio"]}),
+        "end_gain": Hypothesis(SENSOR, lambda v: (Variant((Direction({"ratio": -v["ratio"]}, 0.06),), {}),), {
+            "end_gain": lambda v, b: b["ratio"] / v["ratio"]}),
+        "start_offset": Hypothesis(SENSOR, _variant(({"offset": 1.0}, 0.05 * peak)), {
+            "start_offset": lambda v, b: v["offset"] - b["offset"]}),
+    }
+
+
+def spring_hypotheses() -> dict[str, Hypothesis]:
+    """Return the effects of the spring of a series-elastic drive."""
+    return {"stiffness": Hypothesis(ELASTICITY, _variant(({"stiffness": 1.0}, 0.3)), {
+        "stiffness_scale": lambda v, b: v["stiffness"] * STRETCH_M_PER_N})}
+
+
+STRETCH_M_PER_N: Final = 3e-4
+"""Compliance of the paper's rope and fabric at 40 N, to which `stiffness_scale` of the catalogue refers."""
+
+
+def give_hypotheses() -> dict[str, Hypothesis]:
+    """Return the effects of the compliance between a cable's ends, which the angle at its end shows."""
+    return {"stiffness": Hypothesis(ELASTICITY, lambda v: (Variant((Direction({"give": v["give"]}, 0.3),), {}),), {
+        "stiffness_scale": lambda v, b: b["give"] / v["give"] if v["give"] else 1.0})}
+
+
+def drive_hypotheses(load: float, speed: float, peak: float, turning: bool) -> dict[str, Hypothesis]:
+    """Return the effects of a drive whose force is recorded; `peak`: its largest force."""
+    def part(k: int) -> Callable[[Values, Values], float]:
+        return lambda values, bench: parts_of(values, "drive_", load, speed)[k]
+
+    def one(name: str, sd: float, parameter: str) -> Hypothesis:
+        return Hypothesis(DRIVE, _variant(({name: 1.0}, sd)), {parameter: lambda v, b: v[name]})
+
+    made = {
+        "drive_coulomb": Hypothesis(DRIVE, _share("drive_", "dry", 0.7), {"drive_coulomb": part(0)}),
+        "drive_viscous": Hypothesis(DRIVE, _share("drive_", "viscous", 0.7), {"drive_viscous": part(2)}),
+        "drive_offset": one("drive_offset", 0.1 * peak, "drive_offset"),
+        "drive_asymmetry": one("drive_asymmetry", 0.3, "drive_asymmetry"),
+        "drive_viscous_asymmetry": one("drive_viscous_asymmetry", 0.3, "drive_viscous_asymmetry"),
+        "drive_inertia": Hypothesis(DRIVE, lambda v: (Variant((Direction(
+            {"inertia": 1.0}, 0.5 * max(v["inertia"], 1e-12)),), {}),), {"drive_inertia": lambda v, b: v["inertia"]}),
+        "drive_stribeck": Hypothesis(DRIVE, _variant(({"drive_rest": 1.0}, 0.5), ({"drive_rest_speed": 1.0}, 0.8)), {
+            "drive_stribeck_ratio": lambda v, b: 1.0 + v["drive_rest"],
+            "drive_stribeck_speed": lambda v, b: v["drive_rest_speed"]}),
+        "drive_presliding": Hypothesis(DRIVE, _variant(({"drive_travel": 1.0}, 1.0)), {
+            "drive_presliding": lambda v, b: PRESLIDING * v["drive_travel"]}),
+        "demand_gain": one("demand_gain", 0.1, "demand_gain"),
+    }
+    if turning:
+        made["unbalance"] = Hypothesis(DRIVE, _heavier, {
+            "unbalance": lambda v, b: v["unbalance"], "unbalance_phase": lambda v, b: v["unbalance_phase"],
+            "drive_inertia": lambda v, b: v["inertia"]})
+    return made

@@ -1,0 +1,150 @@
+"""Rigs of other kinds by the evidence core: constants of the reference fit, repeats, changes of known size."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from diagnosis.data.table import Table, table
+from diagnosis.evidence.evidence_finder import EvidenceFinder, model_of
+from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
+from diagnosis.evidence.rig_model import RigModel
+from diagnosis.findings import Findings
+from physics.effects.catalogue import CATALOGUE
+from tests.diagnosis import rigs
+
+GRAVITY_NM = 0.5 * 9.81 * 0.15
+
+
+def pendulum(seed: int, mass_kg: float = 0.5) -> Table:
+    return table(f"pendulum_{seed}", rigs.pendulum(seed, mass_kg))
+
+
+def known(reference: list[Table]) -> EvidenceFinder:
+    """Return the diagnosis by evidence of the rig that these reference trials are of."""
+    return EvidenceFinder(reference, model=RigModel(reference))
+
+
+@cache
+def swung() -> EvidenceFinder:
+    return known([pendulum(1), pendulum(2)])
+
+
+def seal(columns: rigs.Columns, rubs: float = 6.0) -> Table:
+    """Return a rod between two forces: a load that differs little, and friction of `rubs` N each way."""
+    time = np.arange(0.0, 20.0, 0.01)
+    at = 0.02 * np.sin(2.0 * np.pi * 0.3 * time)
+    end = 50.0 + 2.0 * np.sin(2.0 * np.pi * 0.05 * time)
+    noise = 0.05 * np.random.default_rng(int(columns["seed"][0])).standard_normal((2, time.size))
+    start = end + rubs * np.tanh(np.gradient(at, time) / 1e-3)
+    return table("seal", {"time_s": time, "servo_position_m": at, "tension_start_n": start + noise[0],
+                          "tension_end_n": end + noise[1]})
+
+
+def numbered(seed: int) -> rigs.Columns:
+    return {"seed": np.array([float(seed)])}
+
+
+def test_the_outputs_follow_from_the_columns() -> None:
+    sprung = table("elastic", rigs.series_elastic(1))
+    assert RigModel([pendulum(1)]).outputs == ("servo_force_n",)
+    assert RigModel([sprung]).outputs == ("tension_start_n", "servo_force_n")
+    assert RigModel([seal(numbered(1))]).outputs == ("tension_start_n",)
+    for model in (RigModel([pendulum(1)]), RigModel([sprung]), RigModel([seal(numbered(1))])):
+        assert set(model.hypotheses) <= set(CATALOGUE)
+        for effect, hypothesis in model.hypotheses.items():
+            assert all(len(model.limits(effect, parameter)) == 3 for parameter in hypothesis.reads)
+
+
+def test_a_gait_is_a_benchs_and_a_turning_axis_is_not() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+    gait = table("gait", {"time_s": time, "gait_percent": 100.0 * (time % 1.0), "servo_position_m": np.sin(time),
+                          "tension_start_n": 20.0 + np.sin(time), "knee_angle_rad": np.sin(time)})
+    assert model_of([gait], [gait]) is PATH_MODEL
+    assert isinstance(model_of([pendulum(1)], [pendulum(2)]), RigModel)
+
+
+def fitted(trials: list[Table]) -> tuple[RigModel, ReferenceFit, dict[str, float]]:
+    model = RigModel(trials)
+    fit = fit_reference(model, model.sessions([model.record(t) for t in trials]))
+    q = fit.origin.copy()
+    q[list(model.constants.free)] += fit.bench.mean[:len(model.constants.free)]
+    return model, fit, model.constants.named(q)
+
+
+def test_the_reference_fit_has_the_constants_that_the_pendulum_was_made_with() -> None:
+    _, fit, constants = fitted([pendulum(1), pendulum(2)])
+    assert fit.trials == 2
+    assert constants["unbalance"] == pytest.approx(GRAVITY_NM, rel=0.01)
+    assert constants["unbalance_phase"] == pytest.approx(0.5 * np.pi - 0.2, abs=0.01)
+    assert constants["inertia"] == pytest.approx(0.5 * 0.15**2 + 2e-3, rel=0.03)
+
+
+def test_trials_of_unlike_condition_are_one_session() -> None:
+    quick, slow = rigs.pendulum(1), rigs.pendulum(2)
+    slow = {**slow, "time_s": 2.0 * slow["time_s"]}
+    trials = [table("quick", quick), table("slow", slow)]
+    model = RigModel(trials)
+    assert len(model.sessions([model.record(t) for t in trials])) == 1
+
+
+def test_another_motion_of_the_same_pendulum_is_none() -> None:
+    assert swung().diagnose([pendulum(3)]).verdict == "none"
+
+
+def heavier() -> Findings:
+    return swung().diagnose([pendulum(4, 0.6)])
+
+
+def test_a_mass_on_a_pendulum_is_told_within_five_per_cent_with_what_it_was() -> None:
+    found = heavier()
+    assert found.causes[0]["effect"] == "unbalance"
+    told = found.causes[0]["parameters"]["unbalance"]
+    assert told["value"] - GRAVITY_NM == pytest.approx(0.2 * GRAVITY_NM, rel=0.05)
+    assert told["low"] <= 1.2 * GRAVITY_NM <= told["high"]
+    assert found.causes[0]["was"]["unbalance"] == pytest.approx(GRAVITY_NM, rel=0.01)
+    assert found.part == "drive"
+    assert told["unit"] == "N·m"
+
+
+def test_the_shift_of_a_constant_is_said_though_nothing_is_named() -> None:
+    found = swung().diagnose([pendulum(5, 0.51)])
+    assert found.evidence is not None
+    shift = found.evidence["shifts"]["unbalance"]
+    assert found.verdict == "none"
+    assert shift["low"] <= 1.02 * GRAVITY_NM <= shift["high"]
+    assert shift["from"] == pytest.approx(GRAVITY_NM, rel=0.01)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("rubs", "share"), [(24.0, 2.0), (6.0, 0.5)])
+def test_friction_that_doubles_or_halves_is_named(rubs: float, share: float) -> None:
+    finder = known([table(f"seal_{k}", rigs.seal(k)) for k in (1, 2)])
+    assert finder.diagnose([table("same", rigs.seal(3))]).verdict == "none"
+    found = finder.diagnose([table("other", rigs.seal(4, rubs))])
+    assert found.rivals[0] == "drive_coulomb"
+    told = found.causes[0]["parameters"]["drive_coulomb"]
+    assert told["low"] <= share * 12.0 <= told["high"]
+
+
+def test_friction_between_two_forces_is_named_in_its_part() -> None:
+    finder = known([seal(numbered(k)) for k in (1, 2)])
+    assert finder.diagnose([seal(numbered(3))]).verdict == "none"
+    found = finder.diagnose([seal(numbered(4), 14.0)])
+    assert found.part == "friction path"
+    assert "cable_friction" in found.rivals
+
+
+@pytest.mark.exhaustive
+def test_an_encoders_zero_is_nothing_and_a_softer_spring_is_named() -> None:
+    finder = known([table(f"elastic_{k}", rigs.series_elastic(k)) for k in (1, 2)])
+    moved = rigs.series_elastic(3)
+    assert finder.diagnose([table("moved", {**moved, "servo_position_m": moved["servo_position_m"] + 9e-3})]
+                           ).verdict == "none"
+    softer = finder.diagnose([table("softer", rigs.series_elastic(4, 6e3))])
+    assert softer.rivals == ["stiffness"]
+    # (10) is 0.3 mm/N at scale 1
+    assert softer.causes[0]["parameters"]["stiffness_scale"]["value"] == pytest.approx(1.8, rel=0.03)
