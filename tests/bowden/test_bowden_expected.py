@@ -43,7 +43,8 @@ def test_the_version_and_the_short_option_for_help(bowden: Bowden) -> None:
     assert bowden("trial", "-h")[1] == bowden("trial", "--help")[1]
 
 
-NEED_NOTHING = {("home",), ("release",), ("doctor",), ("init",), ("acknowledge",), ("monitor",), ("node", "scan")}
+NEED_NOTHING = {("home",), ("release",), ("doctor",), ("init",), ("acknowledge",), ("monitor",), ("node", "scan"),
+                ("lss", "scan"), ("lss", "store")}
 """Commands that do all they do without an argument, so that it is no mistake to give none."""
 
 

@@ -50,7 +50,7 @@ def scan(reached: Bus, timeout: Wait = 100, config: options.Config = None, json:
 @lss.command()
 @grouped
 def assign(
-    node_id: Annotated[int, typer.Argument(metavar="NEW-ID", help="Node id 1 … 127.", show_default=False)],
+    node_id: Annotated[int, typer.Argument(metavar="NEWID", help="Node id 1 … 127.", show_default=False)],
     reached: Bus, node: Chosen = None, identity: Identity = None, store: Store = False, force: Force = False,
     timeout: Wait = 100, config: options.Config = None, json: options.Json = False,
 ) -> int:
