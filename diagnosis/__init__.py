@@ -1,6 +1,7 @@
-"""Given measured data: what the simulation gets wrong, why, and what mending it gains.
+"""Diagnosis of a bench or rig from measured trials: which effects the simulation lacks, their sizes, and the error
+that remains with them.
 
-The rule of this room: it reads the laws and the catalogue of `physics` and names no effect in its own code;
-whatever it says carries an interval, the data that said it were not those it was fitted on, and what these
-data cannot tell is said as such.
+Equations and effects come from `physics`; no effect is named in the code of this package.  Every estimate has a 95 %
+interval, every error is computed on data outside the fit, and effects that the data do not separate are reported as
+an ambiguity set.
 """

@@ -1,8 +1,9 @@
-"""model.toml: the constants of one bench as `fit` found them, each with its interval; and the fit that finds them.
+"""`bowden fit`: identification of the constants of one bench or rig, and the file model.toml that holds them.
 
-The rule of this file: what is written is a bench model (`physics.bench_model`): `[parameters.NAME]` is what relations,
-simulation and controller run on, `[fitted]` what the fit says of itself, `[effects.NAME]` may stand beside them as a
-diagnosis writes it; a constant that the data do not determine says so and keeps what was known beforehand.
+The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`: constants that prediction equations,
+simulation and controller load, each with its 95 % interval.  `[fitted]`: trials and errors of the fit.
+`[effects.NAME]`: effects that a diagnosis may have added.  A constant that the data do not determine has
+`determined = false` and keeps its prior value.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: valu
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
 DETERMINED: Final = 0.7
-"""1σ, of that known beforehand, below which the data have said something of a constant."""
+"""Posterior 1σ over prior 1σ below which a constant counts as determined by the data."""
 SEEN: Final = 0.6
-"""Share of each trial that the fit which is judged has seen."""
+"""Share of each trial to which the tested model is fitted; the rest of the trial is held out."""
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
-"""Columns of the rope's motion."""
+"""Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
 FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
-"""Constants that only scale others: no trial determines them."""
+"""Constants that only scale others, so that no trial determines them."""
 SECONDS: Final = 6.0
-"""Length of each trial that the simulation is fitted on, s."""
+"""Length, s, of the first part of each trial to which the simulation is fitted."""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """One constant: its value, 95 % interval, unit, and whether the data say it."""
+    """One constant: value, 95 % interval, unit, and whether the data determine its value."""
 
     value: float
     low: float
@@ -61,11 +62,12 @@ class Constant:
 
 @dataclass(frozen=True)
 class FittedBench:
-    """A bench as fitted; `figures`: START and END against the simulation, N, on what that fit had not seen.
+    """Bench or rig as fitted.
 
-    `told`: what a file says of the relations in another form than theirs, as `bowden identify` writes it.
-    `pulls`: 1 where a growing rope position pulls, −1 where it lets out; `relations`: RMSE by relation, in its unit.
-    `rig`: the terms found on a rig of another kind; None: it is a bench, a rope over a knee.
+    `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: RMSE by prediction equation,
+    in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  The field `told`: parameters of the
+    prediction equations converted from another form, such as that of `bowden identify`.  `rig`: terms of a rig of
+    another kind; None for a bench, which is a rope over a knee.
     """
 
     constants: Mapping[str, Constant]
@@ -80,13 +82,13 @@ class FittedBench:
 
     @property
     def values(self) -> dict[str, float]:
-        """Every value that relations and simulation read; nominal where the model has none."""
+        """All parameters of the prediction equations and the simulation; nominal if the model has no value."""
         brought = {name: value for row in self.effects.values() for name, value in row.items()}
         return {**healthy(), **self.told, **{n: c.value for n, c in self.constants.items()}, **brought}
 
     @property
     def calibration(self) -> Calibration:
-        """The scalars of a calibration that these constants tell; what they do not tell is nominal."""
+        """Calibration whose scalars follow from these constants, each inside its bounds; other scalars are nominal."""
         told, base = to_scalars({**self.values, **converted(UNRELATED, self.values)}), nominal()
         bounds = {name: declared for name, _, declared in declarations(Calibration)}
         inside: dict[str, Any] = {n: min(max(v, bounds[n].low), bounds[n].high) for n, v in told.items() if n in bounds}
@@ -94,10 +96,11 @@ class FittedBench:
 
     @property
     def undetermined(self) -> list[str]:
+        """Names of the constants that the data do not determine."""
         return [n for n, c in self.constants.items() if not c.determined]
 
     def as_json(self) -> dict[str, Any]:
-        """Return the model as plain values."""
+        """Return the model as a dictionary of JSON values."""
         return {"trials": list(self.trials), "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
                 "not_determined": self.undetermined, "simulation": dict(self.figures),
                 "rig": None if self.rig is None else list(self.rig),
@@ -121,7 +124,10 @@ class FittedBench:
 
 
 def read(path: str | Path) -> FittedBench:
-    """Read a bench model, of whichever command; raises `InputError` for what is none of its tables or no number."""
+    """Read a bench model that any command has written.
+
+    Raises `InputError` for an unknown table or a value that is not a number.
+    """
     given = read_toml(Path(path))
     model = bench_model.read(path)
     rows = given.get(OLDER, given.get(BENCH, {}))
@@ -130,7 +136,7 @@ def read(path: str | Path) -> FittedBench:
 
 
 def of_model(model: BenchModel) -> FittedBench:
-    """Return what relations and simulation read of a bench model; nominal where it says nothing."""
+    """Return a bench model as the parameters of prediction equations and simulation; nominal where it has no value."""
     return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
                        effects=model.effects, told=model.related())
 
@@ -144,11 +150,11 @@ def _constant(row: Any, model: BenchModel, name: str) -> Constant:
 
 def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
         lowpass: float | None = None) -> FittedBench:
-    """Fit the constants of a bench to healthy trials of any motion; `calibration`: one point to start from.
+    """Fit the constants of a bench to trials of any motion in the reference condition.
 
-    `lowpass`: cut-off, Hz, of the zero-phase low-pass put on every signal first.
-    A rig of another kind (no rope that a tension stretches over a knee) is fitted as `rig_fit` says.
-    Raises `InputError` for trials that contradict themselves, or whose columns no relation can be checked on.
+    `calibration`: accepted, not used.  `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first
+    passes (None: no filter).  Trials of another rig than a rope over a knee are fitted by `rig_fit`.
+    Raises `InputError` for contradictory trials, and for columns that allow no prediction equation.
     """
     if not trials:
         raise InputError("fit: no trial given; name at least one healthy trial.")
@@ -179,7 +185,10 @@ def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] 
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
-    """Return the trials with ropes that grow where they pull, and 1, or −1 where they were counted the other way."""
+    """Return the trials with a rope position that grows as the rope is pulled, and the sign of the recorded position.
+
+    The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.
+    """
     if any("servo_position_m" not in t or "tension_start_n" not in t for t in tables) or all(
             PATH_MODEL.pulls(t) for t in tables):
         return list(tables), 1
@@ -207,19 +216,19 @@ def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[int
 
 
 def _part(given: Table, low: float, high: float) -> Table:
-    """Return the rows of a share of a trial."""
+    """Return the rows of a trial from share `low` to share `high` of its length, 0 … 1."""
     size = len(given)
     rows = slice(round(low * size), round(high * size))
     return dataclasses.replace(given, columns={n: v[rows] for n, v in given.columns.items()})
 
 
 def _parts(tables: Sequence[Table]) -> tuple[list[Table], list[Table]]:
-    """Return the parts of trials that a fit sees, and those that judge it."""
+    """Return the first part of each trial, for the fit, and the last part, held out to test that fit."""
     return [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
 
 
 def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
-    """Return, by tension, RMS, N, of measured less simulated on rows that the fit of `values` had not seen."""
+    """Return RMS of measured less simulated and peak, N, by tension, on rows held out from the fit of `values`."""
     figures = {}
     for name in simulation.SIGNALS:
         parts, peak = [], 0.0
@@ -246,7 +255,7 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
 
 
 def as_fitted(given: Table, model: FittedBench) -> Table:
-    """Return a trial with its rope counted as the model's trials were, a knee that is not recorded as locked."""
+    """Return a trial whose rope position has the sign of the model's trials."""
     if model.pulls > 0:
         return given
     return _turned(given)

@@ -1,8 +1,7 @@
-"""extended.toml: what a diagnosis found, as a model that the simulator and the controller load.
+"""extended.toml: result of a diagnosis as a bench model that the simulator and the controller load.
 
-The rule of this file: it is a bench model (`physics.bench_model`): `[parameters.NAME]` what is known of the bench from
-its calibration or healthy trials, `[effects.NAME]` what was found, `[found]` the evidence that rests on; nothing is
-written that the diagnosis did not say.
+`[parameters.NAME]`: constants of the bench from its calibration or its reference trials.  `[effects.NAME]`: effects
+found.  `[found]`: verdict, trials and gains of the diagnosis.  The format is that of `physics.bench_model`.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ HEAD: Final = (
 
 @dataclass(frozen=True)
 class Extension:
-    """An extended.toml as read: effects by name with their values, SI, and the table of what they were found on."""
+    """Content of an extended.toml: values of each effect, SI, by name, and the table `[found]` as `evidence`."""
 
     effects: Mapping[str, Mapping[str, float]]
     evidence: Mapping[str, Any]
 
 
 def text(found: Findings, trials: Sequence[Table]) -> str:
-    """Return `found` as the text of extended.toml; raises `InputError` where it refused the trials."""
+    """Return `found` as the text of extended.toml; raises `InputError` if the diagnosis refused the trials."""
     if found.verdict == "refused":
         raise InputError(f"{trials[0].source if trials else 'diagnose'}: refused, so nothing was found to extend by; "
                          "mend the data first.")
@@ -56,7 +55,7 @@ def text(found: Findings, trials: Sequence[Table]) -> str:
 
 
 def _bench(found: Findings) -> list[str]:
-    """Return what is known of the bench as the rows of a bench model; none where it is nobody's or another rig's."""
+    """Return the constants of the bench as lines of a bench model; [] without a calibration, and for another rig."""
     if found.bench is None or not found.bench.values:
         return []
     return [f"version = {VERSION}", f"bench = {_cell(found.bench.bench)}",
@@ -70,14 +69,14 @@ def _effect(cause: Mapping[str, Any], seconds: float) -> list[str]:
     lines += [f"{key} = {_inline(told.items())}" for key, told in cause["parameters"].items() if key in own]
     if math.isfinite(seconds) and _relative(name, {k: t["value"] for k, t in cause["parameters"].items()}):
         lines.append(f"trial_s = {_cell(seconds)}")
-    # further parts of a rig's friction are constants of that rig, and no bench's
+    # further friction parameters of another rig are written as constants of that rig
     lines += [f"\n[{RIG}.{key}]\n" + "\n".join(f"{word} = {_cell(value)}" for word, value in told.items())
               for key, told in cause["parameters"].items() if key not in own]
     return lines
 
 
 def _relative(name: str, values: Mapping[str, float]) -> bool:
-    """Say whether the effect is stated per length of the trial."""
+    """Return whether the size of the effect is stated per length of the trial."""
     try:
         return apply({name: {**values, "trial_s": 1.0}}) != apply({name: {**values, "trial_s": 2.0}})
     except InputError:
@@ -93,7 +92,7 @@ def _cell(value: Any) -> str:
 
 
 def read(path: str | Path) -> Extension:
-    """Read an extended.toml; raises `InputError` for what is none, or states an effect that the catalogue has not."""
+    """Read an extended.toml; raises `InputError` for another format and for effects that the catalogue lacks."""
     given = read_toml(Path(path))
     for name in given:
         if name not in TABLES:

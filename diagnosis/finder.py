@@ -1,6 +1,6 @@
-"""From trials to a verdict: integrity, reference, relations, search, judgement on what was not seen.
+"""Steps of a diagnosis from trials to verdict: integrity, reference condition, search, test on held-out cycles.
 
-The rule of this file: it joins the steps and decides nothing that a step has decided; the same files give the
+This module only connects the steps; each decision is made in the module of its step.  The same files always give the
 same verdict.
 """
 
@@ -35,18 +35,20 @@ from physics.calibration import ScalarEvidence
 from physics.relations.relation import RELATIONS
 
 UNFIT: Final = 0.2
-"""Share of a relation's spread that the reference trials may miss before they are refused."""
+"""Largest RMSE of the reference trials, relative to the spread of the predicted signal; above it they are refused."""
 Given = str | Path | Table
 """A trial: its file (MCAP or CSV), or its columns in memory."""
 
 
 class Finder:
-    """Diagnoses trials of one bench: `fit` examines healthy trials once, `diagnose` uses that for trial after trial.
+    """Diagnosis of one bench: `fit` reads its reference trials once, `diagnose` then diagnoses any number of trials.
 
-    `calibration` is the bench's, a file or its tables; without it each trial's own is used, where it carries one.
-    `lowpass` is the cut-off, Hz, of the zero-phase low-pass put on every signal first.  `session_sd`: 1σ of each
+    `calibration`: file or tables of the bench's calibration (None: the calibration attached to the trials, if any).
+    `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes.  `session_sd`: 1σ of each
     constant between sessions, from a logbook (None: the published one).
-    With reference trials of a bench effects compete by evidence; without, and on rigs of other kinds, by relations.
+
+    With reference trials of the bench the effects compete by evidence (`diagnosis.evidence`).  Without reference
+    trials, and on other rigs, effects compete by the error of the prediction equations.
     """
 
     def __init__(self, calibration: str | Path | Mapping[str, Any] | None = None, lowpass: float | None = None,
@@ -59,10 +61,10 @@ class Finder:
         self._healthy = HealthyTrials()
 
     def fit(self, healthy: Sequence[Given]) -> Finder:
-        """Read and examine `healthy`, trials of this or a like bench with nothing wrong, and fit them; returns itself.
+        """Read, check and fit `healthy`, trials of the bench in the reference condition; returns itself.
 
-        The fit is made here for the relations that the healthy trials' own columns allow, else when a trial with
-        other columns is diagnosed, once for each set.  Raises `InputError` for files that cannot be used.
+        The fit covers the prediction equations that the columns of these trials allow.  A diagnosed trial with other
+        columns causes one further fit per set of columns.  Raises `InputError` for unusable files.
         """
         self.examine(healthy)
         with threadpool_limits(1, user_api="blas"):
@@ -72,7 +74,8 @@ class Finder:
         return self
 
     def examine(self, healthy: Sequence[Given]) -> Finder:
-        """Read and examine `healthy` as `fit` does, and leave the fit to the first diagnosis; returns itself."""
+        """Read and check the reference trials `healthy` and postpone their fit to the first diagnosis; returns itself.
+        """
         self._read = [_read(t) for t in healthy]
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [self._usable(t) for t in self._read]
@@ -82,11 +85,11 @@ class Finder:
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
-        """Say what the simulation gets wrong about `trials`, and why; nothing is fitted on `holdout`.
+        """Return which effects explain the error of the simulation on `trials`; nothing is fitted on `holdout`.
 
-        Raises `InputError` for files that cannot be used; data that contradict themselves are `refused`.
+        Contradictory data give the verdict `refused`.  Raises `InputError` for unusable files.
         """
-        # matrices of some hundred columns: threads that wait for each other cost more than they calculate
+        # with matrices of some hundred columns, waiting threads cost more time than they save
         with threadpool_limits(1, user_api="blas"):
             return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
 
@@ -130,11 +133,14 @@ class Finder:
                        undecided=undecided, experiment=None if again else found.experiment)
 
     def _usable(self, given: Table) -> Table:
-        """Return a table without the signals that hold nothing; the knee of a gait may be locked."""
+        """Return a trial without its constant or empty signals; in a gait, constant motion columns are kept."""
         return integrity.usable(given, MOTION if "gait_percent" in given else ())
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
-        """Return the diagnosis by evidence where these are trials of the bench of the reference trials."""
+        """Return the diagnosis by evidence if it applies to these trials, else None.
+
+        It applies to gaits, and to other trials of the bench of the reference trials.
+        """
         core, every = self._evidence, [*trials, *holdout]
         if core is None or any("gait_percent" in t for t in [*every, *self._healthy]):
             return core
@@ -182,14 +188,16 @@ class Finder:
 
 
 CLOCK: Final = 0.2
-"""How near the change of an inertia is to the square of a clock's factor, as a share of it, to be that clock's."""
+"""Tolerance, relative, within which the change of an inertia equals the square of the ratio of the sampling periods.
+
+Also the least deviation of that ratio from 1 that counts as a wrong clock."""
 
 
 def _clock(trials: Sequence[Table], healthy: Sequence[Table], causes: Sequence[Mapping[str, Any]],
            reference: Mapping[str, float]) -> str | None:
-    """Return, as a sentence, that a changed inertia is a clock's doing; None where the clocks agree, or it is not.
+    """Return a sentence if a wrong clock in `time_s` explains the changed inertia; None otherwise.
 
-    Of a clock that runs k times too fast an acceleration is k² times too small, and an inertia k² times too large.
+    If the clock runs k times too fast, accelerations appear k² times too small, and the inertia k² times too large.
     """
     told = next((c["parameters"]["drive_inertia"]["value"] for c in causes if c["effect"] == "drive_inertia"), 0.0)
     if not healthy or told <= 0.0 or reference["drive_inertia"] <= 0.0:
@@ -204,7 +212,7 @@ def _clock(trials: Sequence[Table], healthy: Sequence[Table], causes: Sequence[M
 
 
 def _worse(figures: Mapping[str, Figures]) -> list[str]:
-    """Return, as sentences, the relations that trials held out contradict: what was found predicts them worse."""
+    """Return a sentence on each prediction equation whose error on held-out trials rises with the effects found."""
     return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_before:.3g} → "
             f"{f.holdout_after:.3g} {f.unit} RMS; it holds for these trials alone: do not extend the simulation by it."
             for name, f in figures.items() if f.holdout_before is not None and f.holdout_after is not None
@@ -212,7 +220,10 @@ def _worse(figures: Mapping[str, Figures]) -> list[str]:
 
 
 def _undecided(trials: Sequence[Table], word: str, rivals: Sequence[str], said: Sequence[str]) -> str | None:
-    """Return what a reader must know of an experiment beside the gait that left a class; None where none did."""
+    """Return a sentence on an experiment, recorded with a gait, that did not make the ambiguity set single.
+
+    None if the verdict is not ambiguous, or if the trials are only gaits or only experiments.
+    """
     run = [t for t in trials if "gait_percent" not in t]
     if word != "ambiguous" or len(run) in (0, len(trials)):
         return None
@@ -223,7 +234,7 @@ def _undecided(trials: Sequence[Table], word: str, rivals: Sequence[str], said: 
 
 def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]], session: Mapping[str, Any] | None
             ) -> tuple[dict[str, Figures], list[dict[str, Any]], dict[str, Any] | None]:
-    """Return figures, causes and session of a turning axis in its units."""
+    """Return figures, causes and session of a turning axis in units of rotation, such as N·m for N."""
     units = table.TURNED_UNITS
     return ({n: replace(f, unit=units.get(f.unit, f.unit)) if n in ("drive_force", "servo") else f
              for n, f in figures.items()},
@@ -234,7 +245,10 @@ def _turned(figures: Mapping[str, Figures], causes: Sequence[Mapping[str, Any]],
 
 
 def _bench(settled: problem.ProblemSetting, known: Mapping[str, Any] | None) -> BenchModel | None:
-    """Return the bench as its healthy trials taught it, else as its calibration has it."""
+    """Return the bench as identified from its reference trials, else from its calibration.
+
+    None for another rig, and without either source.
+    """
     if settled.any_rig or settled.elsewhere:
         return None
     if settled.learnt is None:
@@ -248,12 +262,12 @@ def diagnose(
     trials: Sequence[Given], calibration: str | Path | Mapping[str, Any] | None = None, healthy: Sequence[Given] = (),
     holdout: Sequence[Given] = (), lowpass: float | None = None,
 ) -> Findings:
-    """Diagnose `trials` once, with what `healthy` trials teach: see `Finder`, whose parts the arguments are."""
+    """Diagnose `trials` once, against the reference trials `healthy`; the arguments are those of `Finder`."""
     return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
 
 
 def _short(trials: Sequence[Table]) -> str:
-    """Return, as a sentence, that trials hold too few cycles to be predicted from each other; "" where they do not."""
+    """Return a sentence if the trials have too few cycles for a cross-validation, else ""."""
     cycles = int(sum(np.floor(float(t["time_s"][-1] - t["time_s"][0]) / BLOCK_S) if "cycle" not in t
                      else np.unique(t["cycle"][np.isfinite(t["cycle"])]).size for t in trials))
     if cycles >= integrity.LEAST_CYCLES:
@@ -264,10 +278,11 @@ def _short(trials: Sequence[Table]) -> str:
 
 def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials,
            known: Mapping[str, Any] | None) -> tuple[Judge, list[str]]:
-    """Judge the trials; an experiment among them only splits the class that those of the healthy ones' kind leave.
+    """Return the judgement of the trials, and sentences for the reader on experiments among them.
 
-    No healthy trial says how far the laws are from holding in another motion than its own: a relation that no effect
-    of the class meets there says nothing of them.  Returned beside the judgement is what has to be said of that.
+    The gaits determine the ambiguity set; experiments recorded with them can only reduce that set.  The reference
+    trials are gaits, so the systematic model error in another motion is unknown.  A prediction equation that no effect
+    of the set fits in the experiment is therefore left out there.
     """
     walked = [t for t in trials if "gait_percent" in t]
     if settled.floors is None or len(walked) in (0, len(trials)) or not all("gait_percent" in t for t in healthy):
@@ -289,7 +304,7 @@ def _judge(settled: problem.ProblemSetting, trials: Sequence[Table], holdout: Se
 
 
 def _unfit(settled: problem.ProblemSetting) -> list[str]:
-    """Return, as sentences, the relations that the healthy trials do not fit."""
+    """Return a sentence on each prediction equation that does not fit the reference trials within `UNFIT`."""
     if settled.learnt is None:
         return []
     told = []
@@ -303,7 +318,10 @@ def _unfit(settled: problem.ProblemSetting) -> list[str]:
 
 
 def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
-    """Return what is at fault before the bench is: its laws are not asked of values that are late, lost or coarse."""
+    """Return the findings of a faulty bus or converter.
+
+    The bench itself is then not diagnosed, since its values arrive late, incomplete or coarse.
+    """
     names = [t.effect.name for t in carried.told]
     figures = {name: Figures(relation.unit, False) for name, relation in RELATIONS.items()} | carried.figures
     return Findings("found" if len(names) == 1 else "ambiguous", carried.causes(), names,
@@ -312,7 +330,7 @@ def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:
 
 
 def _said(settled: problem.ProblemSetting, healthy: bool) -> list[str]:
-    """Return what the reader must know of the reference and of what was not checked."""
+    """Return sentences for the reader on the reference condition and on prediction equations that were not checked."""
     said = []
     if settled.any_rig:
         said.append("no calibration fits this rig: it is compared with an ideal transmission, rigid and without "
@@ -335,7 +353,7 @@ def _said(settled: problem.ProblemSetting, healthy: bool) -> list[str]:
 
 
 def _lacking(settled: problem.ProblemSetting) -> list[str]:
-    """Return, as sentences, what a rig of another kind would have to record for more to be said."""
+    """Return sentences on the columns with which a rig of another kind would allow more prediction equations."""
     lacks = "; ".join(f"{n} ({', '.join(c)})" for n, c in settled.missing.items() if c)
     said = [f"not checked, for want of columns: {lacks}."] if lacks else []
     force = [b for b in settled.blocks if b.relation.name == "drive_force"]

@@ -1,4 +1,4 @@
-"""The result of a diagnosis: verdict, causes, ambiguity set, figures, and what the figures were drawn from."""
+"""Result of a diagnosis: verdict, causes, ambiguity set, figures, and the traces that the figures are computed from."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from physics.bench_model import BenchModel
 
 @dataclass(frozen=True)
 class Findings:
-    """The verdict and its figures; `as_json` gives exactly the published keys.
+    """Verdict of a diagnosis with its figures; `as_json` returns exactly the published keys.
 
-    `seconds` is for the caller that has a clock: nothing here reads one.  `split`: an experiment beside the gait has
-    split the class, by `verdict`'s thresholds for that.  `rate_hz`: the rate at which the trials were looked at.
-    `bench`: what is known of the bench, by its healthy trials or its calibration; None of another rig.  Of the evidence
-    core: `part` of the bench that changed, `evidence` that the answer rests on, `traces` by output, on each trial and
-    `held_traces` on each held-out trial.  Of a rig of another kind: how its `session` differs from the healthy ones.
-    `undecided`: one sentence on an experiment among the trials that did not split the class.
+    `rivals`: ambiguity set.  `seconds`: run time, which the caller measures.  `split`: an experiment recorded with the
+    gait has reduced the ambiguity set.  `rate_hz`: sampling rate of the comparison.  `bench`: the bench as a model,
+    from its reference trials or its calibration; None for another rig.  `session`: on a rig of another kind, the
+    difference from the reference trials' sessions.  `undecided`: one sentence on an experiment among the trials that
+    did not reduce the ambiguity set.
+
+    A diagnosis by evidence also sets `part`, the part of the bench that changed; `evidence`, its Bayes factors and
+    errors; `traces`, by output and trial; and `held_traces`, by output and held-out trial.
     """
 
     verdict: str
@@ -48,7 +50,10 @@ class Findings:
     undecided: str | None = None
 
     def unnamed(self) -> Findings:
-        """Return it without a cause named: the bench was never identified, which may remove them; see `candidates`."""
+        """Return these findings with the causes and the ambiguity set moved to `candidates`, so that no cause is named.
+
+        Used for a bench that was never identified: an identification may remove the causes.
+        """
         if not self.causes:
             return self
         return replace(self, causes=[], rivals=[], experiment=None, detection_limit=None, candidates=[
@@ -56,7 +61,7 @@ class Findings:
                             if name not in {cause["effect"] for cause in self.causes})])
 
     def as_json(self) -> dict[str, Any]:
-        """Return what `bowden diagnose --json` prints: undefined is None."""
+        """Return the dictionary that `bowden diagnose --json` prints; an undefined figure has the value null."""
         return {
             "verdict": self.verdict, "causes": self.causes, "class": self.rivals, "experiment": self.experiment,
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},

@@ -1,7 +1,7 @@
-"""The constants of a rig of another kind, from its reference trials: a seal, a turning axis, a cable drive, a motor.
+"""Identification of a rig other than the bench (seal, turning axis, cable drive, motor) from its reference trials.
 
-The rule of this file: the search of the diagnosis says which terms the rig has (Coulomb friction, inertia,
-unbalance …); a second search, on the first part of each trial alone, says how well they predict the rest.
+The search of the diagnosis selects the terms of the rig (Coulomb friction, inertia, unbalance …).  A second search, on
+the first part of each trial alone, measures how well such a model predicts the last part.
 """
 
 from __future__ import annotations
@@ -20,18 +20,20 @@ from parameters import InputError
 from physics.parameters import RELATION_PARAMETERS
 
 TOLD: Final = 0.7
-"""1σ, of a constant's value or of the scale on which it is searched, below which the trials have said something."""
+"""Largest 1σ of a determined constant, relative to its value or to its search scale, whichever is larger."""
 
 PROMISING: Final = 3
-"""Further terms that are fitted in full, the most promising by their slopes."""
+"""Number of further terms fitted in full in each round: those that a linear screen ranks first."""
 LOWERED: Final = 0.02
-"""Share of the squared error on unseen cycles by which a further term lowers it at least: 1 % of the RMSE."""
+"""Least share by which a further term must lower the squared error on held-out cycles: about 1 % of the RMSE."""
 NO_TERMS: Final = ("START sensor", "END sensor", "converter", "supply", "bus")
-"""Sites of effects that are faults and no terms of a rig; nor is a gain of the force, beside free friction."""
+"""Sites of effects that are faults and therefore no terms of a rig.
+
+`_completed` excludes `demand_gain`, too: a gain of the force is confounded with free friction."""
 
 
 class RigConstant(NamedTuple):
-    """A constant of a rig: its value, and its 95 % interval by the fit's curvature, in its SI unit."""
+    """Constant of a rig in its SI unit: value, and 95 % interval from the curvature of the fit."""
 
     value: float
     low: float
@@ -39,12 +41,12 @@ class RigConstant(NamedTuple):
 
 
 class FittedRig(NamedTuple):
-    """What reference trials say of a rig.
+    """Rig as identified from its reference trials.
 
-    `effects`: the terms that an ideal transmission lacks; `on_bounds`: sentences on those that the bounds of the search
-    stopped; `constants`: by name of `physics.parameters`; `relations`:
-    for each relation that was checked its unit, `left`, RMSE of the fit, and `unseen`, RMSE on the last part of each
-    trial, which a fit of its own had not seen, beside the `spread` of what is predicted there.
+    `effects`: terms that an ideal transmission lacks.  `on_bounds`: sentences on terms that reached a bound of the
+    search.  `constants`: by name of `physics.parameters`.  `relations`: by prediction equation its `unit`; `left`, the
+    RMSE of the fit; `unseen`, the RMSE on the last part of each trial, predicted by a fit to the first part; and
+    `spread`, the RMS variation of the measured output in the last part.
     """
 
     effects: tuple[str, ...]
@@ -54,9 +56,9 @@ class FittedRig(NamedTuple):
 
 
 def fit(first: Sequence[Table], rest: Sequence[Table], whole: Sequence[Table]) -> FittedRig:
-    """Fit a rig to `whole` trials, and judge a fit to their `first` parts on the `rest`.
+    """Fit a rig to `whole` trials, and test a second fit, to their `first` parts, on the `rest`.
 
-    Raises `InputError` where no relation between the columns can be checked.
+    Raises `InputError` if the columns allow no prediction equation.
     """
     setting, found = _searched(whole)
     model, judged = _completed(found), _completed(_searched(first)[1])
@@ -74,7 +76,7 @@ def fit(first: Sequence[Table], rest: Sequence[Table], whole: Sequence[Table]) -
 
 
 def _searched(tables: Sequence[Table]) -> tuple[ProblemSetting, Judge]:
-    """Return what the trials are compared on, and the search of the diagnosis over it."""
+    """Return the problem that the trials define, and the search of the diagnosis over that problem."""
     setting = build_problem(tables, HealthyTrials(), None)
     if not setting.checked:
         lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in setting.missing.items() if c)
@@ -84,9 +86,9 @@ def _searched(tables: Sequence[Table]) -> tuple[ProblemSetting, Judge]:
 
 
 def _completed(found: Judge) -> FittedEffects:
-    """Return what the search chose, with every further term that lowers the error on cycles that a fit had not seen.
+    """Return the model of the search with every further term that lowers the held-out error by `LOWERED` or more.
 
-    A verdict names a term where it is certain; a prediction wants it where it helps.
+    The verdict of a diagnosis needs certainty of each term; a prediction only needs a lower held-out error.
     """
     model = found.found.best
     terms = [c for c in found.search.offered if c.site not in NO_TERMS and c.name != "demand_gain"]
@@ -98,7 +100,7 @@ def _completed(found: Judge) -> FittedEffects:
 
 
 def _constants(model: FittedEffects) -> dict[str, RigConstant]:
-    """Return the constants that the trials determine, each within the bounds that its table states."""
+    """Return the constants that the trials determine, each with an interval inside the bounds of its table."""
     found = {}
     for free in model.fit.free:
         sigma, at = verdict.curvature_sigma(model, free.name), model.fit.values[free.name]

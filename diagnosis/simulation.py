@@ -1,7 +1,7 @@
-"""What the simulation of a bench says of a trial: START and END under the measured motion, beside what was measured.
+"""Simulated START and END tension, N, under the measured motion of a trial, and their errors against the measured ones.
 
-The rule of this file: rope and knee go where they were measured, nothing else of the trial is read but to compare;
-the simulation is the plant's own many-segment path, sensors and all, in newtons.
+Inputs of the simulation are the measured rope position and knee angle; the other columns are only compared with it.
+The model is the many-segment path of `physics.plant` with its sensors.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 SETTLE_S: Final = 0.3
-"""What is left out at a trial's start: where the rope had been before is not known."""
+"""Time left out at the start of a trial, s: the friction states depend on the rope's unrecorded earlier motion."""
 LOADS_N: Final = (5.0, 20.0, 40.0)
-"""Bounds between which measured tension is one class of load."""
+"""Bounds, N, of the classes of measured tension."""
 STILL_M_S: Final = 1e-3
-"""Speed of the rope below which it counts as at rest."""
+"""Rope speed, m/s, up to which the rope counts as at rest."""
 PHASES: Final = 10
 
 PLANT: Final = "plant."
@@ -41,21 +41,24 @@ NAMED: Final[Mapping[str, str]] = {
     name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
     if p.plant.startswith(PLANT)
     and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
-"""Parameter of the relations → field of the simulation that is the same quantity."""
+"""Parameter of the prediction equations → field of `PlantParameters` of the same quantity."""
 ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
-"""Of these, what the imposed motion needs in another form, or the relations turn by their own drum."""
+"""Parameters of `NAMED` that are not copied to the plant: the zeros, the backlash and the drum are handled apart."""
 
 
 @dataclass(frozen=True)
 class SimulatedTensions:
-    """Both tensions, N, as the simulated sensors read them under a trial's motion, one per sample."""
+    """START and END tension, N, as the simulated sensors read them, shape (samples,)."""
 
     tension_start_n: Array
     tension_end_n: Array
 
 
 def plant_of(values: Values, seconds: float) -> PlantParameters:
-    """Return the simulated bench of the relations' values; `seconds`: the trial's length, which a drift refers to."""
+    """Return the plant parameters for values of the prediction equations; `seconds`: length of the trial.
+
+    Friction drift is stated per length of the trial, at least 1 s.
+    """
     share = min(max(values["cable_share"], 0.01), 0.8) * STRETCH_LINEAR
     sheath = min(PARAMETERS["sheath_compliance"].nominal, share)
     preload, scale = values["home_preload"], values["stiffness_scale"]
@@ -69,9 +72,9 @@ def plant_of(values: Values, seconds: float) -> PlantParameters:
 
 
 def simulate(given: Table, values: Values) -> SimulatedTensions:
-    """Return what the sensors of the bench of `values` would have read under the motion of `given`.
+    """Return the sensor readings of a bench with parameters `values`, simulated under the motion of `given`.
 
-    Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
+    A knee that is not recorded counts as locked.  Raises `InputError` if the rope position is missing.
     """
     true = imposed.simulate(plant_of(values, length_s(given)), motion(given, values["knee_backlash"]))
     return read(given["time_s"], true, values)
@@ -83,9 +86,9 @@ def length_s(given: Table) -> float:
 
 
 def motion(given: Table, backlash_rad: float) -> ImposedMotion:
-    """Return the motion of rope and leg in `given`; the leg's is the knee drive's behind a dead band.
+    """Return the motion of rope and leg in `given`; the leg follows the knee drive with a backlash of `backlash_rad`.
 
-    Raises `InputError` where rope or time is missing; a knee that is not recorded is taken as locked.
+    A knee that is not recorded counts as locked.  Raises `InputError` if the rope position is missing.
     """
     if "servo_position_m" not in given:
         raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
@@ -96,7 +99,7 @@ def motion(given: Table, backlash_rad: float) -> ImposedMotion:
 
 
 def read(time: Array, true: Tensions, values: Values) -> SimulatedTensions:
-    """Return what the sensors of the bench of `values` read of true tensions at the stamps `time`."""
+    """Return the readings, N, of sensors with parameters `values` for true tensions at the times `time`, s."""
     start, end = true
     progress = (time - time[0]) / float(time[-1] - time[0])
     end = memory_laws.lag(end, time, _first(time), values["end_filter"]) if values["end_filter"] > 0.0 else end
@@ -115,7 +118,7 @@ def _first(time: Array) -> NDArray[np.bool_]:
 
 
 def _filled(values: Array) -> Array:
-    """Return a signal with what is missing drawn straight between its neighbours."""
+    """Return a signal whose missing samples are interpolated linearly between their neighbours."""
     known = np.isfinite(values)
     at = np.arange(values.size)
     return values if known.all() else np.interp(at, at[known], values[known])
@@ -125,15 +128,16 @@ SIGNALS: Final = ("tension_start_n", "tension_end_n")
 
 
 def compared(given: Table, told: SimulatedTensions) -> dict[str, Any]:
-    """Return, by tension signal that `given` has: RMS and mean of measured less simulated, N, in all and by class.
+    """Return RMS, mean and peak, N, by tension signal of `given`: of measured less simulated, over all and by class.
 
-    Classes: `by_phase` (tenths of the gait, where the trial says it), `by_load` (N, of that signal), `by_direction`.
+    The peak is of the measured tension.  Classes: `by_phase` (tenths of the gait, if `gait_percent` is recorded),
+    `by_load` (N, of that signal) and `by_direction` of the rope.
     """
     return {name: _figures(given, name, getattr(told, name)) for name in SIGNALS if name in given}
 
 
 def counted(given: Table) -> NDArray[np.bool_]:
-    """Return the samples that count: behind the start."""
+    """Return a mask of the samples later than `SETTLE_S` after the start."""
     return np.asarray(given["time_s"] > given["time_s"][0] + SETTLE_S)
 
 
@@ -172,7 +176,7 @@ def _rms(rest: Array) -> float | None:
 
 
 def rms(tables: Sequence[Table], values: Values) -> float | None:
-    """Return the RMS of measured less simulated tension over all trials and both ends, N; None where none is there."""
+    """Return the RMS, N, of measured less simulated tension over all trials and both ends; None without any sample."""
     parts = []
     for given in tables:
         if "servo_position_m" not in given:
@@ -186,7 +190,7 @@ def rms(tables: Sequence[Table], values: Values) -> float | None:
 
 
 def slots() -> tuple[str, ...]:
-    """Return the names of the values that the simulation reads."""
+    """Return the names of the parameters that the simulation reads."""
     other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash",
              "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay",
              "end_filter", "timestamp_skew")

@@ -1,4 +1,8 @@
-"""Parameters of the simulation from reference trials: the fitted force path, then the simulation fitted from there."""
+"""Parameters of the simulation from reference trials, in two steps.
+
+First the force path is fitted and converted to parameters of the simulation.  Then the simulation itself is fitted,
+starting from these parameters.
+"""
 
 from __future__ import annotations
 
@@ -28,27 +32,32 @@ Values = Mapping[str, float]
 MOVED: Final = (
     "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
     "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
-"""Parameters that are fitted again: those in which the two models of the path differ."""
+"""Parameters of the second fit: those in which the force path and the simulation differ."""
 DIFFERENCE: Final = 0.1
-"""1σ by which the two models of a path differ in a parameter, relative to its nominal size (`SIZE` where that is 0)."""
+"""1σ of a parameter's difference between force path and simulation, relative to its size (`SIZE`, else nominal)."""
 SIZE: Final = {"load_slope": 0.3, "viscous": 10.0, "stiffness_shape": 1.0, "timestamp_skew": 5e-3, "end_delay": 5e-3,
                "rope_zero": 5e-3}
+"""Size, SI, of parameters whose nominal value is 0 or no measure of their size."""
 NOISE_N: Final = 1.0
 """1σ of a sample, N: 0.3 N of model error, correlated over ten samples of `LOOKED_AT_HZ`."""
 LOOKED_AT_HZ: Final = 100.0
+"""Rate of the compared samples, Hz."""
 OWN: Final = {"rope_zero": 2e-4, "start_offset": 0.1, "end_offset": 0.1}
-"""Parameters of which each trial has its own deviation, with its published 1σ between sessions."""
+"""Parameters that deviate from trial to trial, with the published 1σ between sessions, SI."""
 CENTRE, STEP = 10.0, 0.03
-"""Variables of the fit are departures in prior σ about `CENTRE`, differenced by `STEP` σ: SciPy's step is relative."""
+"""Value of each variable of the fit at the prior mean, and its finite-difference step, both in prior σ.
+
+`CENTRE` is not 0 since SciPy's finite-difference step is relative to the variable."""
 EVALUATIONS: Final = 6
-"""Steps of the fit; each simulates every trial once a parameter."""
+"""Largest number of steps of the fit; each step simulates every trial once per parameter."""
 
 
 @dataclass(frozen=True)
 class IdentifiedBench:
-    """Parameters of the simulation, SI, that a fitted force path gives; 1σ by parameter, after and before the trials.
+    """Parameters of the simulation, SI, converted from a fitted force path.
 
-    `unlike`: why the trials are not of a rope over a knee, as a sentence ("": they are).
+    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `unlike`: sentence on why the trials are not of a
+    rope over a knee ("": they are).
     """
 
     values: Values
@@ -96,7 +105,7 @@ def _determined(outputs: Sequence[str]) -> list[str]:
 
 
 def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str]) -> dict[str, float]:
-    """Return 1σ of each parameter by the delta method: √(gᵀΣg), g the gradient by the path's coordinates."""
+    """Return 1σ of each parameter by the delta method: √(gᵀΣg), g its gradient by the coordinates of the force path."""
     here = fit.bench.mean[:covariance.shape[0]]
     base = simulation_values(_path(fit, here))
     step = 0.3 * fit.model.constants.session_sd[list(fit.model.constants.free)]
@@ -111,7 +120,7 @@ def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str]) -> dict[s
 
 
 class _Simulated:
-    """One trial against the simulation; a plant that was simulated last is not simulated again."""
+    """Comparison of one trial with the simulation; the last simulated plant is cached."""
 
     def __init__(self, given: Table, seconds: float) -> None:
         last = int(np.searchsorted(given["time_s"], given["time_s"][0] + seconds))
@@ -125,7 +134,7 @@ class _Simulated:
         self._last: tuple[PlantParameters, Tensions] | None = None
 
     def residual(self, values: Values) -> Array:
-        """Return measured less simulated tensions over `NOISE_N`."""
+        """Return measured less simulated tensions, divided by `NOISE_N`."""
         plant = simulation.plant_of(values, simulation.length_s(self.table))
         if self._last is None or self._last[0] != plant:
             self._last = plant, imposed.simulate(plant, self._motion)
@@ -136,7 +145,8 @@ class _Simulated:
 def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float) -> dict[str, float]:
     """Fit the simulation to the first `seconds` of each trial, from the parameters of the fitted path.
 
-    Maximum a posteriori: the prior is the path's posterior, wider by how far the two models differ.
+    The estimate is the maximum a posteriori.  Its prior is the posterior of the force path, widened by the difference
+    between force path and simulation (`DIFFERENCE`).  Returns all parameters by name, SI.
     """
     simulated = [_Simulated(t, seconds) for t in trials]
     names = [n for n in MOVED if n in bench.sigma]

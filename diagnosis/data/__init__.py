@@ -1,1 +1,1 @@
-"""Measured data: columns read once, checked for contradictions, and what bus and converter did to them."""
+"""Measured data of a diagnosis: reading of trials and tables, checks for contradictions, comparison with models."""

@@ -1,4 +1,4 @@
-"""One signal of one trial beside two simulations of it: before and with what was found."""
+"""One measured signal of one trial with its errors under two models: without and with the effects found."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from physics.laws import Array
 
 @dataclass(frozen=True)
 class Compared:
-    """What was measured of a signal, and what both models leave of it, by sample, shape (samples,), in `unit`.
+    """A measured signal and its residuals, measured less simulated, in `unit`, each of shape (samples,).
 
-    `output`: name of the signal.  `signals`: other columns at the same samples.  `cycle`: number of the gait cycle.
+    `output`: name of the signal.  `before`: residual of the simulation as it was.  `after`: residual with the effects
+    found.  `signals`: other columns at the same samples.  `cycle`: number of the gait cycle.
     """
 
     output: str
@@ -32,5 +33,5 @@ class Compared:
         return self.along("time_s")
 
     def along(self, name: str) -> Array:
-        """Return a signal at the same samples; NaN where there is none."""
+        """Return another signal at the same samples; NaN if the trial lacks that signal."""
         return self.signals[name] if name in self.signals else np.full(self.measured.size, np.nan)

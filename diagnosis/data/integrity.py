@@ -1,7 +1,7 @@
-"""Do the data contradict themselves?  Looked at before anything is fitted.
+"""Checks of recorded data for contradictions, made before any fit.
 
-The rule of this file: each check is one function from a trial to findings, each finding names the column and
-the reason, and gives the factor where there is one; a check refuses only where going on would answer wrongly.
+Each check is a function from a trial to findings; a finding names the column and the reason, and the factor of a wrong
+unit.  A finding refuses the trial only if a diagnosis of it would be wrong.
 """
 
 from __future__ import annotations
@@ -17,22 +17,28 @@ from diagnosis.data.table import AGE_SUFFIX, COUNTERS, Table
 from physics.laws import Array
 
 COPIED: Final = 0.5
-"""Share of rows that two trials have in common from which one is a part of the other."""
+"""Share of common rows above which two trials count as parts of one recording."""
 LEAST_ROWS: Final = 100
+"""Fewest samples of a trial, and of a comparison of two columns."""
 LEAST_CYCLES: Final = 3
+"""Fewest cycles of the trials, so that some of them can be held out."""
 GAP_STEPS: Final = 5.0
+"""Median steps of `time_s` above which a step is a gap."""
 MOST_MISSING: Final = 0.2
+"""Share of missing values of a column above which the trial is refused."""
 SHORTEST_REST: Final = 10
+"""Samples that a saturated signal rests at its extreme at least."""
 RUN_UP: Final = 10
+"""Samples before the rest over which a saturated signal moves faster than its RMS rate."""
 WIDEST: Final = {"m": (2.0, 1e3, "millimetres"), "rad": (8.0, 57.29578, "degrees")}
-"""By unit: a span no bench of this kind has, and the unit that was probably written instead."""
+"""By unit of a column: the largest span of such a bench, and factor and name of the unit that was probably recorded."""
 KNOWN_FACTORS: Final = {
     1e3: "mm/s", 1e6: "µm/s", 1e-3: "km/s", 1.0 / 60.0: "m/min ⁻¹", 60.0: "m/min", 100.0: "cm/s", 3.6: "km/h"}
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One contradiction: `refuses` when nothing can be said in spite of it."""
+    """One contradiction in the data, as a sentence; `refuses`: it makes a diagnosis impossible."""
 
     text: str
     refuses: bool = False
@@ -46,7 +52,7 @@ def signals_in(given: Table) -> Iterator[tuple[str, Array]]:
 
 
 def stamps(given: Table) -> Iterator[Finding]:
-    """Time stamps: present, rising, without long gaps, an even pace."""
+    """Yield findings on time stamps that are too few, missing, not rising, uneven or interrupted by gaps."""
     time = given["time_s"]
     if len(time) < LEAST_ROWS:
         yield Finding(f"{given.source}: {len(time)} rows; expected at least {LEAST_ROWS}.", True)
@@ -73,7 +79,7 @@ def stamps(given: Table) -> Iterator[Finding]:
 
 
 def presence(given: Table) -> Iterator[Finding]:
-    """Columns that hold nothing, hold one value, or hold holes."""
+    """Yield findings on columns that are empty, constant or incomplete."""
     for name, values in signals_in(given):
         finite = np.isfinite(values)
         if not finite.any():
@@ -87,7 +93,7 @@ def presence(given: Table) -> Iterator[Finding]:
 
 
 def spans(given: Table) -> Iterator[Finding]:
-    """Columns whose span belongs to another unit."""
+    """Yield findings on columns whose span shows that they are in another unit."""
     for name, values in signals_in(given):
         unit = next((u for u in WIDEST if name.endswith(f"_{u}")), None)
         finite = values[np.isfinite(values)]
@@ -100,7 +106,7 @@ def spans(given: Table) -> Iterator[Finding]:
 
 
 def saturation(given: Table) -> Iterator[Finding]:
-    """Signals cut off at an extreme: they arrive there at speed and then rest on exactly one value."""
+    """Yield findings on saturated signals, which reach an extreme at speed and then stay at exactly that value."""
     for name, values in signals_in(given):
         finite = values[np.isfinite(values)]
         if finite.size < LEAST_ROWS or np.ptp(finite) == 0.0 or name.startswith("desired"):
@@ -113,7 +119,7 @@ def saturation(given: Table) -> Iterator[Finding]:
 
 
 def _cut_off(values: Array, extreme: float) -> float:
-    """Return the share of samples at `extreme` in runs that a moving signal ran into."""
+    """Return the share of samples in which a signal stays at `extreme` after it reached that value at speed."""
     at = values == extreme
     first = np.flatnonzero(at & ~np.concatenate(([False], at[:-1])))
     last = np.flatnonzero(at & ~np.concatenate((at[1:], [False])))
@@ -126,7 +132,7 @@ def _cut_off(values: Array, extreme: float) -> float:
 
 
 def velocity(given: Table) -> Iterator[Finding]:
-    """The velocity column against the derivative of the position."""
+    """Yield findings on a servo velocity that is not the derivative of the servo position."""
     if not {"servo_velocity_m_s", "servo_position_m"} <= set(given.columns):
         return
     derived, said, step = _smooth_rates(given)
@@ -160,7 +166,7 @@ def _smooth_rates(given: Table) -> tuple[Array, Array, float]:
 
 
 def clocks(given: Table) -> Iterator[Finding]:
-    """The clock against the counter of cycles and the gait percent: one must be linear in the other."""
+    """Yield a finding if the gait percent does not advance evenly with time."""
     if "gait_percent" not in given.columns:
         return
     percent, time = given["gait_percent"], given["time_s"]
@@ -180,7 +186,7 @@ CHECKS: Final[tuple[Callable[[Table], Iterator[Finding]], ...]] = (
 
 
 def examine(given: Table) -> list[Finding]:
-    """Return what one trial's columns say against each other; stops at the first that refuses."""
+    """Return the contradictions between the columns of one trial, up to the first check that refuses the trial."""
     found: list[Finding] = []
     for check in CHECKS:
         found.extend(check(given))
@@ -190,8 +196,10 @@ def examine(given: Table) -> list[Finding]:
 
 
 def usable(given: Table, motion: Sequence[str] = ()) -> Table:
-    """Return `given` without the signals that hold nothing; `motion`: columns that do even where constant, as a locked
-    knee's angle does."""
+    """Return `given` without constant or empty signals.
+
+    `motion`: columns that are kept if constant and complete, such as the angle of a locked knee.
+    """
     kept = {}
     for name, values in given.columns.items():
         finite = values[np.isfinite(values)]
@@ -202,7 +210,7 @@ def usable(given: Table, motion: Sequence[str] = ()) -> Table:
 
 
 def between(trials: Sequence[Table], holdout: Sequence[Table], healthy: Sequence[Table]) -> list[Finding]:
-    """Return what the files say against each other: the same data twice, another clock."""
+    """Return the contradictions between files: data that two of them share, and different sampling rates."""
     found = []
     for given in trials:
         for other, role in [(h, "holdout") for h in holdout] + [(h, "healthy") for h in healthy]:
@@ -223,9 +231,10 @@ def between(trials: Sequence[Table], holdout: Sequence[Table], healthy: Sequence
 
 
 def shared_rows(first: Table, second: Table) -> float:
-    """Return the share of the rows of the shorter trial that the other has, too, whatever the clock says; 0 … 1.
+    """Return the share, 0 … 1, of the rows of the shorter trial that are also in the other one, at any time stamp.
 
-    Rows are alike where all signals are, bit for bit: two recordings of sensors with noise share next to none.
+    Two rows are equal if all their signals are equal bit for bit; two recordings of noisy sensors have almost none in
+    common.
     """
     names = [name for name, _ in signals_in(first) if name in second and name not in ("time_s", "servo_target_m")]
     names = [n for n in names if not n.startswith("desired")]

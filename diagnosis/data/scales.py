@@ -1,7 +1,7 @@
-"""Do the columns of a trial measure what they say?  One column against another, against healthy trials and calibration.
+"""Checks that the columns of a trial have the sign, unit and content of their names.
 
-The rule of this file: each check is one function from trials to findings that refuse, each names the column, the figure
-and what to do; a bench is never called faulty for a file that is.
+Each column is compared with another one, with the reference trials or with the calibration.  Each finding refuses the
+trial and names column, figure and remedy, so that a wrong column is never diagnosed as a fault of the bench.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")
 LOADED_N: Final = 10.0
-"""Span of one tension from which the other must have one, too."""
+"""Span, N, of one tension above which the other tension must change, too."""
 READS_NOTHING: Final = 0.02
-"""Span of a tension, of the other's, below which it reads nothing."""
+"""Span of a tension, relative to the other's, below which its sensor counts as not connected."""
 EQUAL: Final = 0.99
-"""Share of samples in which two sensors with noise of their own cannot be equal."""
+"""Share of equal samples above which START and END are copies: noise makes two real sensors differ."""
 OTHER_SCALE: Final = 2.5
-"""Factor between rope per knee angle here and on the bench from which a unit is taken to be another."""
+"""Factor between the rope per knee angle of a trial and of the bench above which the rope is in another unit."""
 FOLLOWS: Final = 0.8
-"""Correlation of rope and knee from which the one says how the other is scaled."""
+"""Least correlation of rope position and knee angle at which a ratio of the two is computed."""
 OUT_OF_RANGE: Final = 10.0
-"""Factor between the largest force of a trial and of its healthy trials from which it is the column that is wrong: an
-order of magnitude, where wear and another seal make threefold."""
+"""Ratio of the largest forces of a trial and its reference trials above which the column counts as wrong.
+
+Too small, wear or another seal, which change forces about threefold, would be refused."""
 RANGED: Final = ("servo_force_n", "tension_start_n", "tension_end_n")
 UNITS: Final = {10.0: "centimetres for millimetres", 0.1: "millimetres for centimetres", 1e3: "millimetres for metres",
                 1e-3: "metres for millimetres", 100.0: "centimetres for metres", 0.01: "metres for centimetres"}
 
 
 def contradictions(given: Table) -> Iterator[Finding]:
-    """Yield what the tension columns of one trial say against each other."""
+    """Yield a finding if one tension of a trial is dead, or a copy of the other one."""
     held = [n for n in TENSIONS if n in given and np.isfinite(given[n]).any()]
     if len(held) < 2:
         return
@@ -54,7 +55,7 @@ def contradictions(given: Table) -> Iterator[Finding]:
 
 
 def rope_per_knee(given: Table) -> float | None:
-    """Return the rope per knee angle of a trial, m/rad, by regression; None where one does not follow the other."""
+    """Return the rope per knee angle of a trial, m/rad, by regression; None if the two are hardly correlated."""
     if "servo_position_m" not in given or "knee_angle_rad" not in given:
         return None
     angle, rope = given["knee_angle_rad"], given["servo_position_m"]
@@ -67,7 +68,7 @@ def rope_per_knee(given: Table) -> float | None:
 
 
 def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
-    """Yield the forces of a trial that are beyond what they are in the healthy trials by an order of magnitude."""
+    """Yield findings on forces whose largest value exceeds that of the reference trials by `OUT_OF_RANGE`."""
     for name in RANGED:
         usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _told(t, name)), default=0.0)
         for given in trials:
@@ -87,7 +88,11 @@ def _told(given: Table, name: str) -> bool:
 def against_bench(
     trials: Sequence[Table], healthy: Sequence[Table], calibration: Mapping[str, Any] | None,
 ) -> Iterator[Finding]:
-    """Yield the trials whose rope or knee is counted otherwise than on the known bench."""
+    """Yield findings on trials in which rope or knee has another sign or unit than on the bench.
+
+    The bench is that of the reference trials, else of the calibration, else, for a gait, the nominal one.  The unit is
+    checked against reference trials only.
+    """
     told = [r for r in map(rope_per_knee, healthy) if r is not None]
     if told:
         known, where = float(np.median(told)), "in the healthy trials"

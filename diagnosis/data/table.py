@@ -1,8 +1,7 @@
-"""Measured data in memory: columns by their names of the signal table, read once, filtered alike.
+"""Measured data in memory: columns under the names of the signal table, read from trials and from tables.
 
-The rule of this file: it is the only place of the diagnosis that knows where numbers come from (trials, and the
-tables that `trial.convert.sheets` reads); a missing column is missing knowledge, never zeros; nothing is repaired
-silently.
+The diagnosis reads all trials here.  A missing column stays missing and is never filled with zeros.  Unknown columns of
+a table are ignored and named in `Table.notes`.
 """
 
 from __future__ import annotations
@@ -25,27 +24,33 @@ from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE
 
 UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
-"""The signals that CSV headers, the channel /cycle and report axes share."""
+"""Unit of each signal by its name in CSV headers, in the channel /cycle and on report axes."""
 
 COUNTERS: Final = ("time_s", "gait_percent", "cycle")
+"""Columns that are no signals: they are never filtered."""
 AGE_SUFFIX: Final = "_age_ns"
+"""Suffix of a column with the staleness of a signal, ns."""
 NOMINAL: Final = "nominal"
-"""What a trial's metadata call the packaged calibration, which was measured on no bench."""
+"""Name of the packaged calibration in the metadata of a trial; it was measured on no bench."""
 DEGREE_ALIAS: Final = "knee_angle_deg"
+"""Column that is read as `knee_angle_rad`, converted from degrees."""
 TURNING: Final[Mapping[str, tuple[str, str]]] = {
     "servo_position_rad": ("servo_position_m", "rad"), "servo_target_rad": ("servo_target_m", "rad"),
     "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m")}
-"""Columns of a turning axis, the signal that each one is on a lever of 1 m, and its unit."""
+"""By column of a turning axis: the equivalent signal on a lever of 1 m, and the unit of the column."""
 TURNED_UNITS: Final[Mapping[str, str]] = {
     "N": "N·m", "m": "rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad", "m/s": "rad/s"}
-"""What a unit of a straight axis reads about a turning one."""
+"""Unit of a linear axis → unit of the same quantity of a turning axis."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """One trial: float64 columns of equal length; `digest` tells equal files, `calibration` is what it carries.
+    """One trial: float64 columns of equal length, by name.
 
-    `turning`: an axis in rad and N·m, looked at on a lever of 1 m.  `experiment`: what a trial ran ("": unknown).
+    `digest`: hash of the columns, equal for equal data.  `calibration`: tables of the attached calibration (None: no
+    calibration of a bench is attached).  `lowpass_hz`: cut-off of the filter that the signals have passed (None:
+    unfiltered).  `turning`: the axis was recorded in rad and N·m and is represented on a lever of 1 m.  `experiment`:
+    name of the experiment ("": unknown).
     """
 
     source: str
@@ -112,7 +117,7 @@ def _signals(names: Iterable[str]) -> list[str]:
 def table(
     source: str, columns: Mapping[str, Sequence[float] | Array], calibration: Mapping[str, Any] | None = None
 ) -> Table:
-    """Keep the known columns of `columns`; raises `InputError` without `time_s` or without a signal."""
+    """Return the known columns of `columns` as a trial; raises `InputError` without `time_s` or without a signal."""
     known: dict[str, Array] = {}
     for name, values in columns.items():
         if name == DEGREE_ALIAS:
@@ -135,7 +140,7 @@ def table(
 
 
 def _refuse_mixed(source: str, columns: Iterable[str], turning: Sequence[str]) -> None:
-    """Raise `InputError` where an axis turns by one column and pulls straight by another."""
+    """Raise `InputError` if a trial has columns of a turning axis together with columns of a linear pull."""
     straight = [n for n in columns if n in {m for m, _ in TURNING.values()} or n.startswith("tension_")]
     if straight:
         raise InputError(f"{source}: {turning[0]} is of a turning axis, {straight[0]} of a straight pull; multiply "
@@ -144,9 +149,9 @@ def _refuse_mixed(source: str, columns: Iterable[str], turning: Sequence[str]) -
 
 
 def _numbered(columns: dict[str, Array]) -> dict[str, Array]:
-    """Leave out the rows before and after the numbered cycles: there the encoder's zero may be another.
+    """Return the rows from the first to the last numbered cycle; outside, the zero of the encoder may differ.
 
-    What is done between two of them belongs to the first.
+    Rows between two numbered cycles get the number of the earlier cycle.
     """
     inside = np.flatnonzero(columns["cycle"] >= 0.0) if "cycle" in columns else np.zeros(0, dtype=np.intp)
     if not inside.size or inside.size == columns["cycle"].size:
@@ -171,19 +176,19 @@ def _read_mcap(path: Path) -> Table:
     columns = {name: values for name, values in trial.columns.items()
                if (name in UNITS or name.endswith(AGE_SUFFIX)) and not np.isnan(values).all()}
     if _without_knee_drive(trial.columns):
-        columns.pop("knee_target_rad", None)  # what a hand was asked for, which no drive answers
+        columns.pop("knee_target_rad", None)  # a request to a person who moves the knee; no drive follows it
     made = table(str(path), columns, _carried_calibration(trial))
     return replace(made, experiment=trial.metadata.get("experiment", ""))
 
 
 def _without_knee_drive(columns: Mapping[str, Array]) -> bool:
-    """Say whether a trial is of a bench whose servo has a statusword and whose knee has none."""
+    """Return whether the servo has recorded a statusword and the knee drive none, so that the knee has no drive."""
     words = [columns.get(f"{name}_statusword", np.zeros(0)) for name in ("servo", "knee")]
     return bool(words[1].size and np.isnan(words[1]).all() and not np.isnan(words[0]).all())
 
 
 def _carried_calibration(trial: Any) -> Mapping[str, Any] | None:
-    """The bench's own calibration that a trial carries; the packaged nominal one is no bench's own."""
+    """Return the calibration attached to a trial; None without one, and for the packaged nominal calibration."""
     import tomllib
 
     if trial.metadata.get("calibration") == NOMINAL:
@@ -201,9 +206,9 @@ def _first_line(error: BaseException) -> str:
 
 
 def low_passed(given: Table, cutoff_hz: float) -> Table:
-    """Put the same zero-phase second-order Butterworth low-pass, `cutoff_hz`, on every signal of `given`.
+    """Return `given` with each signal low-passed at `cutoff_hz` by the same zero-phase second-order Butterworth filter.
 
-    The filter runs forward and backward, so it moves no phase; counters and ages keep their values.
+    The filter runs forward and backward and so shifts no phase; counters and staleness columns are unchanged.
     Raises `InputError` for a cut-off that is not below half the sampling rate.
     """
     rate = 1.0 / float(np.median(np.diff(given["time_s"])))
@@ -217,7 +222,7 @@ def low_passed(given: Table, cutoff_hz: float) -> Table:
 
 
 def with_locked_knee(given: Table) -> Table:
-    """Return a trial whose knee is not recorded, or does not move, as one with a knee that is locked."""
+    """Return a trial in which a knee angle that is not recorded is the constant angle of a locked knee."""
     if "knee_angle_rad" in given:
         return given
     still = np.full(len(given), KNEE_AT_FIT)

@@ -1,4 +1,4 @@
-"""Diagnosis by evidence: one forward model, one hierarchical Gaussian, one Bayes factor for each effect.
+"""Diagnosis by evidence: one forward model, a hierarchical Gaussian prior, and a log Bayes factor for each effect.
 
 Equations, with y the measured outputs of a trial, m its measured motion, q the bench constants:
 
@@ -7,8 +7,16 @@ Equations, with y the measured outputs of a trial, m its measured motion, q the 
     ln B(effect) = ln p(y | effect) − ln p(y | reference condition)      Laplace approximation at the modes
 
 An effect adds prior variance along directions of q (`physics.effects.hypotheses`).  Modules, lowest first:
-`likelihood_data` (signals on one grid), `forward_model` (what a model has), `outputs` and `path_model` (the bench's),
-`posterior` (modes and evidence),
-`reference_fit` (fit of the reference trials), `hypothesis_search` (hypotheses of one trial), `decision` (verdict),
-`evidence_finder` (trials in, findings out).
+
+    likelihood_data        signals on one time grid
+    forward_model          interface of a forward model
+    outputs, path_model    forward model of the bench
+    rig_model              forward model of another rig
+    posterior              modes and evidence
+    reference_fit          fit of the reference trials
+    hypothesis_search      hypotheses about one trial
+    decision               verdict
+    held_out               errors on held-out cycles
+    evidence_finder        from trials to findings
+    experiment_prediction  choice of the next experiment
 """

@@ -1,7 +1,8 @@
-"""Verdict of one search: detection threshold, ambiguity set, part of the bench, second effect, lack of fit.
+"""Verdict from the search of one trial: detection threshold, ambiguity set, part of the bench, second effect, lack of
+fit.
 
-Evidence is not calibrated by itself, since every model is wrong: `python -m tests.hidden.evidence_calibration` prints
-the quantiles of the development family that the threshold and the set's share come from.
+The thresholds are calibrated on a development population of simulated benches, since the models have systematic
+errors.  `python -m tests.hidden.evidence_calibration` prints the quantiles that they come from.
 """
 
 from __future__ import annotations
@@ -16,32 +17,36 @@ from diagnosis.evidence.hypothesis_search import Searched, search_pairs
 from diagnosis.evidence.posterior import PosteriorMode
 
 NAMED_NATS: Final = 12.0
-"""Log Bayes factor from which an effect is named: 3 % of the development family's reference trials exceed it.
+"""Least log Bayes factor, nats, of a named effect; 3 % of the development population's reference trials exceed it.
 
-Too low, reference trials are named; too high, small effects are missed."""
+If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 IMITATED: Final = {"stiffness": 2.0, "end_filter": 2.0}
-"""Factor of `NAMED_NATS` for effects that model error imitates: reference trials reach 18 and 22 nats."""
+"""Factor on `NAMED_NATS` for effects that are confounded with model error; reference trials reach 18 and 22 nats."""
 SET_SHARE: Final = 0.5
-"""Share of the best log Bayes factor from which an effect is in the ambiguity set; the set holds the truth in 95 %."""
+"""Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_NATS: Final = 20.0
 FURTHER_SHARE: Final = 0.05
-"""Log Bayes factor, and share of the first effect's, that a second effect must reach: a surrogate's own lack of fit."""
+"""Least log Bayes factor, nats, of a second effect, and its least share of the first effect's.
+
+Below it, a second effect may only absorb the lack of fit of the first effect's equation."""
 MISFIT: Final = 1.6
-"""Mean squared residual of an output over its variance from which the fit lacks something.  No reference trial of the
-development family exceeds 1.2."""
+"""Mean squared residual of an output over its variance above which the model has a lack of fit.
+
+No reference trial of the development population exceeds 1.2."""
 STRAINED: Final = 2.0
-"""Cost of the best model per datum, over that of reference trials, from which the fit lacks something: constants that
-no session moves so far fit the data, too."""
+"""Cost per datum of the best model, relative to reference trials, above which the model has a lack of fit.
+
+The cost includes the prior, so that a good fit by constants far outside the session scatter exceeds it, too."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What is decided of one trial.
+    """Verdict on one trial.
 
-    `verdict`: none, found, ambiguous or unexplained.  `chosen`: the effects that explain the trial, best first;
-    `among`: the ambiguity set, the chosen ones first; `part`: part of the bench that the best effect lies in;
-    `misfit`: mean squared residual over variance, by output, of the best model, and as `session` its cost, misfit and
-    departure of the constants from the bench, over that of a reference trial.
+    `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
+    ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
+    of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output; under
+    `session`, the model's cost (misfit and prior) relative to that of a reference trial.
     """
 
     verdict: str
@@ -53,7 +58,10 @@ class Decision:
 
 
 def decide(found: Searched) -> Decision:
-    """Decide what the evidence of one trial supports."""
+    """Return the verdict that the evidence of one trial supports.
+
+    If an effect is named, pairs with the best effect are fitted and added to `found`.
+    """
     gains = found.gains()
     factor = found.observed.model.nats_factor
     named = [name for name, gain in gains.items() if gain >= factor * IMITATED.get(name, 1.0) * NAMED_NATS]
@@ -80,13 +88,15 @@ def decide(found: Searched) -> Decision:
 
 
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ambiguity set of a ranking, `chosen` first."""
+    """Return the ambiguity set from log Bayes factors by effect, the `chosen` effects first."""
     best = max(gains.values())
     return (*chosen, *(n for n, gain in gains.items() if n not in chosen and gain >= SET_SHARE * best))
 
 
 def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
-    """Return, by output, the mean squared residual over its variance, outliers bounded at 25, and the `session`'s cost.
+    """Return the mean squared residual over its variance by output, and the relative cost under `session`.
+
+    Squares are clipped at 25, so that outliers count little.
     """
     observed, squares = found.observed, at.residual**2 * found.observed.weight
     told = {name: float(np.mean(np.minimum(observed.tau[k] * observed.part(squares, k), 25.0)))
@@ -95,19 +105,20 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
 
 
 def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:
-    """Return whether a model misses the data, or fits them by constants that no session moves so far.
+    """Return whether a model has a lack of fit, in an output or by constants far outside the session scatter.
 
-    `before`: misfit of the null. An effect whose equation differs from the bench's leaves up to `FURTHER_SHARE` of it.
+    `before`: misfit of the null.  A misfit of up to `FURTHER_SHARE` of it is accepted, since the equation of an effect
+    differs somewhat from the bench's.
     """
     return any(value > max(STRAINED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0))
                for name, value in misfit.items())
 
 
 def none(decided: Decision) -> Decision:
-    """Return the decision without a cause named."""
+    """Return the decision with verdict `none` and without effects."""
     return Decision("none", (), (), None, decided.gains, decided.misfit)
 
 
 def unexplained(decided: Decision) -> Decision:
-    """Return the decision as one that no effect of the catalogue explains."""
+    """Return the decision with verdict `unexplained` and without effects."""
     return Decision("unexplained", (), (), decided.part, decided.gains, decided.misfit)

@@ -1,4 +1,4 @@
-"""From trials to findings by evidence: reference fit, search, decision, figures on held-out cycles."""
+"""Steps of a diagnosis by evidence, from trials to findings: reference fit, search, decision, held-out errors."""
 
 from __future__ import annotations
 
@@ -26,20 +26,23 @@ from physics.effects.hypotheses import FRICTION, Read, Variant
 from physics.laws import Array
 
 SURROGATE: Final = 0.1
-"""1σ of a parameter by the difference between the bench's friction and stretch equations and the model's, of its
-change: with it intervals cover 90 to 98 % on the development family."""
+"""1σ of a parameter by systematic model error, relative to the parameter's change.
+
+The model's friction and stretch equations differ from the bench's.  With this value the 95 % intervals cover 90 to
+98 % on the development population; too small, they would be too narrow."""
 FARTHEST: Final = 6.0
-"""Largest size, in prior σ of an effect, of which a detection limit is stated."""
+"""Largest detection limit that is stated, in prior σ of an effect."""
 
 
 COMPRESSED: Final = 0.1
-"""Share of its largest tension by which a rope may push: what pushes more is no rope."""
+"""Largest compression of a rope, relative to its largest tension; a rig with more compression is no rope."""
 
 
 def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardModel:
-    """Return the forward model of the rig that all these tables are of: the bench's where they can be of a bench.
+    """Return the forward model for reference trials and trials of one rig: the bench's, if they can be of a bench.
 
-    A gait is a bench's; so is a rope, with START recorded beside the motion of rope and knee.
+    They can be of a bench if one of them is a gait, or if all have rope motion, knee angle and START without a
+    compression beyond `COMPRESSED`, and none is of a turning axis.
     """
     every = [*reference, *trials]
     if any("gait_percent" in t for t in every):
@@ -51,17 +54,17 @@ def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardMode
 
 
 def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
-    """Return the model of another rig by the columns that the reference trials and the trials all have."""
+    """Return the model of another rig, built on the columns that all reference trials and trials have."""
     kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
     return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])
 
 
 class EvidenceFinder:
-    """Diagnoses trials of one bench by evidence: the reference trials are fitted once for each set of outputs."""
+    """Diagnosis of one bench by evidence; the reference trials are fitted once for each set of outputs."""
 
     def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None,
                  model: ForwardModel = PATH_MODEL) -> None:
-        """`reference`: at least one trial of the bench in the reference condition; raises `InputError`.
+        """Store the reference trials; raises `InputError` if `reference` is empty.
 
         `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
         """
@@ -74,7 +77,7 @@ class EvidenceFinder:
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
 
     def lacking(self, trials: Sequence[Table]) -> str:
-        """Return why the force path of these trials cannot be simulated, as a sentence; "" where it can."""
+        """Return a sentence on the columns without which the force path cannot be simulated; "" if none is missing."""
         for given in [*trials, *self._tables]:
             missing = self.model.lacking(given)
             if missing:
@@ -83,7 +86,7 @@ class EvidenceFinder:
         return ""
 
     def unlike(self, trials: Sequence[Table]) -> str:
-        """Return why the reference trials are of no rig of this kind, as a sentence; "" where the model fits them."""
+        """Return a sentence if the reference trials do not fit the model, so that they are of another rig; else ""."""
         fit = self._reference(self._outputs(trials))
         name = self.model.judged[0]
         left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index(name)])))
@@ -97,11 +100,12 @@ class EvidenceFinder:
 
     def diagnose(self, trials: Sequence[Table], holdout: Sequence[Table] = (), warnings: Sequence[str] = ()
                  ) -> Findings:
-        """Decide which effects of the catalogue, if any, trials of one session show against the reference trials.
+        """Return which effects of the catalogue, if any, changed the bench from the reference trials to `trials`.
 
-        Experiments beside a gait, of a motion that no reference trial has, only split the ambiguity set of the gait.
-        `holdout`: nothing is fitted to them.  `warnings`: of the files, for the reader.  Raises `InputError` where the
-        force path of the trials cannot be simulated.
+        `trials`: of one session.  If the reference trials are gaits and `trials` has gaits and experiments, the
+        experiments only reduce the ambiguity set of the gaits.  `holdout`: trials to which nothing is fitted.
+        `warnings`: sentences on the files, which precede the findings' own.  Raises `InputError` if the force path
+        cannot be simulated.
         """
         refused = self.lacking([*trials, *holdout])
         if refused:
@@ -153,18 +157,21 @@ class EvidenceFinder:
             held_traces=kept.traces(holdout) if kept is not None else {})
 
     def _by_motion(self, trials: Sequence[Table]) -> tuple[Sequence[Table], Sequence[Table]]:
-        """Return the trials of a motion that a reference trial has, and experiments beside a gait that none has."""
+        """Return the gaits among the trials, and apart from them the experiments, if all reference trials are gaits.
+
+        Otherwise all trials are in the first part.
+        """
         if any("gait_percent" not in t for t in self._tables):
             return trials, ()
         walked = [t for t in trials if "gait_percent" in t]
         return (walked, [t for t in trials if "gait_percent" not in t]) if walked else (trials, ())
 
     def reference(self, trials: Sequence[Table]) -> ReferenceFit:
-        """Return the fit of the reference trials to the outputs that `trials` have, too."""
+        """Return the fit of the reference trials, with the outputs that they and all `trials` have."""
         return self._reference(self._outputs(trials))
 
     def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
-        """Return the fit of the reference trials to the outputs that the trial has, too."""
+        """Return the fit of the reference trials with the given outputs, from the cache if it was made before."""
         if outputs not in self._fits:
             read = self.model.sessions([self._read(t, outputs) for t in self._tables])
             self._fits[outputs] = fit_reference(self.model, read, self._session_sd)
@@ -175,13 +182,13 @@ class EvidenceFinder:
         return tuple(n for n in self.model.signals if all(n in t for t in [*trials, *self._tables]))
 
     def _read(self, given: Table, outputs: Sequence[str]) -> Recording:
-        """Return a trial with no other outputs than `outputs`."""
+        """Return a trial as a recording that has no other outputs than `outputs`."""
         kept = {n: v for n, v in given.columns.items() if n not in self.model.signals or n in outputs}
         made: Recording = self.model.record(replace(given, columns=kept))
         return made
 
     def _untold(self, outputs: Sequence[str]) -> list[str]:
-        """Return, as sentences, what further columns would tell of the force path."""
+        """Return a sentence per missing output on the effects that this column would make observable."""
         effects = self.model.hypotheses
         friction = [name for name, h in effects.items() if h.part == FRICTION]
         return [f"With {column} recorded these could be told, or better: "
@@ -191,7 +198,7 @@ class EvidenceFinder:
 
     def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]
                ) -> dict[str, Any]:
-        """Return an effect as the published dictionary: its parameters with 95 % intervals, and its gain."""
+        """Return an effect as published: site, parameters with 95 % intervals, values before, and gain in percent."""
         told, before = {}, {}
         for parameter, read in self.model.hypotheses[name].reads.items():
             value = read(at.table.named(at.q), bench)
@@ -208,10 +215,10 @@ class EvidenceFinder:
 
 def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
            others: Sequence[Recording]) -> Decision:
-    """Return the decision with the effects that experiments `others` leave in the ambiguity set, the best first.
+    """Return the decision with the ambiguity set reduced by the experiments `others`, the best effect first.
 
-    No reference trial shows the model's error in another motion: it is estimated there from the residual of the best
-    effect of the set.  An effect leaves the set if another one exceeds it by `NAMED_NATS`.
+    No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
+    best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.
     """
     observed = reference.observe(*read, *others)
     modes = _refitted(found, decided.among, observed)
@@ -244,13 +251,15 @@ def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:
 
 
 def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
-    """Return half the 95 % interval of an effect's parameter: posterior, and the surrogate's share of its change."""
+    """Return half the width of a parameter's 95 % interval, from its posterior and the model error (`SURROGATE`)."""
     change = read(at.table.named(at.q), bench) - read(bench, bench)
     return 1.96 * float(np.hypot(_sd(at, lambda v: read(v, bench)), SURROGATE * abs(change)))
 
 
 def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> str:
-    """Return, as a sentence, which chosen effect has its 95 % interval beyond the bounds of its parameter; "" for none.
+    """Return a sentence on the first chosen effect whose main parameter has its 95 % interval outside the bounds.
+
+    The main parameter is the first one of the effect.  "" if there is no such effect.
     """
     model, at = found.observed.model, _mode_of(found, decided)
     constants = model.constants.named(at.q)
@@ -266,7 +275,7 @@ def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> s
 
 
 def _variants(found: Searched, decided: Decision) -> list[Variant]:
-    """Return the variants of the chosen effects: of a second one that with which the pair was fitted."""
+    """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
     return [(found.paired if k else found.variants)[name] for k, name in enumerate(decided.chosen)]
 
 
@@ -277,7 +286,7 @@ def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, table
 
 
 def _bench(reference: ReferenceFit) -> Array:
-    """Return the coordinates of the bench: the posterior mean of the reference fit."""
+    """Return the coordinates of the bench at the posterior mean of the reference fit."""
     q = reference.origin.copy()
     free = list(reference.model.constants.free)
     q[free] += reference.bench.mean[:len(free)]
@@ -285,7 +294,7 @@ def _bench(reference: ReferenceFit) -> Array:
 
 
 def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
-    """Return by effect the smallest size that these data would name, by the linear log Bayes factor at the null.
+    """Return the detection limit of each effect: the smallest size with a linear log Bayes factor of `NAMED_NATS`.
 
     ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; None where more than `FARTHEST` σ are needed.
     """
@@ -308,7 +317,7 @@ def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[st
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:
-    """Return 1σ of a function of the constants at a mode, by its gradient."""
+    """Return 1σ of the function `read` of the constants at a mode, by the delta method."""
     gradient = np.zeros(at.x.size)
     base = read(at.table.named(at.q))
     for k, i in enumerate(at.active):
@@ -320,9 +329,10 @@ def _sd(at: PosteriorMode, read: Any) -> float:
 
 
 def _shifts(at: PosteriorMode, reference: ReferenceFit, found: Searched) -> dict[str, dict[str, Any]]:
-    """Return each constant's value on the bench and in the trial, with the trial's 95 % interval.
+    """Return the value of each active constant on the bench and in the trial, with the trial's 95 % interval.
 
-    `sessions`: the change over its 1σ between sessions, uncertainty of the bench included; None of what is new.
+    `sessions`: change relative to its 1σ between sessions, with the uncertainty of the bench; None for a constant that
+    the reference condition does not have.
     """
     change = named_change(at, found.prior)
     bench, trial = at.table.values(_bench(reference)), at.table.values(at.q)

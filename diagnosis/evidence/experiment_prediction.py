@@ -1,13 +1,14 @@
-"""Which experiment makes the ambiguity set single: predicted by simulating this bench under each experiment's motion.
+"""Choice of the next experiment by predicting, for this bench, how far each experiment reduces the ambiguity set.
 
-Each effect e of the set has a posterior by the trials so far: mode x̂, covariance Σ.  Under the motion of an experiment
-its predictive distribution is N(μ, S), S = HΣHᵀ + W⁻¹, and the expected log Bayes factor of e against f
+Each effect e of the set has a posterior from the trials so far: mode x̂, covariance Σ.  Its predictive distribution for
+an experiment is N(μ, S), S = HΣHᵀ + W⁻¹.  The expected log Bayes factor of e against f is
 
     K(e, f) = ½[tr(S_f⁻¹S_e) − n + (μ_f − μ_e)ᵀS_f⁻¹(μ_f − μ_e) + ln det S_f − ln det S_e]
 
-has about the variance 2K.  With K₀ against the reference condition and log Bayes factors g so far, f keeps the share
-(g_f + K₀ − K)/(g_e + K₀) of the evidence, and leaves the set below `SET_SHARE`.  The chance of that, at the least
-distinct f, averaged over which e is true, is how sure it is that the experiment decides.
+and its variance is about 2K.  K₀ is the expected log Bayes factor of e against the reference condition, g the log Bayes
+factors so far.  After the experiment f has the share (g_f + K₀ − K)/(g_e + K₀) of the evidence of e.  Below `SET_SHARE`
+f is out of the ambiguity set.  The probability that the experiment decides is that of the least distinct f, averaged
+over the effects e that may be true.
 """
 
 from __future__ import annotations
@@ -35,24 +36,26 @@ from physics.laws import Array
 from physics.path_constants import named
 
 DECIDES: Final = 0.7
-"""Chance from which an experiment counts as deciding: the share of cases that it is to decide."""
+"""Probability from which an experiment counts as deciding; among deciding experiments the shortest comes first."""
 MODEL_SHARE: Final = 0.15
-"""1σ of the share of the evidence by the difference between the bench's friction and stretch equations and the model's,
-which grows with the evidence: without it every experiment is certain to decide, or not to."""
+"""1σ of the share of the evidence by systematic error of the friction and stretch equations.
+
+This error grows with the evidence; without it each predicted probability would be close to 0 or 1."""
 ROUNDS: Final = 12
-"""Rounds in which the rope is brought to where END is what the experiment asks for."""
+"""Iterations that find the rope position at which END has the value that the experiment asks for."""
 RELAXED: Final = 0.6
-"""Share of a round's correction of the rope: with all of it the friction of both nodes makes it swing."""
+"""Under-relaxation of the rope correction in each iteration; with 1 the friction of the path makes it oscillate."""
 REST_S: Final = 1.0
-"""Time at the first waypoint before an experiment begins, s."""
+"""Time at rest at the first waypoint before an experiment begins, s."""
 
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """One experiment, as predicted on this bench.
+    """Predicted outcome of one experiment on this bench; `seconds`: its length.
 
-    `sure`: chance that it leaves the true effect alone; `with_reference`: the same if it is recorded in the reference
-    condition, too.  `nats`: least expected log Bayes factor between two effects of the set, `pair`.
+    `sure`: probability that only the true effect remains in the ambiguity set.  `with_reference`: that probability if
+    the experiment is also recorded in the reference condition.  `nats`: least expected log Bayes factor between two
+    effects of the set, which are `pair`.
     """
 
     name: str
@@ -64,12 +67,12 @@ class PlannedExperiment:
 
     @property
     def best(self) -> float:
-        """Chance with or without a reference trial, whichever is larger."""
+        """Larger one of the probabilities with and without a recording in the reference condition."""
         return max(self.sure, self.with_reference)
 
 
 class _Predicted:
-    """An effect of the set under the motion of one experiment: mean, whitened, and the root of its covariance."""
+    """Predictive distribution of an experiment's data under one effect, whitened: mean, and root of the covariance."""
 
     def __init__(self, at: PosteriorMode, variants: Sequence[Variant], prior: Gaussian, observed: Observed,
                  slopes: tuple[Array, Array]) -> None:
@@ -88,7 +91,7 @@ class _Predicted:
         self.log_det = 2.0 * float(np.log(np.diag(self.solved[0])).sum())
 
     def against(self, other: _Predicted) -> float:
-        """Return K(self, other), nats."""
+        """Return K(self, other), the expected log Bayes factor of this effect against `other`, nats."""
         cross = other.spread.T @ self.spread
         off = other.mean - self.mean
         along = other.spread.T @ off
@@ -101,9 +104,10 @@ class _Predicted:
 
 def predicted_experiments(found: Searched, among: Sequence[str], reference: ReferenceFit,
                           tried: Sequence[str] = ()) -> list[PlannedExperiment]:
-    """Return what each experiment that a bench runs by itself would decide, the most promising first.
+    """Return the predicted outcome of each experiment that the bench runs without a person, the most decisive first.
 
-    `among`: the ambiguity set; `tried`: experiments that were run already, which are left out.
+    `among`: the ambiguity set.  `tried`: experiments already run, which are omitted.  Returns [] if fewer than two
+    effects of the set were fitted alone.
     """
     effects = [name for name in among if name in found.single]
     if len(effects) < 2:
@@ -128,7 +132,7 @@ def _planned(name: str, found: Searched, effects: Sequence[str], reference: Refe
 
 def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes: dict[str, tuple[Array, Array]],
              prior: Gaussian) -> tuple[float, float, tuple[str, str]]:
-    """Return the chance that the experiment leaves the true effect alone, and the least distinct pair with its nats."""
+    """Return the probability that only the true effect remains, and nats and names of the least distinct pair."""
     told = {effect: _Predicted(found.single[effect], [found.variants[effect]], prior, observed, slopes[effect])
             for effect in effects}
     null = _Predicted(found.null, [], prior, observed, slopes[""])
@@ -151,7 +155,7 @@ def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes
 
 
 def _with_reference(reference: ReferenceFit, observed: Observed, q: Array) -> Gaussian:
-    """Return the prior of a trial after the experiment has been recorded in the reference condition, too."""
+    """Return the prior of a trial if the experiment were also recorded in the reference condition."""
     free = reference.model.constants.free
     _, jacobian = observed.jacobian(q, free)
     design = np.concatenate([jacobian, observed.features], axis=1)
@@ -164,7 +168,10 @@ def _with_reference(reference: ReferenceFit, observed: Observed, q: Array) -> Ga
 
 
 def motion_of(name: str, q: Array, like: PathRecording | Any) -> PathRecording:
-    """Return the experiment `name` as bench `q` would record it, its sensors as noisy as those of a trial `like` it."""
+    """Return the simulated recording of experiment `name` on the bench at coordinates `q`.
+
+    Outputs and sensor noise are those of the recorded trial `like`.
+    """
     given = dict(_followed(name, q.tobytes(), q.size))
     columns = {n: v for n, v in given.items() if n not in ("tension_end_n", "servo_force_n") or n in like.outputs}
     recording = PathRecording(table(name, columns))
@@ -174,7 +181,10 @@ def motion_of(name: str, q: Array, like: PathRecording | Any) -> PathRecording:
 
 @functools.lru_cache(maxsize=32)
 def _followed(name: str, bench: bytes, size: int) -> tuple[tuple[str, Array], ...]:
-    """Return the columns of an experiment's waypoints, the rope led until END is what they ask for."""
+    """Return the simulated columns of an experiment; the rope position is iterated until END follows the waypoints.
+
+    `bench`: bytes of the coordinates, `size` of them, since a cached function needs hashable arguments.
+    """
     q = np.frombuffer(bench, np.float64, size)
     constants = named(q)
     points = EXPERIMENTS[name].waypoints

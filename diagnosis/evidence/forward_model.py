@@ -1,6 +1,6 @@
-"""What the evidence core needs of a forward model: constants, recordings, predicted data, states, effects.
+"""Interface of a forward model in the diagnosis by evidence: constants, recordings, predicted data, states, effects.
 
-One instance is the bench's force path (`path_model`).  Everything above this module reads the model that it is given.
+Implementations: the force path of the bench (`path_model`) and a rig of another kind (`rig_model`).
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ from physics.laws import Array
 
 
 class ForwardModel(Protocol):
-    """A forward model: its table of constants and the effects that move them, by name of the catalogue.
+    """A forward model: `constants`, and `hypotheses`, the effects that change them, by name of the catalogue.
 
     `signals`: every output that the model can have, with its unit.  `judged`: outputs whose error the headline gives.
-    `least`: least 1σ of the model error of a bin by output.  `first_noise`: noise of the coarse and of the fine stage
-    of the first fit, by output.  `regressed`: constants whose population middle is taken from the first reference
-    trial itself, since any value is as likely.  `states`: number of states of the discrepancy; `load_state`: row of
-    that by whose quarters the model error is estimated.  `session_share`: 1σ of the discrepancy's change between
-    sessions, of the discrepancy.  `pools_sessions`: the reference trials estimate how far sessions lie apart, beside
-    `session_at`.  `nats_factor`: of the bench's detection threshold.  `unlike_share`: share of the first judged
-    output's spread that the model may miss of reference trials; beyond, they are of another rig.  `amounts`: for a
-    constant that moves nothing where another one is zero, that one's name and a value.
+    `least`: least 1σ of the model error of a bin, by output.  `first_noise`: 1σ of the noise in the coarse and in the
+    fine stage of the first fit, by output.  `regressed`: constants whose population middle is set to the first
+    reference trial's value, since any value is equally likely.
+
+    `states`: number of states of the discrepancy.  `load_state`: row of the state whose quartiles divide the data for
+    the estimate of the model error.  `session_share`: 1σ of the discrepancy's change between sessions, relative to the
+    discrepancy.  `pools_sessions`: the scatter between sessions is estimated from the reference trials, with
+    `session_at` as prior.
+
+    `nats_factor`: detection threshold relative to the bench's.  `unlike_share`: largest error on the reference trials,
+    relative to the spread of the first judged output; above it they are of another rig.  `amounts`: for a constant
+    without effect while another constant is zero, name of that other constant and a value to add to its coordinate.
     """
 
     @property
@@ -61,16 +65,16 @@ class ForwardModel(Protocol):
     def amounts(self) -> Mapping[str, tuple[str, float]]: ...
 
     def lacking(self, table: Table) -> list[str]:
-        """Return the columns without which no likelihood can be formed and that a trial does not have."""
+        """Return the columns that the likelihood needs and that a trial does not have."""
 
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
         """Return the bounds and the unit of an effect's parameter."""
 
     def record(self, table: Table) -> Any:
-        """Return the trial as this model reads it, a `Recording`."""
+        """Return a trial as a `Recording` with the data of this model."""
 
     def sessions(self, recordings: Any) -> Any:
-        """Return the reference recordings by session, each as one recording."""
+        """Return the reference recordings grouped by session, each session as one recording."""
 
     def predict(self, q: Array, trial: Any) -> Array:
         """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
@@ -79,22 +83,23 @@ class ForwardModel(Protocol):
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
 
     def origin(self, trial: Any) -> Array:
-        """Return coordinates to start from, by regression."""
+        """Return start coordinates of the first fit, by regression."""
 
     def scanned(self, middle: Array, trial: Any) -> list[Array]:
-        """Return coordinates about `middle` at which the first fit starts."""
+        """Return several start coordinates of the first fit, about `middle`."""
 
     def session_at(self, q: Array) -> Array:
-        """Return 1σ between sessions by constant, in coordinates, of a bench whose coordinates are `q`."""
+        """Return 1σ between sessions of each constant, in coordinates, of a bench at coordinates `q`."""
 
     def growth(self, trial: Any, name: str) -> float:
-        """Return the factor of the model error's variance of a trial whose signals are larger than the reference's."""
+        """Return the factor, at least 1, on the model error's variance if signals exceed those of the reference trials.
+        """
 
     def aliased(self, q: Array, trial: Any, name: str) -> Array | float:
-        """Return the variance of an output's data that sampling has made noise of."""
+        """Return the variance of an output's data that aliasing causes, by bin or for all bins."""
 
     def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
-        """Return by output the errors of the signals that a residual of the data means."""
+        """Return the error of each output signal that corresponds to a residual of the data, by output."""
 
 
 def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:

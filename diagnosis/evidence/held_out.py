@@ -1,7 +1,7 @@
-"""Errors of the simulation in N: of the reference trials, and of a trial before and after on held-out cycles.
+"""Errors of the simulation on a trial, without and with the chosen effects, on held-out cycles.
 
-    before   the reference trials' models, averaged, as they were identified; nothing is fitted to the trial
-    after    with the chosen effects, each half of the cycles predicted by a fit to the other half
+    before   prediction by the models of the reference trials, averaged; nothing is fitted to the trial
+    after    prediction with the chosen effects; each half of the cycles is predicted by a fit to the other half
 """
 
 from __future__ import annotations
@@ -23,17 +23,20 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 FOLDS: Final = 2
-"""Parts of the cycles: each is predicted by a fit to the other."""
+"""Number of parts of the cycles; each part is predicted by a fit to the other."""
 BLOCK_S: Final = 2.0
-"""Length of a block where a trial has no cycle numbers, s: about one gait cycle."""
+"""Length of a block, s, that replaces a cycle if a trial has no cycle numbers; about one gait cycle."""
 DRAWS: Final = 400
-"""Draws of whole cycles for the interval of a gain."""
+"""Bootstrap samples of whole cycles for the interval of a gain."""
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors `before` and `after`, shape (data,), of `observed`; `blocks`: number of the cycle of each datum."""
+    """Errors `before` and `after` of the data of `observed`, shape (data,).
+
+    `blocks`: by trial, the cycle number of each bin.
+    """
 
     observed: Observed
     before: Array
@@ -41,14 +44,14 @@ class HeldOut:
     blocks: Sequence[NDArray[np.intp]]
 
     def rms_n(self, which: str) -> float:
-        """Return the RMS error of the model's judged outputs; `which`: before or after."""
+        """Return the RMS error over the model's judged outputs; `which`: "before" or "after"."""
         model = self.observed.model
         parts = [errors[name] for trial, rest in self.observed.each(getattr(self, which))
                  for errors in (model.errors(trial, rest),) for name in model.judged if name in errors]
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
     def figures(self, reference: ReferenceFit, held: HeldOut | None = None) -> dict[str, Figures]:
-        """Return figures by output; `held`: the same of trials to which nothing was fitted."""
+        """Return the figures by output; `held`: errors of held-out trials, for the figures on these."""
         return {name: self._figures(name, reference.scatter_n[name], held) for name in self.observed.outputs}
 
     def _figures(self, name: str, floor: float, held: HeldOut | None) -> Figures:
@@ -66,7 +69,7 @@ class HeldOut:
         return float(np.sqrt(squares / counts))
 
     def _squares(self, name: str, which: str) -> Array:
-        """Return the sum of squares and the number of data of each cycle, shape (cycles, 2)."""
+        """Return the sum of squared errors and the number of data of each cycle, shape (cycles, 2)."""
         rows = []
         for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
             squares = self.observed.model.errors(trial, rest)[name] ** 2
@@ -74,7 +77,7 @@ class HeldOut:
         return np.array(rows)
 
     def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
-        """Return measured and simulated signals by output, one entry a trial."""
+        """Return measured signals with both errors by output, one entry per trial."""
         made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
         sides = zip(self.observed.each(self.before), self.observed.each(self.after), tables, self.blocks, strict=True)
         for (trial, before), (_, after), table, block in sides:
@@ -89,7 +92,10 @@ class HeldOut:
 
 def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
              base: PosteriorMode, blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
-    """Predict each half of the cycles by a fit of the chosen effects, started at the mode `base`, to the other half."""
+    """Return the errors of a trial, each half of its cycles predicted by a fit of the chosen effects to the other half.
+
+    The fits start at the mode `base`.
+    """
     before = reference.missed(observed)
     if not chosen:
         return HeldOut(observed, before, before, blocks)
@@ -103,12 +109,15 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
 
 
 def rest(observed: Observed, at: PosteriorMode) -> Array:
-    """Return what a mode leaves of data that it need not have been fitted to."""
+    """Return the residual of data at a mode, which may be a fit to other data."""
     return np.asarray(observed.data - observed.predicted(at.q) - observed.features @ at.x[at.constants:])
 
 
 def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDArray[np.intp]]:
-    """Return the number of the cycle of each bin of each trial, counted on; of 2 s where none is numbered."""
+    """Return the cycle number of each bin, by trial, counted on from trial to trial.
+
+    A trial without cycle numbers is divided into blocks of `BLOCK_S`.
+    """
     told: list[NDArray[np.intp]] = []
     first = 0
     for table, trial in zip(tables, trials, strict=True):
@@ -122,7 +131,7 @@ def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDAr
 
 
 def _nearest(trial: Recording, table: Table, name: str) -> Array:
-    """Return a column at the bins' times, not interpolated: it may wrap."""
+    """Return a column at the times of the bins, without interpolation since the column may wrap."""
     at = np.searchsorted(table["time_s"], trial.binned(trial.time_s) + table["time_s"][0])
     return np.asarray(np.nan_to_num(table[name][np.minimum(at, table["time_s"].size - 1)]))
 

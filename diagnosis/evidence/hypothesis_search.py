@@ -1,4 +1,7 @@
-"""Hypotheses about one trial: the null, each effect that a linear screen puts first, and pairs of the foremost."""
+"""Search over hypotheses about one trial: no effect (the null), single effects, and pairs with the best effect.
+
+A linear screen ranks the effects of the catalogue; only the first few are fitted.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +16,21 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 FOREMOST: Final = 7
-"""Effects fitted after each screen.  On the development family the truth is among the first five in 97 %."""
+"""Number of effects fitted after each screen; in the development population the true one is in the first five in 97 %.
+"""
 PAIRED: Final = 4
-"""Effects tried beside the best one."""
+"""Number of second effects fitted together with the best one."""
 RESTART: Final = 2.0
-"""Nats by which a restart from another hypothesis' mode must raise the evidence to count: above the modes' accuracy."""
+"""Least rise of the log evidence, nats, by a restart from another hypothesis' mode; above the accuracy of a mode."""
 RESTARTS: Final = 3
+"""Largest number of screens, each at the null's mode after a restart."""
 
 
 @dataclass
 class Searched:
-    """Modes of one trial: the null, `single` by effect, `pair` by two effects; `variants`, `paired` that gave them.
+    """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
-    `gain(…)`: log Bayes factors against the null, nats.
+    `variants`: the variant that each effect of `single` was fitted with.  `paired`: that of each second effect.
     """
 
     observed: Observed
@@ -37,26 +42,26 @@ class Searched:
     paired: dict[str, Variant] = field(default_factory=dict)
 
     def gains(self) -> dict[str, float]:
-        """Return the log Bayes factor of each effect that was fitted, best first."""
+        """Return the log Bayes factor, nats, of each fitted effect against the null, best first."""
         found = {name: at.log_evidence - self.null.log_evidence for name, at in self.single.items()}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def further(self, name: str) -> dict[str, float]:
-        """Return the log Bayes factor of each effect beside `name`, against `name` alone, best first."""
+        """Return the log Bayes factor, nats, of each pair with effect `name` against `name` alone, best first."""
         alone = self.single[name].log_evidence
         found = {b if a == name else a: at.log_evidence - alone for (a, b), at in self.pair.items() if name in (a, b)}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def hypotheses(observed: Observed, constants: Mapping[str, float]) -> dict[str, tuple[Variant, ...]]:
-    """Return the variants of each effect that moves one of the outputs."""
+    """Return the variants, at `constants` of the bench, of each effect whose needed outputs were observed."""
     offered = {name: h.variants(constants) for name, h in observed.model.hypotheses.items()
                if set(h.needs) <= set(observed.outputs)}
     return {name: variants for name, variants in offered.items() if variants}
 
 
 def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) -> Searched:
-    """Fit the null and the foremost effects, and restart them from each other's modes.
+    """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
     """
@@ -72,7 +77,7 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
 
 
 def search_pairs(found: Searched, best: str) -> None:
-    """Fit a second effect beside `best`: the foremost of a linear screen at its mode."""
+    """Fit pairs of `best` with the `PAIRED` effects that a linear screen at its mode ranks first."""
     offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
     at, first = found.single[best], found.variants[best]
     rated = []
@@ -94,12 +99,12 @@ def search_pairs(found: Searched, best: str) -> None:
 
 
 def _same_shape(first: Variant, second: Variant) -> bool:
-    """Say whether two variants set the same constant to different values: one simulation has one drum."""
+    """Return whether two variants set one constant to different values, so that no simulation can have both."""
     return any(second.at.get(name, value) != value for name, value in first.at.items())
 
 
 def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]]) -> None:
-    """Fit the foremost effects of a linear screen at the null's mode."""
+    """Fit the `FOREMOST` effects that a linear screen at the null's mode ranks first."""
     rated = []
     for name, variants in offered.items():
         gain, sizes, variant = max(((*screened(found.null, found.observed, v), v) for v in variants),
@@ -123,7 +128,7 @@ def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMod
 
 
 def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:
-    """Keep a mode where it is the effect's best; say whether it is."""
+    """Store a mode if its evidence is the largest of the effect so far; return whether it was stored."""
     old = found.single.get(name)
     if fitted is None or (old is not None and old.log_evidence >= fitted.log_evidence):
         return False
@@ -132,7 +137,7 @@ def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | 
 
 
 def _restarted(found: Searched) -> bool:
-    """Restart the null from the best effect's mode; say whether its evidence rose."""
+    """Refit the null from the best effect's mode; return whether its log evidence rose by `RESTART` or more."""
     best = max(found.single.values(), key=lambda at: at.log_evidence)
     again = _fit(found, [], begun(best, None))
     if again is None or again.log_evidence < found.null.log_evidence + RESTART:
@@ -142,7 +147,7 @@ def _restarted(found: Searched) -> bool:
 
 
 def _cross(found: Searched) -> None:
-    """Restart the three foremost effects from the best mode of all, and the null once more."""
+    """Refit the three best effects from the best mode of all, if that is not the null's, and the null once more."""
     if not found.single:
         return
     order = list(found.gains())[:3]

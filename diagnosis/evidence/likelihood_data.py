@@ -1,4 +1,4 @@
-"""A trial as the likelihood reads it: signals low-passed alike, on one time grid, outputs averaged over bins."""
+"""Data of the likelihood from a trial: signals with one low-pass on one time grid, outputs averaged over bins."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from diagnosis.data.table import Table
 from physics.laws import Array
 
 GRID_S: Final = 4e-3
-"""Step of the simulation, s: a tenth of the shortest transient that a 40 Hz low-pass leaves."""
+"""Step of the simulation, s: a tenth of the shortest transient after a 40 Hz low-pass."""
 BIN: Final = 4
-"""Samples of the grid that are averaged to one datum: 16 ms, above the correlation time of the low-pass."""
+"""Samples of the time grid averaged to one datum: 16 ms, longer than the correlation time of the low-pass."""
 LOWPASS_HZ: Final = 40.0
+"""Cut-off of the low-pass of all signals, Hz."""
 RATIO_HZ: Final = 20.0
-"""Low-pass of the measured ratio END/START, which only weights START within the first output."""
+"""Cut-off, Hz, of the low-pass of the measured ratio END/START, which weights START in the output of END."""
 START_S: Final = 0.4
-"""Time left out at the start, s: friction states are unknown there."""
+"""Time left out at the start of a trial, s, since the friction states are unknown there."""
 TAUT_N: Final = 3.0
-"""START tension, N, below which the ratio END/START is not formed."""
+"""START tension, N, up to which the ratio END/START is not computed and is 0.8 instead."""
 COARSEST_N: Final = 0.01
-"""Least noise of a bin, N: the quantisation step of the sensors."""
+"""Least 1σ of a bin's sensor noise, N: the quantisation step of the sensors."""
 SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
+"""Outputs of the forward model of the bench."""
 MOTION: Final = ("servo_position_m", "knee_angle_rad")
-"""Inputs of the forward model."""
+"""Inputs of the forward model of the bench."""
 NEEDED: Final = (*MOTION, "tension_start_n")
-"""Columns without which no likelihood can be formed."""
+"""Columns that the likelihood of a bench trial needs."""
 
 
 def lacking(table: Table) -> list[str]:
@@ -37,11 +39,11 @@ def lacking(table: Table) -> list[str]:
 
 
 class Recording:
-    """Signals of one trial, low-passed alike on one time grid, and its data: means over bins of `width` samples.
+    """Signals of one trial, low-passed alike on one time grid, and its `data`, means over bins of `width` samples.
 
-    `outputs`: names of the signals that form the data, in the order of `data`: their bins, one after the other;
-    `noise_n`: sensor noise of a bin of each, 1σ, `coarsest` at least.  `along`: signals on the grid over which errors
-    are shown.
+    `outputs`: names of the signals in `data`, which holds all bins of one output after the other.  `noise_n`: 1σ of a
+    bin's sensor noise by output, at least `coarsest`.  `skip`: bins left out at the start.  `along`: signals on the
+    time grid against which errors can be plotted.
     """
 
     data: Array
@@ -66,33 +68,33 @@ class Recording:
                         for name in self.outputs}
 
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:
-        """Return a column on the grid, low-passed without phase; `cutoff_hz`: None, that of the outputs."""
+        """Return a column on the time grid after a zero-phase low-pass; `cutoff_hz`: Hz (None: `lowpass_hz`)."""
         sos = self._sos if cutoff_hz is None else _lowpass(self.rate, cutoff_hz)
         return np.asarray(np.interp(self._grid, self._table["time_s"], sosfiltfilt(sos, self._table[name])))
 
     @property
     def bins(self) -> int:
-        """Number of data of one output."""
+        """Number of data of one output, without those left out at the start."""
         return self.time_s.size // self.width - self.skip
 
     def binned(self, values: Array) -> Array:
-        """Return means over bins without the start, shape (…, bins), of `values` of shape (…, samples)."""
+        """Return means over bins, shape (…, bins), of `values`, shape (…, samples), without the start."""
         means = values.reshape(*values.shape[:-1], -1, self.width).mean(axis=-1)
         return np.asarray(means[..., self.skip:])
 
     def part(self, values: Array, output: int) -> Array:
-        """Return the data of one output, by number, of an array of all."""
+        """Return the rows of output number `output` from `values`, an array over all data."""
         return np.asarray(values[output * self.bins:(output + 1) * self.bins])
 
     def measured(self, name: str) -> Array:
-        """Return a measured output on the grid."""
+        """Return a measured output on the time grid, low-passed."""
         return self._signals[name]
 
 
 class PathRecording(Recording):
-    """A trial of the bench: `rope_m`, `knee_rad` and their derivatives, shape (samples,).
+    """A trial of the bench: `rope_m`, `knee_rad` and their derivatives, each of shape (samples,).
 
-    Its outputs are END less the measured ratio times START, START, servo force.
+    Its data are, as far as recorded: END less the measured `ratio` times START; START; servo force, all in N.
     """
 
     def __init__(self, table: Table) -> None:
@@ -112,7 +114,7 @@ class PathRecording(Recording):
         self.data = np.concatenate([self.binned(self.weighed(self._signals, name)) for name in self.outputs])
 
     def weighed(self, signals: dict[str, Array], name: str) -> Array:
-        """Return the output `name` of measured or predicted `signals`: END less the measured ratio times START."""
+        """Return output `name` of measured or predicted `signals`; END less the measured ratio times START for END."""
         if name != "tension_end_n":
             return signals[name]
         return np.asarray(signals[name] - self.ratio * signals["tension_start_n"])
@@ -126,13 +128,13 @@ class PathRecording(Recording):
 
 
 def _noise(values: Array, of: Recording, coarsest: float) -> float:
-    """Return 1σ of a bin's sensor noise from third differences: smooth signals have none."""
+    """Return 1σ of a bin's sensor noise, estimated from third differences, which are about 0 for a smooth signal."""
     sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
     return float(max(sample * np.sqrt(_passed(of)), coarsest))
 
 
 def _passed(of: Recording) -> float:
-    """Return the share of white noise's variance that low-pass and bin leave."""
+    """Return the variance of white noise after low-pass and averaging over a bin, relative to its variance before."""
     frequency = np.linspace(0.0, 0.5 * of.rate, 2001)[1:]
     _, low = sosfreqz(_lowpass(of.rate, of.lowpass_hz), worN=frequency, fs=of.rate)
     mean = np.sin(np.pi * of.width * of.grid_s * frequency) / (of.width * np.sin(np.pi * of.grid_s * frequency))

@@ -1,4 +1,4 @@
-"""Prediction of a bench trial's outputs by the force path's simulation, for a batch of coordinate vectors."""
+"""Outputs of a bench trial, predicted by simulating the force path for a batch of coordinate vectors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ SMALL_S: Final = 4e-3
 
 
 class Prediction(NamedTuple):
-    """Predicted data, shape (sets, data), and the simulated path of the distinct sets with each set's row in it."""
+    """Predicted data of each coordinate vector, and the simulated force path.
+
+    `data`: shape (sets, data).  `path`: simulated once per distinct set of path constants.  `row`: for each set, its
+    row in `path`.
+    """
 
     data: Array
     path: PathResponse
@@ -54,7 +58,10 @@ def predict(q: Array, trial: PathRecording) -> Prediction:
 
 
 def _drive(given: Array, trial: PathRecording) -> Array:
-    """Return the servo's force: measured START tension at the drum, friction, inertia (relation `drive_force`)."""
+    """Return the servo force, N, by the prediction equation `drive_force`, shape (sets, samples).
+
+    Terms: measured START tension at the drum, friction, inertia, offset.
+    """
     def column(name: str) -> Array:
         return np.asarray(given[INDEX[name]][:, None])
 
@@ -85,7 +92,7 @@ def dahl_states(rope, travels):  # type: ignore[no-untyped-def]
 
 
 def _late(signals: Array, lag_s: Array) -> Array:
-    """Return each row delayed by its lag."""
+    """Return each row of `signals` delayed by its lag, s."""
     out = signals - lag_s[:, None] * np.gradient(signals, GRID_S, axis=-1)
     time = GRID_S * np.arange(signals.shape[1])
     for j in np.flatnonzero(np.abs(lag_s) > SMALL_S):
@@ -94,7 +101,7 @@ def _late(signals: Array, lag_s: Array) -> Array:
 
 
 def _filtered(signals: Array, time_s: Array) -> Array:
-    """Return each row behind a first-order low-pass of its time constant."""
+    """Return each row of `signals` after a first-order low-pass with its time constant, s."""
     time = GRID_S * np.arange(signals.shape[1])
     for j in np.flatnonzero(time_s > 1e-5):
         keep = float(np.exp(-GRID_S / time_s[j]))

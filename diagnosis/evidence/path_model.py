@@ -1,4 +1,4 @@
-"""The bench's force path as a forward model: START, END and servo force from measured rope and knee motion."""
+"""Forward model of the bench's force path: START, END and servo force, N, from measured rope and knee motion."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ from physics.laws import Array
 from physics.path_constants import CONSTANTS, INDEX, named
 
 UNRESOLVED: Final = 0.5
-"""Share of the inertia force beyond 15 Hz that counts as noise of the servo force: sampled at 200 Hz it is aliased."""
+"""Share of the inertia force above 15 Hz that counts as noise of the servo force, since 200 Hz sampling aliases it."""
 SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
                "friction": np.array([-0.6, 0.0, 0.6])}
-"""What is simulated before the first fit: departures of the rope's zero from the regression's, m, and as logarithms
-stiffness and friction over the population's middle."""
+"""Grid of start points simulated before the first fit.
+
+`zero`: departure of the rope zero from the regression's, m.  `stiffness`, `friction`: logarithm of the ratio to the
+population's middle."""
 STARTS: Final = 4
-"""Best points of the scan, each of another stiffness or friction, at which the first fit starts."""
+"""Number of start points of the first fit: the best of the grid, with different stiffness or friction."""
 COARSE_N: Final = 2.0
 FINE_N: Final = 0.4
-"""Noise, N, of the two stages of the first fit: coarse first, so that no start ends in a local minimum."""
+"""1σ of the noise, N, in the coarse and in the fine stage of the first fit; the coarse one avoids local minima."""
 
 
 class PathModel:
-    """The forward model of the bench; its data are those of `PathRecording`."""
+    """Forward model of the bench; its data are those of `PathRecording`."""
 
     constants: ConstantTable = CONSTANTS
     hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
     signals: Mapping[str, str] = dict.fromkeys(SIGNALS, "N")
     judged = ("tension_start_n", "tension_end_n")
     least: Mapping[str, float] = {"tension_end_n": 0.04, "tension_start_n": 0.04, "servo_force_n": 0.1}
-    """Least 1σ of the model error of a bin, N: below what any structure of the development family reaches."""
+    """Least 1σ of the model error of a bin, N; every bench of the development population has a larger model error."""
     first_noise = (dict.fromkeys(SIGNALS, COARSE_N), dict.fromkeys(SIGNALS, FINE_N))
     regressed = ("zero", "arm", "stiffness")
     states = 9
@@ -51,7 +53,7 @@ class PathModel:
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
 
     def sessions(self, recordings: Sequence[PathRecording]) -> list[PathRecording]:
-        """Return the recordings: each trial of the bench is of a session of its own."""
+        """Return the recordings unchanged, since each trial of the bench is one session."""
         return list(recordings)
 
     def lacking(self, table: Table) -> list[str]:
@@ -59,12 +61,12 @@ class PathModel:
         return likelihood_data.lacking(table)
 
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
-        """Return the bounds and the unit of an effect's parameter, which the catalogue states."""
+        """Return the bounds and the unit of an effect's parameter from the catalogue."""
         told = next(p for p in CATALOGUE[effect].parameters if p.name == parameter)
         return told.low, told.high, told.unit
 
     def record(self, table: Table) -> PathRecording:
-        """Return a trial of the bench on the likelihood's grid."""
+        """Return a trial of the bench on the time grid of the likelihood."""
         return PathRecording(table)
 
     def predict(self, q: Array, trial: PathRecording) -> Array:
@@ -83,7 +85,7 @@ class PathModel:
             np.log(path.middle[0] + 3.0)]))
 
     def origin(self, trial: PathRecording) -> Array:
-        """Return coordinates to start from: zero, lever arm and stiffness by regression of rope on knee and load."""
+        """Return start coordinates: zero, lever arm and stiffness by regression of the rope on knee angle and load."""
         q = np.zeros(len(CONSTANTS))
         found = _regressed(trial)
         if found is not None:
@@ -93,15 +95,15 @@ class PathModel:
         return q
 
     def pulls(self, table: Table) -> bool:
-        """Return whether the rope position grows with tension, at a given knee angle; True where tension is low."""
+        """Return whether the rope position grows with tension at constant knee angle; True if the rope is hardly taut.
+        """
         found = _regressed(self.record(table))
         return found is None or found[2] > 0.0
 
     def scanned(self, middle: Array, trial: PathRecording) -> list[Array]:
-        """Return the `STARTS` coordinates about `middle` that miss the trial's data least, simulated in one batch.
+        """Return the `STARTS` coordinates about `middle` with the smallest error on the trial, simulated in one batch.
 
-        The fit does not find a zero of the rope at which the model is slack where the rope is taut: there nothing
-        moves.
+        A scan is needed since the fit has no gradient at a rope zero at which the simulated rope is slack.
         """
         zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
         q = np.repeat(middle[:, None], zero.size, axis=1)
@@ -115,21 +117,21 @@ class PathModel:
         return [q[:, k] for k in list(chosen.values())[:STARTS]]
 
     def session_at(self, q: Array) -> Array:
-        """Return the published deviations between sessions, in coordinates."""
+        """Return the published 1σ between sessions of each constant, in coordinates; `q` has no influence."""
         return CONSTANTS.session_sd
 
     def growth(self, trial: PathRecording, name: str) -> float:
-        """Return 1: peaks of the bench's gaits differ little."""
+        """Return 1, since the peak forces of the bench's gaits differ little."""
         return 1.0
 
     def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:
-        """Return the variance of the servo force that motion sampled too slowly leaves, N²."""
+        """Return the variance of the servo force by aliased inertia forces, N², by bin; 0 for the other outputs."""
         if name != "servo_force_n":
             return 0.0
         return trial.binned((UNRESOLVED * named(q)["drive_inertia"] * trial.unresolved_m_s2) ** 2)
 
     def errors(self, trial: PathRecording, residual: Array) -> dict[str, Array]:
-        """Return by output the errors of the signals, N, that a residual of the data means."""
+        """Return the error of each output signal, N, by output, from the residual of the data."""
         errors = {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
         if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
             errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
@@ -137,7 +139,10 @@ class PathModel:
 
 
 def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
-    """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, of the taut rope; None below 50 taut samples."""
+    """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, by regression of the taut rope.
+
+    None if fewer than 50 samples are taut.
+    """
     taut = trial.start_n > 4.0
     load = trial.start_n[taut]
     if load.size < 50:

@@ -1,4 +1,4 @@
-"""Mode and evidence of one trial under a Gaussian prior of constants and discrepancy: Gauss–Newton and Laplace.
+"""Posterior mode (Gauss–Newton) and evidence (Laplace) of one trial; constants and discrepancy have a Gaussian prior.
 
     cost(x) = Σ ρ((y − f(q0 + x) − Φc)/σ) + (x − μ)ᵀP⁻¹(x − μ)        ρ Huber's loss, x = (constants, c)
     ln p(y) = −½ cost(x̂) − ½ ln det(I + LᵀHᵀWHL),  P = LLᵀ,  H = [∂f/∂q, Φ]      up to a constant of the trial
@@ -21,22 +21,26 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 HUBER: Final = 5.0
-"""Residual, σ, from which the loss grows linearly: 16 ms bins in which a loose rope snaps taut."""
+"""Residual, σ, above which the loss grows linearly.
+
+Such residuals occur in the 16 ms bins in which a loose rope snaps taut."""
 ROUNDS: Final = 20
+"""Largest number of Gauss–Newton steps."""
 CLOSE: Final = 0.3
-"""Fall of the cost in a round at which the mode counts as reached: 0.15 nats."""
+"""Decrease of the cost in one step below which the mode counts as reached; 0.3 is 0.15 nats."""
 LONGEST: Final = 2.0
-"""Longest step of a constant, in its prior's σ: the model is linear over about that."""
+"""Longest step of a constant, in σ of its prior; the model is about linear over that distance."""
 STEEPER: Final = 6.0
 """Factor of the Levenberg–Marquardt damping after a step that does not reduce the cost."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """Trials of one session as data, one after the other: `features` Φ, shape (data, features); `weight`: 1/σ².
+    """Data of the trials of one session, concatenated.
 
-    `tau`: factor by output by which σ² was inflated for the autocorrelation of residuals.  `cost`: of a reference
-    trial at its mode, per datum.
+    `features`: Φ, shape (data, features).  `weight`: 1/σ², shape (data,).  `tau`: by output, the factor by which σ² is
+    inflated for the autocorrelation of the residuals.  `cost`: mean cost per datum of the reference trials at their
+    modes.
     """
 
     model: ForwardModel
@@ -48,7 +52,7 @@ class Observed:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs, which all the trials have."""
+        """Names of the outputs; all trials of a session have the same."""
         return self.trials[0].outputs
 
     @cached_property
@@ -66,22 +70,23 @@ class Observed:
         return np.concatenate(data), np.concatenate(slopes)
 
     def each(self, values: Array) -> Iterator[tuple[Recording, Array]]:
-        """Yield each trial with its rows of an array of all data."""
+        """Yield each trial with its rows of `values`, an array over the data of all trials."""
         at = 0
         for trial in self.trials:
             yield trial, values[at:at + trial.data.size]
             at += trial.data.size
 
     def part(self, values: Array, output: int) -> Array:
-        """Return the data of one output, by number, of an array of all."""
+        """Return the rows of output number `output` from `values`, an array over the data of all trials."""
         return np.concatenate([trial.part(rows, output) for trial, rows in self.each(values)])
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Prior of a trial's constants and discrepancy about the bench constants `origin` (all of the table).
+    """Gaussian prior of a trial's constants and discrepancy.
 
-    `mean`, `covariance`: of the free constants' departure from the origin, then of the feature weights.
+    `origin`: coordinates of all constants of the table.  `mean` and `covariance` are of one vector: the free constants'
+    departures from the origin, followed by the feature weights.
     """
 
     origin: Array
@@ -91,10 +96,11 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class PosteriorMode:
-    """A mode: departures `x` of the constants `active` and of the feature weights, the coordinates `q` there.
+    """Mode of a posterior, with the matrices of the linearisation there.
 
-    `table`: rows that `active` numbers.  `log_evidence` in nats; `factor` the Cholesky factor L of the prior; `inner`
-    of I + LᵀHᵀWHL; `design` H; `weight` W; `residual` y − f − Φc; `prior_mean` μ.
+    `x`: departures of the constants `active` (rows of `table`), followed by the feature weights.  `q`: coordinates of
+    all constants.  `log_evidence`: nats.  `factor`: Cholesky factor L of the prior covariance.  `inner`: Cholesky
+    factor of I + LᵀHᵀWHL.  `design`: H.  `weight`: W.  `residual`: y − f − Φc.  `prior_mean`: μ.
     """
 
     table: ConstantTable
@@ -112,22 +118,23 @@ class PosteriorMode:
 
     @property
     def constants(self) -> int:
+        """Number of active constants, which are the first entries of `x`."""
         return len(self.active)
 
     def sd(self, gradient: Array) -> float:
-        """Return 1σ of a scalar whose gradient by `x` is given."""
+        """Return 1σ of a scalar function of `x` from its `gradient` by `x`."""
         along = self.factor.T @ gradient
         return float(np.sqrt(along @ cho_solve(self.inner, along)))
 
 
 def extra_constants(table: ConstantTable, variants: Sequence[Variant]) -> list[int]:
-    """Return the constants that variants free and that a bench in the reference condition does not have."""
+    """Return the constants that `variants` set free and that are fixed in the reference condition, by row number."""
     return sorted({table.index[n] for v in variants for d in v.directions for n in d.along} - set(table.free))
 
 
 def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
             ) -> tuple[Array, Array, Array, list[int]]:
-    """Return origin, mean, covariance and active constants of a prior that hypotheses widen."""
+    """Return origin, mean, covariance and active constants of `prior` after `variants` of effects have widened it."""
     extra = extra_constants(table, variants)
     active = [*table.free, *extra]
     place = {i: k for k, i in enumerate(active)}
@@ -150,22 +157,23 @@ def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
 
 
 def loss(residual: Array, root: Array) -> float:
-    """Return Σ ρ of residuals times the roots of their weights, ρ Huber's loss."""
+    """Return Σ ρ(residual·root) with Huber's loss ρ; `root`: 1/σ of each datum."""
     scaled = np.abs(residual) * root
     return float(np.where(scaled < HUBER, scaled**2, 2.0 * HUBER * scaled - HUBER**2).sum())
 
 
 def bounded(residual: Array, weight: Array) -> Array:
-    """Return the weights with which squares have the slope of Huber's loss."""
+    """Return weights with which the squared residuals have the gradient of Huber's loss."""
     scaled = np.abs(residual) * np.sqrt(weight)
     return np.asarray(np.where(scaled < HUBER, 1.0, HUBER / np.maximum(scaled, 1e-9)) * weight)
 
 
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
          rounds: int = ROUNDS) -> PosteriorMode:
-    """Find the mode of trials under a prior that `variants` of effects widen, from `start` (None: the prior's mean).
+    """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
-    Raises `numpy.linalg.LinAlgError` where the problem is singular to rounding.
+    `start`: departures at which the descent begins (None: the prior's mean).  `rounds`: largest number of steps.
+    Raises `numpy.linalg.LinAlgError` if the problem is numerically singular.
     """
     table = observed.model.constants
     origin, mean, covariance, active = widened(table, prior, variants)
@@ -210,7 +218,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         damping = damping / 4.0 if damping > 0.3 else 0.0
         if fall < CLOSE or turn == rounds - 1:
             break
-    # curvature is that of the last linearisation, which lies within `CLOSE` of the mode
+    # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
     residual = measured - observed.predicted(at(x)) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
     return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
@@ -257,9 +265,10 @@ def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tupl
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()
           ) -> Array:
-    """Return where a fit with `kept` and `variant` starts: at `base`, moved along the variant's directions by `sizes`.
+    """Return the start of a fit with `kept` and `variant`: the mode `base`, moved by `sizes` along the variant.
 
-    Constants that `base` does not have start at 0; sizes are in σ of the effect, bounded by 2.5.
+    `sizes`: in prior σ of the effect along each direction of the variant, clipped to ±2.5.  Constants that are not
+    active in `base` start at 0.
     """
     variants = [*kept, variant] if variant is not None else list(kept)
     table = base.table
@@ -275,7 +284,7 @@ def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = No
 
 
 def named_change(mode_of: PosteriorMode, prior: Gaussian) -> dict[str, tuple[float, float]]:
-    """Return, by constant, its departure in q from the prior's mean and that departure over the prior's 1σ."""
+    """Return each free constant's departure from the prior's mean, in coordinates and in prior σ, by name."""
     free = mode_of.table.free
     sd = np.sqrt(np.diag(prior.covariance)[:len(free)])
     return {mode_of.table.names[i]: (float(mode_of.x[k] - prior.mean[k]),

@@ -1,8 +1,8 @@
 """Fit of the reference trials: bench constants, discrepancy and noise with their joint posterior.
 
-Bench and trials have one joint mode, each trial departing from the bench by its session: a trial's session never
-counts as the bench.  The discrepancy is a Gaussian process in random Fourier features of states that the fitted model
-simulates under the trial's motion, never of its sensors.
+The model is hierarchical: each trial departs from the bench by a session deviation, and one joint mode of bench and
+trials is fitted.  The discrepancy is a Gaussian process in random Fourier features.  Its inputs are states that the
+fitted model simulates under the trial's motion, not sensor readings.
 """
 
 from __future__ import annotations
@@ -21,32 +21,38 @@ from diagnosis.evidence.posterior import CLOSE, LONGEST, Gaussian, Observed, Pos
 from physics.laws import Array
 
 FEATURES: Final = 60
-"""Random Fourier features of each output: with 120 the held-out likelihood of reference trials is the same."""
+"""Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
 IN_SAMPLE: Final = 2.0
-"""Factor of the residual variance of a single reference trial, which no other one predicts, and of a rig's."""
+"""Factor from in-sample residual variance to model error, for a single reference trial and for rigs."""
 HELD_OUT: Final = 1.3
-"""The same where other trials predict it: cavity residuals are partly fitted."""
+"""Factor from in-sample residual variance to model error, for a bench with several reference trials."""
 MOST_TAU: Final = 12.0
-"""Largest inflation of the noise by autocorrelation."""
+"""Largest factor by which autocorrelation inflates the noise variance."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
+"""Quantiles of the load state that divide the data for the estimate of the model error."""
 STAGES: Final = 3
-"""Estimates of noise and discrepancy, each after a descent to the joint mode."""
+"""Number of estimates of noise and discrepancy; each follows a descent to the joint mode."""
 PRIOR_SESSIONS: Final = 3.0
-"""Weight of a model's own deviations between sessions, in sessions: two sessions determine a scatter badly."""
+"""Weight of the model's prior 1σ between sessions, in equivalent sessions.
+
+Two sessions alone would determine the scatter badly."""
 ROUNDS: Final = 8
-"""Steps of a descent."""
+"""Largest number of steps of a descent."""
 
 
 @cache
 def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array]]:
-    """Return frequencies and phases of the features by output, from a fixed seed: length 2 in standardised states."""
+    """Return frequencies, shape (`FEATURES`, states), and phases, shape (`FEATURES`,), of the features by output.
+
+    They are drawn from a fixed seed; the length scale is 2 in standardised states.
+    """
     random = np.random.default_rng(7)
     return {name: (random.normal(size=(FEATURES, states)) / 2.0, random.uniform(0.0, 2.0 * np.pi, FEATURES))
             for name in signals}
 
 
 class Scaling(NamedTuple):
-    """Mean and 1σ of the states over the reference trials."""
+    """Mean and standard deviation of the states over the reference trials, each of shape (states,)."""
 
     mean: Array
     sd: Array
@@ -54,13 +60,14 @@ class Scaling(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """The bench as its reference trials show it.
+    """Bench as fitted to its reference trials.
 
-    `prior`: of the constants and the discrepancy of a further trial, session deviation included; `bench`: the same of
-    the bench alone.  `model_error`: variance by output and load quarter, N²; `tau`: inflation by autocorrelation.
-    `cost`: of a reference trial at its mode, per datum; it is above 0 whatever the bench is.
-    `identified`: coordinates and feature weights at each reference trial's mode.  `scatter_n`: RMS by output, N, that
-    the models of the other reference trials miss on one (of a single one: on itself).
+    `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
+    further trial, which is `bench` with the session deviation.  `amplitude`: 1σ of the discrepancy by output.
+    `model_error`: variance by output and load quarter, N².  `tau`: noise inflation by output.  `quarters`: bounds of
+    the load quarters.  `trials`: number of reference trials.  `cost`: mean cost per datum of the reference trials at
+    their modes.  `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS
+    error by output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
 
     model: ForwardModel
@@ -79,7 +86,10 @@ class ReferenceFit:
     identified: tuple[tuple[Array, Array], ...] = ()
 
     def missed(self, observed: Observed) -> Array:
-        """Return what the models of the reference trials, averaged, leave of the data."""
+        """Return the residual of the data from the averaged prediction of the reference trials' models, shape (data,).
+
+        If sessions are pooled, the prediction is that of the bench.
+        """
         models = self.identified
         if self.model.pools_sessions:
             count, mean = len(self.model.constants.free), self.bench.mean
@@ -91,16 +101,16 @@ class ReferenceFit:
 
     @property
     def rmse_n(self) -> float:
-        """RMS of the model's judged outputs that a reference trial's model misses on another."""
+        """RMS error of a reference trial's model on another reference trial, over the model's judged outputs."""
         told = [e**2 for name, e in self.scatter_n.items() if name in self.model.judged]
         return float(np.sqrt(np.mean(told)))
 
     def starts(self) -> list[Array]:
-        """Return where a fit of a further trial starts besides the prior's mean: the reference trials' modes."""
+        """Return further starts of a fit of a trial, besides the prior's mean: the modes of the reference trials."""
         return [np.concatenate([(q - self.origin)[list(self.model.constants.free)], c]) for q, c in self.identified]
 
     def observe(self, *trials: Recording) -> Observed:
-        """Return trials of one session as data of this bench."""
+        """Return trials of one session as data with the features and weights of this bench."""
         states = [self.model.simulated_states(self.origin, trial) for trial in trials]
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         return Observed(self.model, trials, np.concatenate(made),
@@ -132,13 +142,13 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
                   ) -> ReferenceFit:
     """Fit the reference trials of one bench, which all have the same outputs.
 
-    `session_sd`: 1σ between sessions by constant, in coordinates, as a logbook measured it (None: the published one).
+    `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).
     """
     return _Fit(model, trials, session_sd).run()
 
 
 class _Linear(NamedTuple):
-    """A trial linearised at its mode: design H and error e with e ≈ H·(departure from the origin) + noise."""
+    """A trial linearised at its mode: error e ≈ H·(departure from the origin) + noise, with design H and weights."""
 
     design: Array
     error: Array
@@ -146,9 +156,9 @@ class _Linear(NamedTuple):
 
 
 class _Fit:
-    """State of the reference fit: joint mode of the bench and of each trial, linearised trials, model error, scaling.
+    """State of the reference fit: joint mode of bench and trials, linearised trials, model error, scaling.
 
-    `bench`, `at`: departures from the origin of constants and feature weights, of the bench and of each trial.
+    `bench` and `at`: departure of the bench and of each trial from the origin, constants first, then feature weights.
     """
 
     bench: Array
@@ -173,7 +183,10 @@ class _Fit:
         self.identified: list[tuple[Array, Array]] = []
 
     def run(self) -> ReferenceFit:
-        """Fit the first trial from several starts, then all jointly; noise and discrepancy in turns with the mode."""
+        """Fit the first trial from several starts, then all trials jointly, and return the fit.
+
+        Estimates of noise and discrepancy alternate with descents to the joint mode.
+        """
         best = min((self._first(at) for at in self.model.scanned(self.origin, self.trials[0])), key=lambda m: m.cost)
         self._recentre(best.q)
         for stage in range(STAGES):
@@ -186,7 +199,7 @@ class _Fit:
                 self._scatter()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
         bench = self._bounded(self._posterior(range(len(self.trials))))
-        # features are simulated at the bench's own constants; their change is far below their length scale
+        # features stay those simulated at the origin: the states change by far less than the length scale
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.amplitude,
@@ -194,9 +207,9 @@ class _Fit:
                             self._mean_cost(), tuple(self.identified))
 
     def _bounded(self, bench: Gaussian) -> Gaussian:
-        """Return the bench with the covariance that follows where "positive" constants act.
+        """Return the bench with a covariance for "positive" constants linearised where their value is above 0.
 
-        At a value near 0 the smooth maximum is flat, so that the trials seem not to bound the coordinate from above.
+        Near 0 the smooth maximum of such a constant is flat, so that the trials would seem not to bound it from above.
         """
         q = self._constants(bench.mean)
         ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
@@ -206,23 +219,23 @@ class _Fit:
         return replace(bench, covariance=self._posterior(range(len(self.trials))).covariance)
 
     def _lift(self, departure: Array) -> Array:
-        """Return how far "positive" constants are below where they act, as a departure."""
+        """Return the departure that lifts each "positive" constant to where its value follows its coordinate."""
         q = self._constants(departure)
         lift = np.zeros(departure.size)
         lift[:len(self.free)] = (self.constants.lifted(q) - q)[self.free]
         return lift
 
     def _stated(self, published: Array) -> Array:
-        """Return 1σ between sessions by constant: of those that a logbook measured, as it did."""
+        """Return 1σ between sessions by constant: from the logbook if it has the constant, else as published."""
         sd = published.copy()
         for name, stated in self.stated_sd.items():
             sd[self.constants.index[name]] = stated
         return sd
 
     def _scatter(self) -> None:
-        """Estimate how far sessions lie apart from the reference trials, by steps of expectation maximisation.
+        """Estimate 1σ between sessions from the reference trials, by one step of expectation maximisation.
 
-        σ² is inverse-gamma about the model's own value with the weight of `PRIOR_SESSIONS` sessions.
+        The prior of σ² is inverse-gamma about the model's value, with the weight of `PRIOR_SESSIONS` sessions.
         """
         prior = self._stated(self.model.session_at(self.origin))[self.free] ** 2
         squares = np.zeros(len(self.free))
@@ -236,7 +249,7 @@ class _Fit:
         self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * prior + squares) / (PRIOR_SESSIONS + count))
 
     def _mean_cost(self) -> float:
-        """Return the cost per datum of the reference trials at their modes."""
+        """Return the mean cost per datum of the reference trials at their modes."""
         costs = [self._trial_cost(k, self.bench, x) / self.trials[k].data.size for k, x in enumerate(self.at)]
         return float(np.mean(costs))
 
@@ -247,7 +260,7 @@ class _Fit:
         return np.asarray(q)
 
     def _descend(self) -> None:
-        """Go to the joint mode of bench and trials by Gauss–Newton steps that lower the joint cost."""
+        """Move to the joint mode of bench and trials by Gauss–Newton steps, each shortened until the cost falls."""
         now = self._cost(self.bench, self.at)
         for _ in range(ROUNDS):
             self.linear = [self._linearised(k) for k in range(len(self.trials))]
@@ -278,14 +291,14 @@ class _Fit:
         return total + sum(self._trial_cost(k, bench, x) for k, x in enumerate(at))
 
     def _middle(self) -> Array:
-        """Return the population's middle as departures from the origin, in population σ."""
+        """Return the population's middle as a departure from the origin, in population σ; 0 for regressed constants."""
         centre: Array = -self.origin[self.free] / self.bench_sd
         for name in self.model.regressed:
             centre[self.free.index(self.constants.index[name])] = 0.0
         return centre
 
     def _trial_cost(self, k: int, bench: Array, x: Array) -> float:
-        """Return the cost of one trial: misfit and session deviation."""
+        """Return the cost of one trial at departures `x`: misfit and session deviation from the bench."""
         off = (x - bench) / np.sqrt(self._session())
         return loss(self._residual(k, x), np.sqrt(self._weight(k))) + float(off @ off)
 
@@ -305,7 +318,7 @@ class _Fit:
         return _Linear(design, residual + design @ x, bounded(residual, self._weight(k)))
 
     def _trial_given(self, k: int, bench: Array) -> Array:
-        """Return the mode of a linearised trial given the bench."""
+        """Return the mode of a linearised trial for given departures of the bench."""
         linear, deviation = self.linear[k], np.sqrt(self._session())
         inward = linear.design * deviation
         light = inward.T * linear.weight
@@ -323,7 +336,7 @@ class _Fit:
         return mode(fine, wide, start=mode(rough, wide, start=start, rounds=10).x, rounds=10)
 
     def _recentre(self, q: Array) -> None:
-        """Take `q` as origin, at which the states of the discrepancy are simulated."""
+        """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""
         self.states = [self.model.simulated_states(q, trial) for trial in self.trials]
         every = np.concatenate(self.states, axis=1)
         self.scaling = Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6)
@@ -348,9 +361,9 @@ class _Fit:
                                self.model.session_share**2 * np.repeat(self.amplitude**2, FEATURES)])
 
     def _posterior(self, which: Sequence[int]) -> Gaussian:
-        """Return the posterior of the bench, about `origin`, by the linearised trials of `which`.
+        """Return the posterior of the bench, about `origin`, from the linearised trials with the numbers `which`.
 
-        Each trial's own deviation Σ is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.
+        The session deviation Σ of each trial is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.
         """
         scale = np.sqrt(self._bench_variance())
         deviation = np.sqrt(self._session()) / scale
@@ -377,7 +390,7 @@ class _Fit:
                             self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n, 1.0)
 
     def _noise(self) -> None:
-        """Estimate the model error by load quarter and the autocorrelation from the residuals at the modes."""
+        """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
         more = IN_SAMPLE if len(self.trials) == 1 or self.model.pools_sessions else HELD_OUT
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
         tau = np.zeros(len(self.outputs))
@@ -398,7 +411,7 @@ class _Fit:
         self.scatter_n = self._missed()
 
     def _amplitudes(self) -> None:
-        """Estimate the amplitude of the discrepancy: RMS that the constants alone leave at the modes."""
+        """Estimate the amplitude of the discrepancy: RMS residual of a fit with constants alone, by output."""
         rest = []
         for linear in self.linear:
             part = linear.design[:, :len(self.free)]
@@ -410,7 +423,10 @@ class _Fit:
         self._set_amplitude(rest, self.trials)
 
     def _missed(self) -> dict[str, float]:
-        """Return by output the RMS, N, that the others' models, averaged, miss on a trial (a single one: on itself)."""
+        """Return the RMS error by output, N, of the other trials' averaged models on each reference trial.
+
+        A single reference trial is predicted by its own model.
+        """
         squares: dict[str, list[float]] = {name: [] for name in self.outputs}
         for j, trial in enumerate(self.trials):
             models = self._others(j)
@@ -421,9 +437,9 @@ class _Fit:
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
 
     def _others(self, j: int) -> list[tuple[Array, Array]]:
-        """Return the models by which a reference trial is predicted: those of the others, if there are any.
+        """Return the models that predict reference trial `j`: those of the other trials, else its own.
 
-        Where the trials estimate how far sessions lie apart, the bench that the others show.
+        If sessions are pooled, the model is the bench fitted to the other trials.
         """
         others = [k for k in range(len(self.trials)) if k != j] or [j]
         if not self.model.pools_sessions:
@@ -434,7 +450,7 @@ class _Fit:
 
 
 def autocorrelation(rest: Array) -> float:
-    """Return 1 + 2Σ of the autocorrelation of a residual, up to the first lag below 0.05."""
+    """Return 1 + 2·Σ of the autocorrelations of a residual, summed up to the first lag with less than 0.05."""
     even = rest - rest.mean()
     power = float(np.mean(even**2))
     total = 1.0

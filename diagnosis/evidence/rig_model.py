@@ -1,12 +1,12 @@
-"""Forward model of a rig of another kind than the bench: its outputs follow from the columns that it records.
+"""Forward model of a rig other than the bench; its outputs are chosen by the recorded columns.
 
-    START force      ratio·END + offset + friction between the two + spring of position      where END is recorded
-                     k·e·(1 + c·e²) + d·ė,  e = position − arm·joint angle − zero            else, beside a joint
-    drive's force    START + friction + inertia + gravity of a turning axis + spring + offset
-    joint angle      zero + ratio·position + compliance·START                                where END is recorded, too
+    START force      ratio·END + offset + friction between the two + spring of position      if END is recorded
+                     k·e·(1 + c·e²) + d·ė,  e = position − arm·joint angle − zero            else, with a joint angle
+    drive force      START + friction + inertia + gravity of a turning axis + spring + offset
+    joint angle      zero + ratio·position + compliance·START and END                        if END is recorded, too
 
-Motion and END are inputs, as they were measured.  Friction is that of `physics.effects.rig_hypotheses`.  Priors are
-wide and scale with what the reference trials measure; deviations between sessions are shares of what is fitted.
+Inputs are the measured motion and the measured END.  Friction is that of `physics.effects.rig_hypotheses`.  Priors are
+wide and scale with the signals of the reference trials.  1σ between sessions is a share of the fitted constant.
 """
 
 from __future__ import annotations
@@ -33,36 +33,41 @@ from physics.parameters import RELATION_PARAMETERS
 
 START, END, FORCE, JOINT = "tension_start_n", "tension_end_n", "servo_force_n", "knee_angle_rad"
 MOTION_HZ: Final = 40.0
-"""Low-pass of the motion, from which friction states follow."""
+"""Cut-off, Hz, of the low-pass of the motion from which the friction states are computed."""
 OUTPUT_HZ: Final = 20.0
-"""Low-pass of the outputs, measured and predicted: beyond, twice differentiated positions are noise."""
+"""Cut-off, Hz, of the low-pass of measured and predicted outputs; accelerations above it are noise."""
 WIDTH: Final = 8
-"""Samples of the grid in a datum: 32 ms, above the correlation time of the low-pass."""
+"""Samples of the time grid per datum: 32 ms, longer than the correlation time of the low-pass."""
 TRAVELS: Final = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
-"""Pre-sliding distances at which the first fit may start, of the stroke."""
+"""Pre-sliding distances at which the first fit may start, relative to the stroke."""
 STARTS: Final = 2
+"""Number of pre-sliding distances at which the first fit starts."""
 SETTLED: Final = 0.5
-"""Share of the stroke after which friction no longer depends on what was before the trial."""
+"""Distance travelled, relative to the stroke, after which friction no longer depends on the motion before the trial."""
 ALIKE: Final = 1.25
-"""Factor of load, speed and stroke within which two recordings are of like condition."""
+"""Factor in load, speed and stroke within which two recordings are of the same condition."""
 WHOLE: Final = 0.08
-"""1σ from one session to another of a rig's friction as a whole, of it; of a rubber seal in five sessions, 0.08."""
+"""1σ between sessions of the logarithm of a rig's friction; measured on a rubber seal in five sessions."""
 SHARE: Final = 0.05
-"""The same of the shares of it that load and speed carry."""
+"""1σ between sessions of the shares of friction that depend on load and on speed."""
 FIRM: Final = 0.02
-"""The same of a mass, of it."""
+"""1σ between sessions of a mass, relative to its value."""
 SPRING: Final = 0.03
-"""The same of a spring, of it."""
+"""1σ between sessions of a spring constant, relative to its value."""
 ZERO: Final = 0.003
-"""The same of a zero, of the largest value of its signal."""
+"""1σ between sessions of an offset, relative to the largest value of its signal."""
 RATIO: Final = 0.005
-"""The same of the ratio of two sensors."""
+"""1σ between sessions of the ratio of two sensors."""
 ANGLE: Final = 0.02
-"""The same of the angle of a mass on a turning axis, rad: its encoder's zero."""
+"""1σ between sessions of the angle of a mass on a turning axis, rad; it depends on the zero of the encoder."""
 
 
 class RigScale(NamedTuple):
-    """Sizes over the reference trials: stroke, RMS of speed and acceleration, of END, spread and peak by output."""
+    """Sizes of the signals over the reference trials, in the units of the signals.
+
+    `stroke`: mean span of the position.  `speed`, `acceleration`, `end`: RMS.  `joint`: RMS of the joint angle about
+    its mean.  `spread` and `peak`: standard deviation and largest absolute value by output.
+    """
 
     stroke: float
     speed: float
@@ -74,7 +79,10 @@ class RigScale(NamedTuple):
 
 
 class RigRecording(Recording):
-    """A trial of a rig: position `x` less its mean, its derivatives, END, START and joint angle on the grid."""
+    """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
+
+    Inputs are START, END and joint angle, as far as recorded.
+    """
 
     def __init__(self, table: Table, outputs: Sequence[str], coarsest: Mapping[str, float]) -> None:
         at = table["servo_position_m"]
@@ -93,12 +101,15 @@ class RigRecording(Recording):
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
 
     def smoothed(self, values: Array) -> Array:
-        """Return bins of predicted signals behind the low-pass of the outputs."""
+        """Return predicted signals, low-passed as the outputs and averaged over bins, shape (…, bins)."""
         return self.binned(np.asarray(sosfiltfilt(self._smoother, values, axis=-1)))
 
 
 class RigSession:
-    """Recordings of a rig that differ in condition, such as load or speed, taken as one session: data by output."""
+    """Several recordings of a rig in different conditions, such as loads or speeds, treated as one session.
+
+    `data`: output by output, for each output recording by recording.
+    """
 
     def __init__(self, recordings: Sequence[RigRecording]) -> None:
         self.recordings = tuple(recordings)
@@ -111,16 +122,16 @@ class RigSession:
         self.data = self.joined([r.data for r in recordings])
 
     def joined(self, parts: Sequence[Array]) -> Array:
-        """Return data of each recording, shape (…, data), as data of the session."""
+        """Return the data of the recordings, each of shape (…, data), in the order of the session's data."""
         return np.concatenate([r.part(part.T, k).T for k in range(len(self.outputs))
                                for r, part in zip(self.recordings, parts, strict=True)], axis=-1)
 
     def part(self, values: Array, output: int) -> Array:
-        """Return the data of one output, by number, of an array of all."""
+        """Return the rows of output number `output` from `values`, an array over all data."""
         return np.asarray(values[output * self.bins:(output + 1) * self.bins])
 
     def measured(self, name: str) -> Array:
-        """Return a measured output on the grids, one after the other."""
+        """Return a measured output on the time grids of the recordings, concatenated."""
         return np.concatenate([r.measured(name) for r in self.recordings])
 
     def _each(self, values: Array) -> list[Array]:
@@ -128,11 +139,11 @@ class RigSession:
         return np.split(values, ends, axis=-1)
 
     def binned(self, values: Array) -> Array:
-        """Return means over bins, shape (…, bins), of `values` on the grids."""
+        """Return means over bins, shape (…, bins), of `values` on the concatenated time grids."""
         return np.concatenate([r.binned(v) for r, v in zip(self.recordings, self._each(values), strict=True)], axis=-1)
 
     def smoothed(self, values: Array) -> Array:
-        """Return bins of predicted signals behind the low-pass of the outputs."""
+        """Return predicted signals, low-passed as the outputs and averaged over bins, shape (…, bins)."""
         parts = zip(self.recordings, self._each(values), strict=True)
         return np.concatenate([r.smoothed(v) for r, v in parts], axis=-1)
 
@@ -141,7 +152,10 @@ Taken = RigRecording | RigSession
 
 
 class RigModel:
-    """The forward model of the rig that reference trials show; see the module for its outputs."""
+    """Forward model of the rig of the reference trials `tables`; the module lists its outputs.
+
+    `sense`: −1 if friction lowers START as the position grows, else 1.
+    """
 
     regressed: tuple[str, ...]
     amounts: Mapping[str, tuple[str, float]] = {"rest_speed": ("rest", 0.1), "drive_rest_speed": ("drive_rest", 0.1)}
@@ -181,7 +195,7 @@ class RigModel:
         rough = {n: max(float(np.std(every.part(left, k))), self.least[n]) for k, n in enumerate(self.outputs)}
         self.first_noise = ({n: 3.0 * s for n, s in rough.items()}, rough)
 
-    # -- what the rig is ---------------------------------------------------------------------------------------------
+    # -- columns, sizes and constants of the rig ---------------------------------------------------------------------
 
     def lacking(self, table: Table) -> list[str]:
         """Return the columns of the reference trials that a trial does not have."""
@@ -192,13 +206,14 @@ class RigModel:
         return [name for name in dict.fromkeys(needed) if name not in table]
 
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
-        """Return the bounds of an effect's parameter on rigs of any size, and its unit about this axis."""
+        """Return the bounds of an effect's parameter on rigs of any size, and its unit on this linear or turning axis.
+        """
         row = RELATION_PARAMETERS[parameter]
         low, high = row.rig_bounds
         return low, high, TURNED_UNITS.get(row.unit, row.unit) if self.turning else row.unit
 
     def record(self, table: Table) -> RigRecording:
-        """Return a trial of this rig on the likelihood's grid."""
+        """Return a trial of this rig on the time grid of the likelihood."""
         return RigRecording(table, self.outputs, {n: 1e-4 * s for n, s in self.scale.spread.items()})
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
@@ -246,7 +261,7 @@ class RigModel:
             row(prefix + "rest", "", 0.0, "linear", 0.4, 0.04, "static over sliding friction, less 1"),
             row(prefix + "rest_speed", "m/s", 0.2 * speed, "log", 1.0, 0.1, "Stribeck speed"),
         ]
-        if not prefix:  # between two tensions an asymmetry is a ratio and a zero
+        if not prefix:  # between two tensions an asymmetry is confounded with ratio and offset
             return [*rows, row("drift", "", 0.0, "linear", 0.1, 0.05, "change over the recording")]
         return [*rows, *(row(prefix + name, "", 0.0, "linear", 0.1, 0.02, f"{kind} friction more one way")
                          for name, kind in (("asymmetry", "dry"), ("viscous_asymmetry", "viscous")))]
@@ -317,7 +332,7 @@ class RigModel:
     # -- prediction --------------------------------------------------------------------------------------------------
 
     def sessions(self, recordings: Sequence[RigRecording]) -> list[RigSession]:
-        """Return recordings by session: two of like load, speed and stroke are of two sessions."""
+        """Return recordings grouped by session; two recordings in the same condition belong to different sessions."""
         made: list[list[RigRecording]] = []
         for one in recordings:
             rank = sum(self._alike(one, other) for session in made for other in session)
@@ -373,7 +388,7 @@ class RigModel:
         return _late(force, given["drive_lag"]) / given["demand_gain"]
 
     def _rubbed(self, given: Mapping[str, Array], trial: RigRecording, prefix: str, load: Array) -> Array:
-        """Return friction, shape (sets, samples); `load`: of the RMS."""
+        """Return the friction force, shape (sets, samples); `load`: relative to its RMS or scale."""
         travels, row = np.unique(given[prefix + "travel"][:, 0], return_inverse=True)
         slip = dahl_states(trial.x, travels)[row.ravel()]
         a, b = given[prefix + "load_share"], given[prefix + "viscous_share"]
@@ -381,7 +396,7 @@ class RigModel:
         dry = 0.5 * (dry + np.sqrt(dry * dry + 4e-4))
         speed = trial.v / self.scale.speed
         slow = given[prefix + "rest_speed"]
-        # 1 at the RMS of the speed, so that the size of friction is what these trials show and not what rest adds
+        # the Stribeck curve is 1 at the RMS speed, so that `friction` is the sliding friction of these trials
         settled = np.exp(-((self.scale.speed / slow) ** 2))
         curve = 1.0 + given[prefix + "rest"] * (np.exp(-((trial.v / slow) ** 2)) - settled)
         if not prefix:
@@ -406,14 +421,14 @@ class RigModel:
             np.log(load + 0.1 * load.mean() + 1e-12), np.arcsinh(trial.a / self.scale.acceleration),
             joint - joint.mean()]))
 
-    # -- where the first fit starts ----------------------------------------------------------------------------------
+    # -- start of the first fit --------------------------------------------------------------------------------------
 
     def origin(self, trial: Taken) -> Array:
-        """Return coordinates to start from, by least squares at the best pre-sliding distance."""
+        """Return start coordinates of the first fit, by least squares at the best pre-sliding distance."""
         return self.scanned(np.zeros(len(self.constants)), trial)[0]
 
     def scanned(self, middle: Array, trial: Taken) -> list[Array]:
-        """Return the `STARTS` coordinates that miss the trial's data least, by pre-sliding distance."""
+        """Return the `STARTS` coordinates with the smallest error on the trial, one per pre-sliding distance."""
         starts = [self._regressed(middle, trial, travel * self.scale.stroke) for travel in TRAVELS]
         data = self.predict(np.stack(starts, axis=1), trial)
         weight = np.repeat([1.0 / self.scale.spread[n] for n in trial.outputs], trial.bins)
@@ -443,7 +458,7 @@ class RigModel:
         end = trial.inputs[END]
         rubs = self._friction_terms(trial, travel, np.abs(end) / self.scale.end)
         ratio, offset, spring, *own = _fitted(trial, START, [end, one, trial.x - trial.x.mean(), *rubs])
-        if np.std(end) < 0.02 * np.abs(end).mean():  # one load alone does not tell a ratio from a zero
+        if np.std(end) < 0.02 * np.abs(end).mean():  # with a constant load, ratio and offset are confounded
             ratio, offset, spring, *own = 1.0, *_fitted(trial, START, [one, trial.x - trial.x.mean(), *rubs], end)
         return {"ratio": ratio, "offset": offset, "spring": spring, "travel": travel, **self._sized("", own)}
 
@@ -470,7 +485,7 @@ class RigModel:
         return [slip, *([] if load is None else [slip * load]), trial.v / self.scale.speed]
 
     def _sized(self, prefix: str, own: Sequence[float]) -> dict[str, float]:
-        """Return size and shares of friction from its dry, load and viscous parts."""
+        """Return size and shares of friction from its dry, load and viscous parts `own`, by name of the constant."""
         dry, load, viscous = own if prefix else [self.sense * part for part in own]
         output = FORCE if prefix else START
         size = max(dry + load + viscous, 0.05 * self.scale.spread[output])
@@ -478,7 +493,7 @@ class RigModel:
         return {prefix + "friction": size, **{n: float(np.clip(s, -0.3, 1.3)) for n, s in shares.items()}}
 
     def _sense(self, all_trials: RigSession) -> float:
-        """Return −1 where START grows with END and falls with friction as the position grows, else 1."""
+        """Return −1 if friction lowers START as the position grows, else 1, by regression of START."""
         end, position = all_trials.inputs[END], all_trials.x - all_trials.x.mean()
         misses = []
         for travel in TRAVELS:
@@ -490,10 +505,10 @@ class RigModel:
             misses.append((float(np.std(rest)), sum(told[:3])))
         return -1.0 if min(misses)[1] < 0.0 else 1.0
 
-    # -- what sessions differ by -------------------------------------------------------------------------------------
+    # -- scatter between sessions and model error --------------------------------------------------------------------
 
     def session_at(self, q: Array) -> Array:
-        """Return 1σ between sessions by constant, in coordinates, of a rig whose constants are at `q`."""
+        """Return 1σ between sessions of each constant, in coordinates, of a rig at coordinates `q`."""
         sd, given, index = self.constants.session_sd.copy(), self.constants.named(q), self.constants.index
         own = {"inertia": FIRM * abs(given.get("inertia", 0.0)), "give": SPRING * abs(given.get("give", 0.0)),
                "give_end": SPRING * abs(given.get("give_end", 0.0)), "joint_ratio": 0.005 * abs(given.get(
@@ -504,7 +519,10 @@ class RigModel:
         return sd
 
     def growth(self, trial: Taken, name: str) -> float:
-        """Return the factor of the model error's variance: what a law lacks is a share of what it says."""
+        """Return the factor, at least 1, on the model error's variance.
+
+        The model error grows in proportion to the predicted signal, so that its variance grows with the signal's.
+        """
         if name == JOINT:
             return 1.0
         signal = trial.measured(name)
@@ -515,18 +533,18 @@ class RigModel:
         return max(1.0, float(np.var(signal)) / self.scale.spread[name] ** 2)
 
     def aliased(self, q: Array, trial: Taken, name: str) -> Array | float:
-        """Return 0: outputs are low-passed below what motion resolves."""
+        """Return 0: the low-pass of the outputs removes aliased frequencies."""
         return 0.0
 
     def errors(self, trial: Taken, residual: Array) -> dict[str, Array]:
-        """Return by output the errors of the signals that a residual of the data means."""
+        """Return the error of each output signal, by output: its rows of `residual`."""
         return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
 
 
 REGRESSED: Final = frozenset({
     "friction", "drive_friction", "ratio", "offset", "spring", "stiffness", "arm", "zero", "inertia", "drive_offset",
     "unbalance", "unbalance_phase", "drive_spring", "joint_zero", "joint_ratio", "give", "give_end"})
-"""Constants of which any value is as likely."""
+"""Constants without a typical value; their prior is centred at the regression of the first reference trial."""
 
 
 def _late(signals: Array, lag_s: Array) -> Array:

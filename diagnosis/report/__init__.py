@@ -1,1 +1,1 @@
-"""The report of a diagnosis: one HTML page."""
+"""Report of a diagnosis: HTML page, and export of plots (PNG) and tables (CSV)."""

@@ -1,6 +1,6 @@
-"""A diagnosis as one HTML page: the verdict in words, measured against simulated, residuals, what was rejected.
+"""HTML page of a diagnosis: verdict in words, measured and simulated signals, residuals, and rejected models.
 
-The rule of this file: it shows what the diagnosis found and decides nothing; every figure has its unit.
+The page only shows the findings of the diagnosis; each figure has its unit.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ def write(
     found: Findings, trials: Sequence[Table], holdout: Sequence[Table], path: str | Path,
     tracked: tuple[str | Path, str | Path] | None = None, *, overwrite: bool = True,
 ) -> int:
-    """Write the report of a diagnosis of `trials` as one HTML file; returns its bytes.  Raises `InputError`.
+    """Write the report of a diagnosis of `trials` as one HTML file and return its size in bytes.
 
-    `tracked`: trials of the closed loop before and after the controller was told.
+    `tracked`: closed-loop trials without and with the extended controller model.  Raises `InputError` if the file
+    cannot be written, or if the two `tracked` trials cannot be compared.
     """
     return build(found, trials, holdout, tracked).write(path, overwrite=overwrite)
 
@@ -39,7 +40,7 @@ def build(
     found: Findings, trials: Sequence[Table], holdout: Sequence[Table],
     tracked: tuple[str | Path, str | Path] | None = None,
 ) -> Page:
-    """Return the page of a diagnosis; tables as they were read."""
+    """Return the page of a diagnosis of `trials`, which are the tables as they were read."""
     more = f" and {len(trials) - 1} more" if len(trials) > 1 else ""
     names = f"{Path(trials[0].source).name}{more}"
     stated = f" · every signal low-passed at {found.lowpass_hz:g} Hz, no phase" if found.lowpass_hz is not None else ""
@@ -72,7 +73,7 @@ def _against(found: Findings) -> str:
 
 
 def _first(page: Page, found: Findings) -> None:
-    """Say what is wrong, what it costs and what to do, before anything else."""
+    """Add the first section: the fault, its cost in N and the next step."""
     page.section("What is wrong")
     for sentence in evidence_headline.told(found) if found.evidence else headline(found):
         if sentence:

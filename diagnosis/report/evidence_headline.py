@@ -10,9 +10,9 @@ from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 
 STRONG: Final = 3.0
-"""Change of a constant, in its 1σ between sessions, from which it is listed."""
+"""Least change of a listed constant, in its 1σ between sessions."""
 MOST: Final = 3
-"""Constants listed."""
+"""Largest number of listed constants."""
 
 
 def told(found: Findings) -> Iterator[str]:
@@ -48,7 +48,8 @@ def _cause(cause: Mapping[str, Any]) -> str:
 
 
 def _shifts(shifts: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the constants that moved by more than `STRONG` session σ, most first, as from → to."""
+    """Return the constants that changed by `STRONG` session σ or more, largest change first, as "name from → to unit".
+    """
     rated = []
     for name, row in shifts.items():
         if row["sessions"] is not None and abs(row["sessions"]) >= STRONG:

@@ -1,6 +1,7 @@
-"""A diagnosis' pictures as PNG and its tables as CSV, in a folder, for a paper or a spreadsheet.
+"""Export of a diagnosis to a folder: plots as PNG and tables as CSV, for a paper or a spreadsheet.
 
-The rule of this file: the same numbers as the page; a file appears whole or not at all.
+The numbers are those of the page.  Each file is written under another name and then renamed, so that no incomplete file
+is ever visible.
 """
 
 from __future__ import annotations
@@ -25,12 +26,15 @@ RELATION_COLUMNS: Final = ("relation", "unit", "floor", "rmse_before", "rmse_aft
 CAUSE_COLUMNS: Final = ("effect", "site", "parameter", "old", "new", "low", "high", "unit", "gain_percent")
 NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.csv", "residual.png", "loop.csv",
                 "loop.png", "headline.txt")
-"""What a folder may hold afterwards; a picture and its CSV are left out where there is nothing to draw."""
+"""Names of the exported files; a plot and its CSV are omitted if the diagnosis has no such data."""
 
 
 def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
           overwrite: bool = False) -> list[Path]:
-    """Write pictures and tables of a diagnosis of `trials` into `folder`; returns the files.  Raises `InputError`."""
+    """Write plots and tables of a diagnosis of `trials` into `folder` and return the paths of the files.
+
+    Raises `InputError` if the folder cannot be written, or has such files and `overwrite` is false.
+    """
     folder = Path(folder)
     refuse(folder, overwrite=overwrite)
     made: dict[str, bytes] = {
@@ -58,7 +62,7 @@ def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
 
 
 def refuse(folder: Path, *, overwrite: bool) -> None:
-    """Raise `InputError` where `folder` is a file, or holds one that would be replaced though nobody said so."""
+    """Raise `InputError` if `folder` is a file, or has a file of `NAMES` and `overwrite` is false."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--figures {folder}: is a file; give a folder.")
     there = [name for name in NAMES if (folder / name).exists()]

@@ -1,6 +1,6 @@
-"""What a diagnosis' page tells in tables: relations, the class, what was tried, what could have been seen.
+"""Tables of the page of a diagnosis: errors, ambiguity set, fitted models and detection limits.
 
-The rule of this file: figures as the diagnosis gives them, each with its unit, and what was decided by them.
+Figures are those of the diagnosis, each with its unit.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import Cell, Page
 
 MODELS_SHOWN: Final = 40
+"""Largest number of fitted models in the table."""
 
 
 def relations(page: Page, found: Findings) -> None:
-    """Add a row for each relation that was checked; no gain if no cause is named on the nominal calibration."""
+    """Add the table of errors by checked prediction equation; without gains if the causes are only candidates."""
     page.heading("Root mean square on cycles that no fit has seen")
     name = "signal" if found.evidence else "relation"
     checked = {key: f for key, f in found.relations.items() if f.checked}
@@ -40,7 +41,7 @@ def relations(page: Page, found: Findings) -> None:
 
 
 def rivals(page: Page, found: Findings) -> None:
-    """Tell what these data cannot tell apart."""
+    """Add the table of the ambiguity set, if the set has more effects than the named causes."""
     chosen = {c["effect"] for c in found.causes}
     if len(found.rivals) <= len(chosen):
         return
@@ -52,7 +53,7 @@ def rivals(page: Page, found: Findings) -> None:
 
 
 def ranking(page: Page, found: Findings) -> None:
-    """Tell every model that was fitted, what it gains, and why it was not chosen."""
+    """Add the table of fitted models, with the gain of each and the reason why it was not selected."""
     page.section("What was tried")
     if found.evidence:
         _bayes_factors(page, found)
@@ -81,7 +82,8 @@ def ranking(page: Page, found: Findings) -> None:
 
 
 def _bayes_factors(page: Page, found: Findings) -> None:
-    """Tell the log Bayes factor of each effect that was fitted, and the constants that moved."""
+    """Add a table of the fitted effects' log Bayes factors, and a table of the constants on the bench and in the trial.
+    """
     evidence = found.evidence or {}
     page.text("Log Bayes factor: by how many nats the trial is likelier with the effect than without any. An effect is "
               f"named from {NAMED_NATS:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in the ambiguity "
@@ -115,7 +117,10 @@ def _why(model: FittedEffects, found: SearchResult, rivals: list[str]) -> str:
 
 
 def limits(page: Page, found: Findings) -> None:
-    """Tell the smallest size of each effect that these data could have shown, never above what was found in them."""
+    """Add the table of detection limits: the smallest size of each effect that these trials would have shown.
+
+    The limit of an effect that was found is never above the size found.
+    """
     page.section("Detection limit")
     if not found.detection_limit:
         page.text("Not available: this rig's healthy state is not known, or nothing was searched.", "note")
@@ -128,10 +133,11 @@ def limits(page: Page, found: Findings) -> None:
 
 
 LIMIT_COLUMNS: Final = ("effect", "parameter", "smallest", "unit", "likely range", "would be seen")
+"""Header of the table of detection limits."""
 
 
 def limit_rows(found: Findings) -> list[tuple[Cell, ...]]:
-    """Return a row of `LIMIT_COLUMNS` for each effect."""
+    """Return the rows of the table of detection limits, one per effect, with the columns `LIMIT_COLUMNS`."""
     sizes = {(c["effect"], name): abs(float(one["value"]) - old) for c in found.causes
              for name, one in c["parameters"].items() if (old := healthy_value(c, name)) is not None}
     named = {c["effect"] for c in found.causes}
@@ -150,7 +156,7 @@ def _limit(name: str, one: Mapping[str, Any], size: float | None, named: bool) -
 
 
 def _seen(smallest: float | None, parameter: Any) -> str:
-    """Say whether the likely sizes lie above the limit."""
+    """Return, in words, which of an effect's likely sizes lie above its detection limit `smallest`."""
     if smallest is None or parameter is None:
         return "no"
     low, high = parameter.likely

@@ -1,7 +1,6 @@
-"""The first lines of a diagnosis: what is wrong and by how much, what it costs, what to do next.
+"""First lines of a diagnosis: the fault and its size, its cost in N, and the next step.
 
-The rule of this file: sentences for an engineer who reads nothing else; every figure is the diagnosis' own, with its
-unit and with what it is held against.
+They are complete for an engineer who reads nothing else: each figure has its unit and its reference.
 """
 
 from __future__ import annotations
@@ -21,13 +20,14 @@ AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nomi
                   "healthy": "its healthy trials", "none": "an ideal transmission"}
 TENSIONS: Final = {"tension_start_n": "START", "tension_end_n": "END"}
 WRITTEN: Final = {"m": (1e3, "mm"), "s": (1e3, "ms")}
-"""Units as an engineer writes values below `LARGE` of the SI unit."""
+"""By SI unit: factor and symbol of the unit in which values below `LARGE` are written."""
 LARGE: Final = 0.1
+"""Value, in the SI unit, from which a parameter is written in that unit."""
 UNSEEN: Final = "on cycles that the fit has not seen"
 
 
 class Headline(NamedTuple):
-    """Three sentences; "" where there is nothing to say."""
+    """Sentences on the fault, its cost and the next step; an empty string if a sentence does not apply."""
 
     wrong: str
     cost: str
@@ -40,7 +40,7 @@ UNMEASURED: Final = (
 
 
 def headline(found: Findings) -> Headline:
-    """Return what is wrong, what it costs in N and what to do next."""
+    """Return the sentences on the fault, its cost in N and the next step."""
     if found.candidates:
         return Headline(UNMEASURED, _cost(found), "bowden identify all -o calibration.toml, then record again or "
                         "diagnose with --calibration calibration.toml; --healthy trials are a footing, too.")
@@ -70,7 +70,7 @@ def _cause(found: Findings, cause: Mapping[str, Any]) -> str:
 
 
 def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
-    """Return a parameter as: name old → new unit (95 %: low … high); the old value left out where it is not known."""
+    """Return a parameter as text: name old → new unit (95 %: low … high), without an unknown old value."""
     one, old = cause["parameters"][name], healthy_value(cause, name)
     scale, symbol = WRITTEN.get(one["unit"], (1.0, one["unit"]))
     if max(abs(one[key]) for key in ("value", "low", "high")) >= LARGE:
@@ -82,9 +82,9 @@ def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
 
 
 def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
-    """Return the value that a parameter had in the simulation; None where it is not known.
+    """Return the value of a parameter in the simulation before the diagnosis; None if it is unknown.
 
-    A cause says it itself; a fault of wire or converter is nothing where none is.
+    The source is the key `was` of the cause, else the neutral value of the catalogue, as for bus and converter faults.
     """
     if "was" in cause:
         return float(cause["was"][name])
@@ -98,7 +98,10 @@ def _against(found: Findings) -> str:
 
 
 def strongest(found: Findings, unit: str | None = None) -> tuple[str, Figures] | None:
-    """Return the relation that gains most, of those in `unit` where one is given; None where none was checked."""
+    """Return name and figures of the prediction equation with the largest gain; None if none was checked.
+
+    `unit`: only equations in this unit count (None: all).
+    """
     told = [(name, f) for name, f in found.relations.items()
             if f.checked and f.rmse_before is not None and f.rmse_after is not None and unit in (None, f.unit)]
     if not told:

@@ -1,6 +1,6 @@
-"""What a diagnosis' page draws: measured against simulated, and residuals from every side.
+"""Plots of the page of a diagnosis: measured and simulated signals over time, and residuals along other signals.
 
-The rule of this file: a line never goes on where nothing was compared; bands and means are of all trials together.
+A line is broken over a gap in the compared samples.  Bands and means are of all trials together.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SIDES: Final = (
     ("knee_angle_rad", "knee angle", "knee_angle_rad (rad)"), ("servo_position_m", "rope", "servo_position_m (m)"),
     ("time_s", "time", "time_s (s)"),
 )
-"""What residuals are looked at against: signal, word, axis."""
+"""Signals along which residuals are plotted: name, word in the title, label of the axis."""
 MEANING: Final = {
     "friction": "START from END over the rope's motion", "elasticity": "START from rope and knee position",
     "kinematics": "the knee's angle from rope and tension", "servo": "the rope from its target",
@@ -29,13 +29,14 @@ MEANING: Final = {
     "tension_start_n": "START from rope and knee motion", "tension_end_n": "END from rope and knee motion",
     "servo_force_n": "the servo's force from motion and START",
     "start_sensor": "START against itself", "end_sensor": "END against itself", "bus": "stamps, ages and sequence"}
-"""What each relation predicts, in words."""
+"""By prediction equation or output: the predicted signal and its inputs, in words."""
 GAP: Final = 1.5
-"""Steps of time without a sample from which a line is broken."""
+"""Distance of two samples, in median time steps, above which a line is broken."""
 
 
 def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str) -> None:
-    """Draw each relation of the first trial whole, and the one cycle that the simulation misses most."""
+    """Add plots of each prediction equation for the first trial: the whole trial, and its cycle with the largest error.
+    """
     page.section(title)
     parts_of = {name: parts for name, parts in sides.items() if parts}
     if not parts_of:
@@ -52,7 +53,7 @@ def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, li
 
 
 def _worst(one: Compared) -> np.ndarray[Any, Any]:
-    """Return a mask of the cycle whose residual is the largest before."""
+    """Return a mask of the samples of the cycle with the largest mean squared residual before the diagnosis."""
     cycle = one.cycle
     squares, counts = np.bincount(cycle, one.before**2), np.bincount(cycle)
     return np.asarray(cycle == int(np.argmax(squares / np.maximum(counts, 1))))
@@ -70,7 +71,7 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
 
 
 def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
-    """Draw the residuals of every relation against every signal that is known."""
+    """Add plots of the residual of each prediction equation along each recorded signal of `SIDES`."""
     page.section("Residuals")
     if not any(sides.values()):
         page.text("No relation was searched.", "note")
@@ -109,7 +110,10 @@ def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
 
 
 def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
-    """Plot the mean residual by load, pulling and paying out apart: friction opens a loop, a gain a slope."""
+    """Add a plot of the mean residual over load, with separate lines for the rope pulled and paid out.
+
+    In this plot friction opens a loop, and a wrong gain gives a slope.
+    """
     masks = directions(parts)
     load, before, after = joined(parts, "tension_start_n")
     if not masks or load.size != sum(p.measured.size for p in parts) or float(np.ptp(load)) <= 0.0:

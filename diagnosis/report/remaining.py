@@ -1,6 +1,6 @@
-"""Where what is left after a diagnosis lies: which relation, how large, at what phase, load and direction, how often.
+"""Description of the residual that remains after a diagnosis: equation, size, gait phase, load, direction, cycles.
 
-The rule of this file: measures of the residuals in words; no cause is named.
+The description names no cause.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from trial.report.page import number
 
 SIDES: Final = (("gait_percent", "{} … {} % of gait"), ("tension_start_n", "START at {} … {} N"))
 HALF: Final = 0.5
+"""Share of the squared residual in the reported stretch of a signal."""
 BINS: Final = 50
+"""Number of bins of a signal in which such a stretch is searched."""
 
 
 def where(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> str:
-    """Return a sentence or three on what is left; "" where no healthy floor says what is too much."""
+    """Return sentences on the largest residual relative to the reference RMSE; "" without a reference RMSE."""
     above = {name: f.rmse_after / f.floor for name, f in found.relations.items()
              if f.checked and f.floor and f.rmse_after is not None and sides.get(name)}
     if not above:
@@ -46,7 +48,7 @@ def _places(parts: Sequence[Compared]) -> str:
 
 
 def concentrated(along: NDArray[np.float64], residual: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the ends of the narrowest stretch of `along`, in bins, that holds half of the residual's squares."""
+    """Return both ends of the narrowest stretch of `along`, in whole bins, with half of the squared residual."""
     edges = np.linspace(float(along.min()), float(along.max()), BINS + 1)
     place = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, BINS - 1)
     total = np.concatenate(([0.0], np.cumsum(np.bincount(place, residual**2, BINS))))

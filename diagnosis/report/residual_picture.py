@@ -1,7 +1,6 @@
-"""The picture that shows what was found: the strongest relation's residual over the gait, and the loop START over END.
+"""The two main plots of a diagnosis: residual over the gait before and after, and the force loop START over END.
 
-The rule of this file: two plots that carry the verdict; how they are binned is `residuals`' and what is drawn is
-measured, or measured less simulated, with nothing smoothed.
+The residual is that of the prediction equation with the largest gain.  Curves are bin means; nothing is smoothed.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from trial.report.page import Page, Series
 
 Array = NDArray[np.float64]
 PHASES: Final = (20, 200)
-"""Least and most bins of gait phase for the mean cycle."""
+"""Smallest and largest number of bins of gait phase for the mean cycle."""
 GRID: Final = 120
-"""Points of END at which the loop is drawn."""
+"""Number of END values at which the loop is drawn."""
 ALONG: Final = (("gait_percent", "gait_percent (%)", "gait phase"), ("time_s", "time_s (s)", "time"))
 
 
 class MeanResidual(NamedTuple):
-    """Mean residual and its root mean square in bins, before and after, of one relation."""
+    """Residual of one prediction equation in bins: mean and root mean square, `before` and `after`, in `unit`."""
 
     relation: str
     unit: str
@@ -40,7 +39,10 @@ class MeanResidual(NamedTuple):
 
 
 class ForceLoop(NamedTuple):
-    """START over END of the mean gait cycle while the tension rises, or falls: measured, simulated before, after."""
+    """One branch of START over END of the mean gait cycle, with rising or falling tension, N.
+
+    `measured`, and simulated `before` and `after`: START at the END values `end_n`.
+    """
 
     direction: str
     end_n: Array
@@ -50,7 +52,7 @@ class ForceLoop(NamedTuple):
 
 
 def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
-    """Draw the two; say so where there is nothing to draw."""
+    """Add both plots to the page, or a note if no prediction equation was searched."""
     one = residual(found, sides)
     if one is None:
         page.text("No relation was searched, so there is no picture.", "note")
@@ -77,7 +79,10 @@ def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]
 
 
 def residual(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> MeanResidual | None:
-    """Return the strongest relation's residual over gait phase, over time where there is no gait; None without one."""
+    """Return the residual of the prediction equation with the largest gain, over gait phase, else over time.
+
+    None if no prediction equation was checked or compared.
+    """
     best = strongest(found)
     if best is None or not sides.get(best[0]):
         return None
@@ -93,10 +98,10 @@ def residual(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> MeanRe
 
 
 def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
-    """Return both branches of START over END of the mean gait cycle, from what predicts START.
+    """Return the rising and the falling branch of START over END of the mean gait cycle.
 
-    Up: from the last minimum of END before its peak; down: to the first minimum after it.  [] where there is no gait,
-    or END is not known.
+    The rising branch begins at the last minimum of END before its peak, the falling one ends at the first minimum after
+    the peak.  [] if no prediction of START was compared, without a gait, and without END.
     """
     parts = sides.get("friction") or sides.get("tension_start_n", ())
     if not parts:
@@ -118,7 +123,8 @@ def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
 
 
 def _branches(end: Array) -> list[tuple[str, NDArray[np.intp]]]:
-    """Return the places of the rise to the peak and of the fall from it, each by rising END."""
+    """Return the indices of the rise to the peak of END and of the fall from the peak, each in the order of rising END.
+    """
     peak = int(np.argmax(end))
     first = last = peak
     while first > 0 and end[first - 1] < end[first]:

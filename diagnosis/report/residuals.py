@@ -1,7 +1,6 @@
-"""A diagnosis' residuals looked at from every side: measured, simulated before and after, by what they depend on.
+"""Residuals of a diagnosis as arrays: before and after, by trial, binned along other signals and by rope direction.
 
-The rule of this file: arrays only; what is compared are the baseline and the chosen model on the samples that the
-relation counts.
+The models compared are the baseline and the chosen model, on the samples that the prediction equation uses.
 """
 
 from __future__ import annotations
@@ -22,17 +21,20 @@ from physics.relations.relation import RELATIONS
 
 ALONG: Final = ("time_s", "gait_percent", "tension_start_n", "tension_end_n", "knee_angle_rad", "servo_position_m",
                 "rope_m_s")
-"""Signals that a residual is looked at along."""
+"""Signals along which residuals are plotted."""
 BINS: Final = 50
+"""Largest number of bins along a signal."""
 LEAST_IN_BIN: Final = 5
+"""Fewest samples of a bin with a mean."""
 STILL_M_S: Final = 1e-3
-"""Rope speed below which it counts as still."""
+"""Rope speed, m/s, up to which the rope counts as still."""
 
 
 def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compared]]:
-    """Return, by checked relation, the comparison on each of `trials` (as they were read); {} where nothing was found.
+    """Return the comparison of measurement and models by prediction equation, one entry per trial.
 
-    A trial that lacks a relation's columns is left out of it.
+    `trials`: as they were read.  A diagnosis by evidence returns its own traces, by output.  {} if nothing was searched
+    or checked.  A trial without the columns of an equation has no entry there.
     """
     if found.traces:
         return {name: list(parts) for name, parts in found.traces.items()}
@@ -56,7 +58,7 @@ def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compare
 
 
 def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:
-    """Return a signal of all trials in a row, and both residuals, where the signal is known."""
+    """Return a signal and the residuals before and after, of all trials concatenated, at samples where it is finite."""
     along = np.concatenate([p.along(name) for p in parts])
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     known = np.isfinite(along)
@@ -64,7 +66,7 @@ def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:
 
 
 def bins_of(samples: int) -> int:
-    """Return into how many bins so many samples go: the fewer samples, the fewer bins."""
+    """Return the number of bins for a number of samples, with 2·`LEAST_IN_BIN` samples per bin or more on average."""
     return max(1, min(BINS, samples // (2 * LEAST_IN_BIN)))
 
 
@@ -82,7 +84,7 @@ def binned(along: Array, residual: Array, bins: int) -> tuple[Array, Array, Arra
 
 
 def directions(parts: Sequence[Compared]) -> dict[str, NDArray[np.bool_]]:
-    """Return masks of the samples at which the rope is pulled, paid out, or still; {} where its speed is not known."""
+    """Return masks of the samples with the rope pulled, paid out or still; {} if a trial has no rope speed."""
     if not all("rope_m_s" in p.signals for p in parts):
         return {}
     speed = np.concatenate([p.along("rope_m_s") for p in parts])
@@ -90,5 +92,5 @@ def directions(parts: Sequence[Compared]) -> dict[str, NDArray[np.bool_]]:
 
 
 def rms(residual: Array) -> float:
-    """Return the root mean square; NaN of nothing."""
+    """Return the root mean square of residuals; NaN for an empty array."""
     return float(np.sqrt(np.mean(residual**2))) if residual.size else float("nan")

@@ -1,6 +1,6 @@
-"""The closed loop before and after the controller was told: two trials of one experiment beside each other.
+"""Comparison of two closed-loop trials of one experiment, without and with the extended controller model.
 
-The rule of this file: END as its sensor recorded it, judged by the trial's own figures; nothing of a plant's truth.
+END is the reading of its sensor, and the figures are those of `trial.metrics`; no simulated true value is used.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ Floats = NDArray[np.float64]
 
 
 def section(page: Page, before: str | Path, after: str | Path, colours: tuple[str, str]) -> None:
-    """Add the comparison of two trials; raises `InputError` where either is no gait, or they are not of one kind."""
+    """Add the comparison of two gait trials to the page.
+
+    Raises `InputError` if a trial has no gait cycle, or if peak force, period or controller differ.
+    """
     trials = [read.open(path) for path in (before, after)]
     for told in ("peak_n", "period_s", "controller"):
         if trials[0].metadata.get(told) != trials[1].metadata.get(told):

@@ -1,7 +1,6 @@
-"""A diagnosis in one paragraph that an engineer can act on.
+"""Summary of a diagnosis in one paragraph: causes in the words of the catalogue, gain, ambiguity set, next experiment.
 
-The rule of this file: it says what the verdict says, in the catalogue's words, with the figures that carry it; it
-adds no judgement.
+The paragraph only reports the findings and adds no judgement.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from trial.report.page import number
 
 
 def paragraph(found: Findings) -> str:
-    """Return the verdict in words."""
+    """Return the findings of a diagnosis as one paragraph."""
     if found.candidates:
         return ("The simulation of the nominal bench leaves more than a healthy bench would; which of several effects "
                 "that is, an identification has to narrow down first.")
@@ -48,7 +47,7 @@ def _cause(cause: Mapping[str, Any]) -> str:
 
 
 def interval(parameter: Mapping[str, Any]) -> str:
-    """Return a parameter as value, unit and 95 % interval."""
+    """Return a parameter as text: value, unit and 95 % interval."""
     unit = f" {parameter['unit']}" if parameter["unit"] else ""
     return (f"{number(parameter['value'], 3)}{unit} (95 %: {number(parameter['low'], 3)} … "
             f"{number(parameter['high'], 3)})")
