@@ -41,8 +41,8 @@ COMPRESSED: Final = 0.1
 def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardModel:
     """Return the forward model for reference trials and trials of one rig: the bench's, if they can be of a bench.
 
-    They can be of a bench if one of them is a gait, or if all have rope motion, knee angle and START without a
-    compression beyond `COMPRESSED`, and none is of a turning axis.
+    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, START
+    has no compression beyond `COMPRESSED`, and no axis turns.
     """
     every = [*reference, *trials]
     if any("gait_percent" in t for t in every):
@@ -296,7 +296,7 @@ def _bench(reference: ReferenceFit) -> Array:
 def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
     """Return the detection limit of each effect: the smallest size with a linear log Bayes factor of `NAMED_NATS`.
 
-    ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; None where more than `FARTHEST` σ are needed.
+    ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; a limit above `FARTHEST` σ is None.
     """
     told: dict[str, Mapping[str, Any]] = {}
     model, table = found.observed.model, found.null.table
