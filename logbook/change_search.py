@@ -1,7 +1,7 @@
 """Changes of a bench over sessions: evidence of a step or a ramp of each effect, since when, and a forecast.
 
-An effect with direction e, prior σ_a and course w_s (step: 0 before a session and 1 from it; ramp: rising from 0 to 1
-at the newest session) adds w_s·e·a to session s.  With a ~ N(0, σ_a²) and the bench integrated out
+An effect with direction e, prior σ_a and course w_s adds w_s·e·a to session s.  Step: w_s is 0 before a session and 1
+from it; ramp: w_s rises from 0 to 1 at the newest session.  With a ~ N(0, σ_a²) and the bench integrated out
 
     g = Σ w_s eᵀh_s − kᵀP⁻¹H,  G = Σ w_s² eᵀM_s e − kᵀP⁻¹k,  k = Σ w_s X_sᵀM_s e       (P, H: of bench and resets)
     ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G)            averaged over the course and the session that it begins in

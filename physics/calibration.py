@@ -62,7 +62,7 @@ class ScalarEvidence:
 class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to.
 
-    `discrepancy`: START → END beyond what the scalars give; None where no gait trial told of it.
+    `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.
     """
 
     stiffness_a: float = assumed("stiffness_a")

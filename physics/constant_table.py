@@ -72,7 +72,7 @@ class ConstantTable:
         return out
 
     def lifted(self, q: Array) -> Array:
-        """Return coordinates with each "positive" constant at least where its value follows its coordinate.
+        """Return coordinates with those of "positive" constants raised to the range in which the value follows them.
 
         Below, the smooth maximum is flat: a slope there would not show what the constant does once it acts.
         """

@@ -1,4 +1,4 @@
-"""The discrepancy START → END of one bench: what the calibrated force-transfer model lacks, with its uncertainty.
+"""Discrepancy START → END of one bench: error of the calibrated force-transfer model, with its uncertainty.
 
 ln(estimated END / measured END) is a Bayesian linear model of a few features of the controller's own simulated state:
 load, knee angle, pre-sliding states of rope and fabric (their direction history) and how slowly both slide.
@@ -47,7 +47,7 @@ class EndDiscrepancy(NamedTuple):
     """Posterior of the discrepancy: mean and covariance of the features' coefficients, and the ranges seen.
 
     `force_n`: END, N; `flexion_rad`: |knee angle|; `speed_m_s`: the fabric's largest speed on the rope's side.
-    `prior` and `residual`: standard deviations of the coefficients before the fit and of what is left after it.
+    `prior` and `residual`: standard deviations of the coefficients before the fit and of its residual.
     """
 
     mean: tuple[float, ...]

@@ -70,14 +70,14 @@ class DecodedCycles(NamedTuple):
 
 
 def prefixes(bench: DeclaredBench) -> tuple[str, ...]:
-    """Return what the signals of each force path begin with: nothing on a bench of a single one."""
+    """Return the prefix of each force path's signals; empty on a bench of a single path."""
     return ("",) if len(bench.force_paths) == 1 else tuple(f"{path.name}." for path in bench.force_paths)
 
 
 def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
-    """Return what every PDO of a bench carries: the nodes' TPDOs by force path, then the targets.
+    """Return the contents of every PDO of a bench: the nodes' TPDOs by force path, then the targets.
 
-    The TPDO of a joint that two paths have is there for each of them.
+    The TPDO of a joint that two paths share is listed for each of them.
     """
     found, bench = [], wire.network.bench
     paths = list(zip(bench.force_paths, prefixes(bench), wire.paths, strict=True))
@@ -99,7 +99,7 @@ def layout(wire: WireLayout) -> tuple[PdoSource, ...]:
 
 
 def _input(wire: WireLayout, path: ForcePath, prefix: str, place: str, node: int, radius: float) -> PdoSource:
-    """Return what a TPDO carries for one force path."""
+    """Return the signals that a TPDO carries for one force path."""
     plan, entry = wire.tpdo[tpdo_cob_id(node)], wire.nodes[node]
     sent = next(device.type.sent for device in wire.network.bench.devices if device.node_id == node)
     signals = {entry.part(part).entry.key: signal for (of, part), signal in INPUTS.items()

@@ -102,7 +102,7 @@ def perform(
 
 
 def _walked(walked: tuple[str | None, list[Segment]], found: Identified) -> Identified:
-    """Return an identification with what its gait trials told."""
+    """Return an identification with the discrepancy fitted to its gait trials."""
     from master.identification import identify
 
     reason, gaits = walked

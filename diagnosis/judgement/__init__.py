@@ -1,1 +1,1 @@
-"""The judgement: which effects are named, which cannot be told apart, and what another experiment would show."""
+"""Judgement of a search: effects that are named, the ambiguity set, and the experiment that would split it."""

@@ -1,7 +1,7 @@
-"""What a search is judged by: which effect pays, where a further one may be, what remains unexplained.
+"""Selection criteria of the effect search: accepting an effect, searching for a further one, reporting a lack of fit.
 
-The rule of this file: thresholds are `verdict`'s; a criterion sees models on unseen cycles and the setting that they
-belong to, and fits nothing but what it asks the search for.
+The thresholds are those of `verdict`. A criterion compares models on held-out cycles within one setting, and fits
+nothing except through the search.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from physics.parameters import PARAMETERS
 
 @dataclass(frozen=True)
 class SearchCriteria:
-    """The criteria of one setting.
+    """Selection criteria of one setting.
 
-    `splits`: only a class found elsewhere is split, on data of which no healthy floor is known.
+    `splits`: only an ambiguity set found elsewhere is split, on data without a reference RMSE.
     """
 
     setting: ProblemSetting
     splits: bool = False
 
     def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
-        """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
+        """Whether `model` passes the selection test against `lesser`; both are models of `search`."""
         if self.splits:
             return True
         added = [c for c in model.effects if c not in lesser.effects]
@@ -39,7 +39,7 @@ class SearchCriteria:
             return False
         if self.setting.any_rig:
             return self._likelier(lesser, model, search)
-        # what unseen cycles say can be the lesser model's ill luck in one fold; what all of them say cannot
+        # a held-out fall can be due to a poor local minimum in one fold; a fall on all cycles cannot
         relief = lesser.prior_penalty - model.prior_penalty
         least = verdict.STRAINED if self.setting.elsewhere else verdict.LEAST_FALL
         least_fall = least if relief >= least else verdict.least_fall(
@@ -57,7 +57,7 @@ class SearchCriteria:
         if any(self._beyond(c, model) or self.stopped(c, model) for c in added):
             return False
         if relief >= least:
-            # a healthy bench can be bent to do nearly the same, but not as one that is like the healthy ones
+            # constants of a reference bench can fit nearly as well, but only in conflict with their prior
             return True
         kept = 1.0 - verdict.FURTHER_ELSEWHERE
         if self.setting.elsewhere and all(model.by_relation[n] > kept * lesser.by_relation[n]
@@ -70,9 +70,9 @@ class SearchCriteria:
                    >= verdict.MISMATCH * self._excess(base, n) for n, share in cuts.items())
 
     def _fall(self, lesser: FittedEffects, model: FittedEffects, added: Sequence[Candidate]) -> float:
-        """Return the fall of the score in the relations that the effects `added` move (all, where none was).
+        """Return the fall of the score in the equations that the effects `added` move (in all, if none was added).
 
-        What another one gains beside it (a servo's loop, fitted from elsewhere) is none of its doing.
+        An improvement elsewhere (a servo loop, refitted from another start) is not credited to these effects.
         """
         own = frozenset().union(*(c.parameters for c in added))
         reached = dict.fromkeys(b.relation.name for b in self.setting.blocks if not own or b.uses & own)
@@ -80,15 +80,15 @@ class SearchCriteria:
             lesser.by_relation[n] - model.by_relation[n] for n in reached)
 
     def _likelier(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
-        """Whether a model pays on a rig of which no scatter is known, as it is or in the place of a nameless constant.
+        """Whether a model passes without reference trials, as fitted or without a constant outside the catalogue.
 
-        Where a constant that no effect names (load-free friction, say) takes too little beside the effect to be needed,
-        the effect is judged without it: a name of the catalogue comes before a constant that is free to stand in.
+        If such a constant (e.g. load-free friction) is not needed beside the effect, the effect is tested without it.
+        An effect of the catalogue has priority over a constant that could absorb it.
         """
         if self._takes(lesser, model, search.baseline):
             return True
         units = {p.unit for c in model.effects if c not in lesser.effects for p in CATALOGUE[c.name].parameters}
-        # a sensor's offset is as level as the constant: one does not stand for the other
+        # a sensor's offset is as constant as such a parameter: neither replaces the other
         for name in self.setting.nameless if lesser.effects and units != {"N"} else ():
             bare = search.lacking(model, name)
             if not self._takes(bare, model, search.baseline) and self._takes(
@@ -97,9 +97,10 @@ class SearchCriteria:
         return False
 
     def _takes(self, lesser: FittedEffects, model: FittedEffects, base: FittedEffects) -> bool:
-        """Whether a model is likelier than a lesser one, by the ratio of likelihoods n·ln(χ²₀/χ²₁), in some relation.
+        """Whether a model is likelier than a lesser one in some equation, by the likelihood ratio n·ln(χ²₀/χ²₁).
 
-        n are the samples that count as independent; a law that no rig keeps exactly takes its share beside it.
+        n: effective number of samples. A minimum share of χ² is required as well, because no rig follows a submodel
+        exactly.
         """
         for n, share in verdict.cut(lesser, model).items():
             left, fall = model.by_relation[n], lesser.by_relation[n] - model.by_relation[n]
@@ -112,16 +113,16 @@ class SearchCriteria:
         return False
 
     def noise(self, relation: str, model: FittedEffects) -> float:
-        """Return by how much the χ² of a relation may rise by chance: three standard deviations of χ²."""
+        """Return by how much χ² of an equation may rise by chance: three standard deviations of χ²."""
         expected = self.setting.healthy_squares(relation) or model.by_relation[relation]
         return 3.0 * math.sqrt(2.0 * max(expected, 1.0))
 
     def says(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
-        """Whether an effect of a model is a find: its value is not the healthy one, and it is not its level alone."""
+        """Whether an effect of a model is detected: it differs from the reference, beyond its base coefficient."""
         return self.differs(effect, model) and self.leads(effect, model, search)
 
     def _beyond(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether an effect has moved a parameter by more than lies between the ends of what the catalogue expects."""
+        """Whether a parameter changed by more than twice the largest departure from absence in the catalogue."""
         healthy = self.setting.reference.values
         for name, (low, high) in effect.likely.items():
             absent = PARAMETERS[name].neutral
@@ -132,19 +133,20 @@ class SearchCriteria:
         return False
 
     def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether a bound has stopped an effect's size: what would need more of it than there can be is something else.
+        """Whether a bound limits the size of an effect: a need for a larger size than possible indicates another cause.
 
-        A parameter of its shape may stand on one.  Of a rig beside its healthy trials alone: against an ideal
-        transmission nothing else could stand in, and the bench's laws reach a bound by what they lack (0034).
+        Shape parameters may rest on a bound. The test applies only to a rig of another kind with reference trials.
+        Against an ideal transmission no other cause can be named; on the bench, systematic error drives parameters to
+        bounds (0034).
         """
         shapes = _shapes(CATALOGUE[effect.name])
         return self.setting.elsewhere and any(name not in shapes for name in effect.on_bound(model.fit.values))
 
     def differs(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether a parameter of an effect is outside of the band of like benches; inside, nothing is to be found.
+        """Whether a parameter of an effect lies outside the population's band; inside the band no effect is reported.
 
-        The band is about what is expected beside the other constants of the model.  A law that is freed with its level
-        must say something beside that, and one that no healthy bench has a band of must be told from nothing.
+        The band is conditional on the other constants of the model. An effect that is freed with its base coefficient,
+        or that has no band in the reference condition, must also differ significantly from its reference value.
         """
         at, healthy = model.fit.values, self.setting.reference.values
         bands = {f.name: f for f in self.setting.reference.nuisance if math.isfinite(f.sigma)}
@@ -160,16 +162,17 @@ class SearchCriteria:
         absences = {p.name: p.neutral for p in CATALOGUE[effect.name].parameters}
         shapes = _shapes(CATALOGUE[effect.name])
         changes = {n: model.fit.values[n] - self.setting.reference.values[n] for n in outside if n not in shapes}
-        # what has no absence (friction, stiffness) is judged by its band, or by the scale on which the catalogue has it
+        # a parameter without neutral value (friction, stiffness) is judged by its band or its catalogue scale
         return any(verdict.material(CATALOGUE[effect.name], n, c) if absences[n] is not None else
                    n in bands or abs(c) >= verdict.MATERIAL * scale for n, c in changes.items()
                    for scale in (next(f.scale for f in effect.frees if f.name == n),))
 
     def leads(self, effect: Candidate, model: FittedEffects, search: Search) -> bool:
-        """Whether a law says something beside its level, which is freed with it: else the level has changed.
+        """Whether an effect is needed beyond its base coefficient, which is freed with it.
 
-        A level is said at one load, bend or time; at another one within its range it is off by the law's own share.
-        Where it has moved further, the law must take more beside it than it takes by itself.
+        A base coefficient holds at one load, bend or time. Within the range of the effect it may be off by the share
+        that the effect changes it by. If it has moved further, the effect must reduce χ² by at least as much as the
+        base coefficient does.
         """
         values, healthy = model.fit.values, self.setting.reference.values
         change = max((abs(values[f.name] - healthy[f.name]) for f in effect.frees), default=0.0)
@@ -189,10 +192,10 @@ class SearchCriteria:
         return law >= verdict.LEAST_FALL and law >= lesser.fit.cost - model.fit.cost
 
     def can_improve(self, model: FittedEffects) -> bool:
-        """Whether a model leaves more than healthy trials do (always, where none says), or strains what is known.
+        """Whether a further effect may be detected: the χ² exceeds the reference, or the prior penalty is too large.
 
-        An effect may be all in what a healthy bench may vary; a second one is looked for where the first leaves that
-        further away than it is by chance.
+        An effect may lie entirely within the bands of the reference condition. A second one is searched if the first
+        still has a prior penalty beyond chance. Without reference trials the answer is always yes.
         """
         if self.setting.floors is None or self.splits or self._strained(model) or (
                 not model.effects and model.prior_penalty > verdict.STRAINED):
@@ -201,7 +204,7 @@ class SearchCriteria:
                    + self.noise(n, model) for n in self.setting.checked)
 
     def has_unexplained_residual(self, model: FittedEffects, baseline: FittedEffects) -> bool:
-        """Whether structure remains that a model does not explain; only healthy trials can say."""
+        """Whether a model has a lack of fit; this requires reference trials."""
         if self.setting.floors is None or self.splits:
             return False
         checked = self.setting.checked
@@ -214,26 +217,27 @@ class SearchCriteria:
         return left > verdict.STRANGE_SHARE * whole and rise * left > verdict.STRANGE_NAMED * whole
 
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
-        """Whether the foremost effects are not enough to go by; only healthy trials can say."""
+        """Whether all effects must be fitted because the foremost ones fail; this requires reference trials."""
         if self.setting.floors is None or self.splits:
             return False
         return self.has_unexplained_residual(model, baseline) or (not model.effects and (
             self._rise(model, self.setting.checked) > verdict.WANTING - 1.0 or self._strained(model, verdict.TWICE)))
 
     def needs_pairs(self, baseline: FittedEffects) -> bool:
-        """Whether two effects may be at work that only pay together: more is left than on healthy trials.
+        """Whether pairs of effects must be tried, as two may pass only together: the baseline has a lack of fit.
 
-        On a rig that nothing is known of, everything that a real one has is an effect, and any two may hide each other.
+        On a rig of another kind without reference trials every departure from the ideal is an effect, and any two may
+        mask each other.
         """
         return not self.splits and (self.setting.any_rig or self.has_unexplained_residual(baseline, baseline))
 
     def _strained(self, model: FittedEffects, deviations: float = verdict.THRICE) -> bool:
-        """Whether a model leaves what is known beforehand further away than it is by chance, by so many deviations."""
+        """Whether the prior penalty of a model exceeds its mean by more than `deviations` standard deviations of χ²."""
         count = sum(math.isfinite(f.sigma) for f in model.fit.free)
         return model.prior_penalty > count + deviations * math.sqrt(2.0 * count)
 
     def _rise(self, model: FittedEffects, relations: Sequence[str]) -> float:
-        """Return by how many healthy floors the RMSE of one of the `relations` exceeds one; −1 of none."""
+        """Return the largest RMSE of the `relations`, in units of its reference RMSE, less 1; −1 without relations."""
         floors = self.setting.floors or {}
         return max((self.setting.rmse(n, model.by_relation[n]) / floors[n] for n in relations), default=0.0) - 1.0
 
@@ -242,9 +246,10 @@ class SearchCriteria:
 
 
 def _shapes(effect: Effect) -> set[str]:
-    """Return the parameters that say how an effect goes, where another one says how much of it there is.
+    """Return the shape parameters of an effect whose size is another parameter.
 
-    The speed of a breakaway, the phase of a drum: no absence, and no like bench differs in them.
+    Examples: the speed of a breakaway, the phase of a drum. They have no neutral value, and no spread in the bench
+    population.
     """
     if all(p.neutral is None for p in effect.parameters):
         return set()

@@ -1,12 +1,13 @@
-"""Which experiment splits a class of effects that one gait trial confuses: calculated, not listed.
+"""Choice of the experiment that best splits the ambiguity set of a gait trial, by predicted χ².
 
-The rule of this file: an experiment is proposed where the relations, on its motion, tell the chosen model from each
-rival though the rival and all that a healthy bench may vary are fitted again.  d: difference of the two models'
-predictions in floors; J: slopes of what is fitted, P its prior precision; what is left is
-|d|² − dᵀJ·(JᵀJ + P)⁻¹·Jᵀd.  It must reach the verdict's own least fall of χ², and as a share of what the chosen
-effect does it must exceed that of the gait: the same share on a gait has left the class.
-Motions are those of `physics.effects.separating_experiments`.  END and the knee follow the waypoints; START and the
-rope are what the bench model's relations predict for them at the values of the reference condition.
+An experiment is proposed if the equations, on its motion, separate the chosen model from each competing hypothesis. The
+competing model and all constants of the reference condition are refitted for this comparison. d: difference of the
+predictions of both models in weights; J: slopes of the refitted parameters; P: their prior precision. The separation is
+|d|² − dᵀJ·(JᵀJ + P)⁻¹·Jᵀd. It must reach the least fall of χ² of a verdict. As a share of the chosen effect's χ² it
+must also exceed that of the gait, which did not split the set.
+
+Motions are those of `physics.effects.separating_experiments`. END and the knee follow the waypoints. START and the rope
+are predicted by the bench model's equations in the reference condition.
 """
 
 from __future__ import annotations
@@ -38,33 +39,33 @@ Values = Mapping[str, float]
 
 RATE_HZ: Final = 25.0
 GAIT: Final = "gait"
-"""Name of the motion that the class of effects was found by: ten gait cycles."""
+"""Name of the motion on which the ambiguity set was found: ten gait cycles."""
 WEIGHT: Final = "weight"
-"""The relation that a known weight at END adds: END's reading from the weight."""
+"""Name of the equation that a known weight at END adds: reading of END, from the weight."""
 SPLITS: Final = 0.10
-"""Share of what the chosen effect does that an experiment must show beyond what the gait shows of it."""
+"""Least excess of an experiment over the gait in the share of the effect's χ² that only the true model explains."""
 RIDGE: Final = 1e-9
 STEP: Final = 0.02
-"""Step of a slope, of a slot's scale."""
+"""Step of a slope's difference, as a share of the parameter's scale."""
 BEND: Final = 1.5
-"""Change of the sheath's bend in known_bend."""
+"""Factor on the sheath's bend angle in the second half of known_bend."""
 SENSOR_SLOTS: Final = ("gain", "offset", "drift")
 ROUNDS: Final = 7
-"""Rounds in which START and the rope are brought to agree: START is then within 0.1 N (RMS) of its prediction.
+"""Iterations that make START and the rope consistent: START is then within 0.1 N (RMS) of its prediction.
 
-`tests/diagnosis/test_experiment_choice.py` measures that; with one round START is off by up to 7 N.
+`tests/diagnosis/test_experiment_choice.py` measures this; with one iteration START is off by up to 7 N.
 """
 CALCULATED: Final = tuple(name for name, experiment in EXPERIMENTS.items() if experiment.waypoints)
-"""Experiments whose motion has waypoints; of the others nothing is claimed."""
+"""Experiments whose motion is defined by waypoints; no separation is calculated for the others."""
 
 
 def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) -> str | None:
-    """Return the experiment that splits the class `rivals`, the chosen effects first; None where there is no class.
+    """Return the experiment that splits the ambiguity set `rivals`, chosen effects first; None if only these are in it.
 
-    Of those that the class's effects name, else of all: what splits every pair best and the bench runs by itself,
-    then what splits every pair by hand.  Where none does, the one that is best at the worst pair, by itself first;
-    without a calculation (a rig of which nothing is known) the first that is named.  Either model of a pair may be
-    the true one: what counts is the mean of both ways.
+    Experiments of the set's effects come first, then all others. Among those that split every pair, automatic ones
+    precede manual ones, then the best one is taken. If none splits every pair, the experiment with the best worst pair
+    is returned, automatic ones first. Without a calculation (a rig of another kind) the first automatic experiment of
+    the effects is returned. Each pair is calculated with either model as the true one; the mean of both counts.
     """
     chosen = found.best.names
     others = [name for name in rivals if name not in chosen]
@@ -88,13 +89,13 @@ def choose(rivals: Sequence[str], found: SearchResult, setting: ProblemSetting) 
 
 
 def _rival(found: SearchResult, name: str) -> FittedEffects | None:
-    """Return the best model of as many effects in which `name` stands."""
+    """Return the best model that contains `name` and as many effects as the chosen one; None if none was fitted."""
     held = [m for m in found.models if name in m.names and len(m.names) == len(found.best.names)]
     return min(held, key=lambda m: m.rank, default=None)
 
 
 class Pair:
-    """One model, taken for the truth, against another that is fitted to what it says, on any experiment."""
+    """Pair of models: the predictions of the first, taken as true, are fitted by the second on any experiment."""
 
     def __init__(self, one: FittedEffects, other: FittedEffects, setting: ProblemSetting) -> None:
         nuisance = {f.name: f for f in setting.reference.nuisance}
@@ -105,9 +106,9 @@ class Pair:
         self._free = list((nuisance | {f.name: f for effect in other.effects for f in effect.frees}).values())
 
     def gained(self, name: str) -> float:
-        """Return by how much the share that only the true model explains exceeds the gait's, which left the class.
+        """Return the share of χ² that only the true model explains, less that share on the gait.
 
-        Negative infinity where what is left is too little to be seen.
+        Negative infinity if the separation is too small to be detected.
         """
         left = self._apart(name, self._other, self._free)
         return -math.inf if left < LEAST_FALL else self._share(name, left) - self._gait
@@ -127,9 +128,9 @@ class Pair:
 
 def apart(name: str, signals: Signals, one: Values, other: Values, free: Sequence[Free], weights: Mapping[str, float],
           prior: Prior) -> float:
-    """Return the χ² between two sets of values on the `signals` of experiment `name`, `free` of `other` fitted again.
+    """Return the χ² between two sets of values on the `signals` of experiment `name`, with `free` of `other` refitted.
 
-    `weights`: of each checked relation, in its unit, its floor by the root of the samples that count as one.
+    `weights`: of each checked equation, in its unit, reference RMSE times the root of the samples per effective sample.
     """
     relations = _readable(name, weights)
     told = {r: _told(name, signals, r, other, weights) for r in relations}
@@ -158,7 +159,7 @@ def apart(name: str, signals: Signals, one: Values, other: Values, free: Sequenc
 
 
 def _readable(name: str, weights: Mapping[str, float]) -> list[str]:
-    """Return the checked relations that an experiment can be asked for, and WEIGHT where one hangs at END."""
+    """Return the checked equations that an experiment can test, and WEIGHT if a known weight hangs at END."""
     if name == "dead_weight":
         return [r for r in weights if r in RELATIONS and r not in ("servo", "knee", "drive_force")] + [WEIGHT]
     return [r for r in weights if r in RELATIONS]
@@ -169,7 +170,7 @@ def _reads(relation: str, slot: str) -> bool:
 
 
 def _told(name: str, signals: Signals, relation: str, values: Values, weights: Mapping[str, float]) -> Array:
-    """Return what a relation predicts on an experiment under `values`, in weights."""
+    """Return the prediction of an equation on an experiment under `values`, divided by the equation's weight."""
     if relation == WEIGHT:
         end = (values["end_gain"] * signals["tension_end_n"] + values["end_offset"]
                + values["end_drift"] * signals.progress
@@ -183,7 +184,7 @@ def _told(name: str, signals: Signals, relation: str, values: Values, weights: M
 
 
 def _changed(name: str, values: Values) -> dict[str, float] | None:
-    """Return the values of an experiment's second half, where hands have changed the bench in between."""
+    """Return the values in the second half of an experiment in which an operator changes the bench; else None."""
     if name == "known_bend":
         return {**values, "theta1": BEND * values["theta1"]}
     if name == "swapped_sensors":
@@ -193,12 +194,12 @@ def _changed(name: str, values: Values) -> dict[str, float] | None:
     return None
 
 
-@functools.lru_cache(maxsize=1)  # what their laws remember is larger than a trial
+@functools.lru_cache(maxsize=1)  # cached results of the submodels are larger than a trial
 def predicted_signals(name: str, healthy: tuple[tuple[str, float], ...]) -> Signals:
-    """Return the signals of an experiment's motion as the bench model predicts them at the values `healthy`.
+    """Return the signals of an experiment's motion, predicted by the bench model at the values `healthy`.
 
-    Each round predicts START from END over the rope's motion, then winds the rope by as much as the knee angle that
-    it gives is off.
+    Each iteration predicts START from END and the rope's motion, then corrects the rope by the resulting error of the
+    knee angle.
     """
     values = dict(healthy)
     points = gaits(10) if name == GAIT else EXPERIMENTS[name].waypoints

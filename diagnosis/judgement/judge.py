@@ -1,8 +1,8 @@
-"""The judgement on one setting: what was found, and what is said of it.
+"""Judgement of one setting: the search, and the results that a verdict reports from it.
 
-The rule of this file: thresholds are `verdict`'s, what leads the search is `criteria`'s.  Figures of the chosen model
-are refitted fold by fold; a parameter is told as its declared healthy value plus the change that the trial shows
-against the healthy ones.
+Thresholds are those of `verdict`, selection criteria those of `criteria`. Figures of the chosen model are refitted fold
+by fold. A parameter is reported as its declared reference value plus the change between the trial and the reference
+trials.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from physics.parameters import PARAMETERS, RELATION_PARAMETERS
 from physics.relations.relation import RELATIONS
 
 MOST_ON_BENCH: Final = 2
-"""Effects in one verdict; what needs a third is not explained."""
+"""Most effects in one verdict on the bench; data that need a third one are reported as unexplained."""
 MOST_ELSEWHERE: Final = 6
-"""On a rig compared with an ideal transmission, everything that a real one has is an effect."""
+"""Most effects on a rig that is compared with an ideal transmission, where every departure is an effect."""
 
 
 class Judge:
     """One search and its verdict.
 
-    `within`: the judgement whose class this one only splits, on data of which no healthy floor is known.
+    `within`: the judgement whose ambiguity set this one splits, on data without a reference RMSE.
     """
 
     def __init__(self, setting: ProblemSetting, holdout: Sequence[Table], within: Judge | None = None) -> None:
@@ -46,13 +46,13 @@ class Judge:
         for model in within.found.models if within is not None else ():
             own = [c for c in offered if c.name in model.names]
             if len(own) == len(model.effects) > 0:
-                # what the gait alone has led to is where an effect starts beside the experiment, too
+                # the parameters fitted to the gait alone are a starting point beside the experiment, too
                 self.search.model(own, {**self.search.start, **model.fit.values})
         most = MOST_ELSEWHERE if setting.any_rig else MOST_ON_BENCH
         self.found: SearchResult = self.search.run(most if within is None else len(within.found.best.effects))
 
     def word(self) -> str:
-        """Return none, found, ambiguous or unexplained."""
+        """Return the verdict: none, found, ambiguous or unexplained."""
         if self._strange():
             return "unexplained"
         if not self.found.best.effects:
@@ -63,20 +63,20 @@ class Judge:
         return self.criteria.has_unexplained_residual(self.found.best, self.found.baseline)
 
     def rivals(self) -> list[str]:
-        """Return the class, the chosen effects first; nothing is named where structure remains."""
+        """Return the ambiguity set, the chosen effects first; empty if the chosen model has a lack of fit."""
         if self._strange():
             return []
         if self.within is not None:
             return list(verdict.unsplit(self.found, self.setting.structure, self.criteria.differs))
-        # on the gait alone two laws that trade against each other are both uncertain, which speaks against neither
+        # on the gait alone two confounded effects both have a large σ, which does not exclude either
         return list(verdict.rivals(self.found, lambda c, m: self.criteria.leads(c, m, self.search),
                                    lambda lesser, m: self.criteria.pays(lesser, m, self.search)))
 
     def holding(self) -> list[Block]:
-        """Return the blocks less those of an experiment in relations that no model of the class meets there.
+        """Return the blocks without those of an experiment in equations that no model of the ambiguity set fits there.
 
-        What healthy trials leave is known of their own motion; in another one a law may not hold, and what the class
-        leaves then says nothing of which of them is at work.
+        The residuals of reference trials hold for their own motion. On another motion a submodel may be wrong; its
+        residual then carries no information about which effect is present.
         """
         class_of = [m for m in self.found.models if len(m.effects) == len(self.found.best.effects)]
         kept = set[int]()
@@ -88,11 +88,11 @@ class Judge:
         return [b for i, b in enumerate(self.setting.blocks) if i in kept or not of_experiment(b)]
 
     def told_by(self, kept: Sequence[Block]) -> bool:
-        """Whether an experiment, of which `kept` blocks are left, shows anything that an effect of the class moves."""
+        """Whether the `kept` blocks of an experiment read a parameter of some effect in the ambiguity set."""
         return any(of_experiment(b) and b.uses & c.parameters for b in kept for c in self.search.offered)
 
     def _of_experiment(self, relation: str) -> list[int]:
-        """Return the places of the blocks of a relation that an experiment has recorded."""
+        """Return the indices of an equation's blocks that an experiment recorded."""
         return [i for i, b in enumerate(self.setting.blocks) if b.relation.name == relation and of_experiment(b)]
 
     @staticmethod
@@ -100,19 +100,20 @@ class Judge:
         return sum(float(model.fit.residuals[i] @ model.fit.residuals[i]) for i in places)
 
     def experiment(self) -> str | None:
-        """Return the experiment that splits the class by calculation, None where nothing is to be split by one."""
+        """Return the experiment that splits the ambiguity set by calculation; None if the set needs no experiment."""
         blind = {c.name for c in self.setting.blind}
         return experiment_choice.choose([n for n in self.rivals() if n not in blind], self.found, self.setting)
 
     def blind_rivals(self) -> list[str]:
-        """Return, as sentences, the rivals that only a column tells from the chosen effects that is not there."""
+        """Return, as sentences, the competing hypotheses that only a missing column could separate from the chosen
+        effects."""
         shows = {c.name: CATALOGUE[c.name].relations[0] for c in self.setting.blind}
         lacks = {name: ", ".join(columns) for name, columns in self.setting.missing.items()}
         return [f"{name} shows first in {shows[name]}: record {lacks[shows[name]]} to tell it from what is named."
                 for name in self.rivals() if name in shows]
 
     def causes(self) -> list[dict[str, Any]]:
-        """Return the chosen effects with their parameters and what each one gains."""
+        """Return the chosen effects with their parameters and each one's gain in %."""
         return [] if self._strange() else [self._cause(c) for c in self.found.best.effects]
 
     def _cause(self, cause: Candidate) -> dict[str, Any]:
@@ -133,16 +134,16 @@ class Judge:
                 "gain_percent": 100.0 * max(verdict.cut(without, best).values())}
 
     def _likeness(self, parameter: str) -> float:
-        """Return 1σ of the healthy value among like benches; 0 where nothing is known of it."""
+        """Return 1σ of the reference value in the bench population; 0 if the parameter has no band."""
         reference, fit = self.setting.reference, self.found.best.fit
         band = next((f for f in reference.nuisance if f.name == parameter and math.isfinite(f.sigma)), None)
         return 0.0 if band is None else reference.prior.expected(band, fit.free, fit.values)[1]
 
     def session(self) -> dict[str, Any] | None:
-        """Return what differs from the healthy trials of a rig of another kind, named or not; None on the bench.
+        """Return the differences from the reference trials of a rig of another kind, named or not; None on the bench.
 
-        `as_identified`: RMSE by relation of the healthy trials' model, nothing refitted.  `shifts`: constants that
-        differ for certain, with 95 % intervals by the fit's curvature.
+        `as_identified`: RMSE by equation of the reference model without refitting. `shifts`: constants that differ
+        significantly, with 95 % intervals from the fit's curvature.
         """
         if not self.setting.elsewhere:
             return None
@@ -158,7 +159,7 @@ class Judge:
                                   for n in self.setting.checked}, "shifts": shifts}
 
     def figures(self) -> dict[str, verdict.Figures]:
-        """Return every relation's figures, those that were not checked marked so."""
+        """Return the figures of every equation; those that were not checked are marked."""
         lacking = blocks.allowed(self.holdout) if self.holdout else {}
         ahead = blocks.blocks_of(
             self.holdout, [n for n in self.setting.checked if not lacking[n]], self.setting.taut,
@@ -179,14 +180,14 @@ class Judge:
         return verdict.Figures(unit, True, floor, before.rmse(name), after.rmse(name), held, mended, gain, low, high)
 
     def limits(self) -> dict[str, Mapping[str, Any]] | None:
-        """Return the smallest size of each effect that these data could have shown; None on an unknown rig."""
+        """Return the smallest size of each effect that these data could detect; None on a rig of another kind."""
         if self.setting.any_rig or self.setting.elsewhere:
             return None
         from diagnosis.judgement.plan import sight
 
         named = {f.name: self._size(f.name) for c in (() if self._strange() else self.found.best.effects)
                  for f in c.frees}
-        # what was named is not smaller than what could have been
+        # the detection limit of a named effect is at most its size
         told: dict[str, Mapping[str, Any]] = {}
         for limit in sight(self.setting, self.found.baseline.fit):
             size = limit.size
@@ -196,7 +197,8 @@ class Judge:
         return told
 
     def _size(self, parameter: str) -> float:
-        """Return how large a named parameter is: its change, or what is told less absence where that is less."""
+        """Return the size of a named parameter: its change, or its reported departure from the neutral value if
+        smaller."""
         at, declared = self.found.best.fit.values[parameter], self.setting.declared[parameter]
         change = abs(at - self.setting.reference.values[parameter])
         neutral = PARAMETERS[parameter].neutral
@@ -204,7 +206,7 @@ class Judge:
         return change if neutral is None else min(change, abs(told - neutral))
 
     def on_bounds(self) -> list[str]:
-        """Return, as sentences, the chosen effects' parameters that stand on a bound: those are no measurements."""
+        """Return, as sentences, the chosen effects' parameters that rest on a bound: these are not measurements."""
         if self._strange():
             return []
         values = self.found.best.fit.values
@@ -213,7 +215,7 @@ class Judge:
 
 
 def of_experiment(block: Block) -> bool:
-    """Whether a block is of a trial that is no gait."""
+    """Whether a block is of an experiment, not of a gait trial."""
     return not block.signals.has("gait_percent")
 
 

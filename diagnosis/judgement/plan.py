@@ -1,9 +1,9 @@
-"""Before any trial: the smallest size of each effect that an experiment would show.
+"""Detection limits before a trial: the smallest size of each effect that an experiment would detect.
 
-The rule of this file: the same relations, bands, floors and thresholds as the verdict's, on a simulated healthy
-trial of the experiment.  What an effect does to the residuals, Δ, counts only as far as the nuisance (slopes J, prior
-precision P) cannot follow it, Δ⊥ = Δ − J·(JᵀJ + P)⁻¹·Jᵀ·Δ; its size is scaled down, linearly, to where it would just be
-named.
+Equations, bands, reference RMSE and thresholds are those of a verdict, applied to a simulated reference trial. Δ:
+change of the residuals by an effect; J: slopes of the nuisance parameters; P: their prior precision. Only the part of Δ
+that the nuisance cannot absorb counts: Δ⊥ = Δ − J·(JᵀJ + P)⁻¹·Jᵀ·Δ. The size of the effect is scaled down, linearly,
+until it would just be named.
 """
 
 from __future__ import annotations
@@ -31,15 +31,17 @@ from physics.laws import Array
 from physics.relations.relation import RELATIONS
 
 RISE: Final = 1.0 / (1.0 - LEAST_GAIN) ** 2 - 1.0
-"""Mean square that an effect must add to a relation's, in floors squared, to be `LEAST_GAIN` of its RMSE."""
+"""Mean square that an effect must add to an equation's residual, in squared reference RMSE. Without the effect the RMSE
+is then lower by the share `LEAST_GAIN`."""
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The least an experiment shows of one effect.
+    """Detection limit of one effect in an experiment.
 
-    `size` departs from the healthy value by that much (None: not to be seen inside the bounds), the effect's other
-    parameters at `shape`; `relation` shows it most; `like`: effects that look the same, within the verdict's share.
+    `size`: smallest detectable departure from the reference value (None: not detectable within the bounds), with the
+    effect's other parameters at `shape`. `relation`: equation with the largest response. `like`: effects with the same
+    response, within the verdict's share.
     """
 
     effect: str
@@ -55,7 +57,8 @@ class Limit:
 
 @dataclass(frozen=True)
 class Plan:
-    """What an experiment would show; `floors` by relation, in its unit; `samples` that count as independent."""
+    """Detection limits of an experiment, and by equation its `floors` (reference RMSE) and effective `samples`.
+    `blind`: effects that no equation of the experiment responds to."""
 
     limits: tuple[Limit, ...]
     floors: Mapping[str, float]
@@ -63,11 +66,11 @@ class Plan:
     blind: tuple[str, ...]
 
     def unit(self, relation: str) -> str:
-        """Return the unit of a relation."""
+        """Return the unit of a prediction equation."""
         return RELATIONS[relation].unit
 
     def as_json(self) -> dict[str, Any]:
-        """Return the plan as plain values; what is not to be seen is None."""
+        """Return the plan as plain values; `smallest` is null for an undetectable effect."""
         return {
             "relations": {name: {"unit": self.unit(name), "floor": floor, "samples": self.samples[name]}
                           for name, floor in self.floors.items()},
@@ -78,10 +81,10 @@ class Plan:
 
 
 def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[str, Any] | None = None) -> Plan:
-    """Say what an experiment would show, from a simulated healthy trial of it.
+    """Return the detection limits of an experiment, from a simulated reference trial of it.
 
-    `healthy`: measured trials that the floors come from, in place of those of like benches.
-    Raises `InputError` where the trial holds no relation or too few laps.
+    `healthy`: measured reference trials that replace the assumed reference RMSE of the bench population. Raises
+    `InputError` if no equation can be checked or the trial has too few laps.
     """
     with threadpool_limits(1, user_api="blas"):
         return _planned(simulated, healthy, calibration)
@@ -96,7 +99,7 @@ def _planned(simulated: Table, healthy: Sequence[Table], calibration: Mapping[st
 
 
 def sight(setting: ProblemSetting, baseline: Fit) -> tuple[Limit, ...]:
-    """Return every effect's limit on a setting's own trials; `baseline`: what fits them without an effect."""
+    """Return the detection limit of every effect on a setting's own trials; `baseline`: their fit without an effect."""
     return _Sight(setting, baseline).plan().limits
 
 
@@ -104,7 +107,7 @@ _Seen = tuple[Mapping[str, float], NDArray[np.float32], float]
 
 
 class _Sight:
-    """Residuals of one healthy trial, and how they change."""
+    """Residuals of one reference trial, and their change by each effect."""
 
     def __init__(self, setting: ProblemSetting, baseline: Fit) -> None:
         self.setting, self.problem, self.fit = setting, setting.problem, baseline
@@ -116,7 +119,7 @@ class _Sight:
         self.names = names
 
     def plan(self) -> Plan:
-        """Return every effect's limit, and the effects that no relation of this trial sees."""
+        """Return the detection limit of every effect, and the effects that no equation of this trial responds to."""
         seen = {c.name: self._best(c) for c in self.setting.offered}
         limits = tuple(self._limit(c, *seen[c.name], seen) for c in self.setting.offered)
         blind = tuple(name for name in CATALOGUE if name not in seen)
@@ -124,11 +127,11 @@ class _Sight:
                     {n: self._independent(n) for n in dict.fromkeys(self.names)}, blind)
 
     def _best(self, candidate: Candidate) -> _Seen:
-        """Return the start along which the least of the effect shows, its Δ⊥ there, and the share that shows."""
+        """Return the start of the smallest detectable effect, Δ⊥ at this start, and the detectable share of Δ⊥."""
         moving, at = _moving(candidate), self.setting.reference.values
         tried = [(start, *self._share(self._change(start))) for start in candidate.starts]
         start, change, share = min(tried, key=lambda one: one[2] * abs(one[0][moving.name] - at[moving.name]))
-        return start, change.astype(np.float32), share  # every candidate's is held, to be laid beside every other's
+        return start, change.astype(np.float32), share  # kept for all candidates
 
     def _change(self, start: Mapping[str, float]) -> Array:
         values = {**self.fit.values, **start}
@@ -136,7 +139,7 @@ class _Sight:
         return np.asarray(change - self.slopes.T @ (self.inverse @ (self.slopes @ change)))
 
     def _share(self, change: Array) -> tuple[Array, float]:
-        """Return Δ⊥ and the share of it that just meets both thresholds; infinite where nothing is left of it."""
+        """Return Δ⊥ and the share of it that just meets both thresholds; infinite if Δ⊥ is zero."""
         fall = float(change @ change)
         by_relation = [float(change[self.place == i] @ change[self.place == i]) / self._independent(name)
                        for i, name in enumerate(self.names)]
@@ -161,24 +164,24 @@ class _Sight:
                                     and _alike(change, theirs) >= RIVAL_GAIN))
 
     def _floor(self, name: str) -> float:
-        """The floor of healthy trials, else of like benches, or what this trial is off by, if that is more."""
+        """Return the reference RMSE of an equation, in its unit, or the RMSE of this trial if larger."""
         rests = [r for n, r in zip(self.names, self.fit.residuals, strict=True) if n == name]
         off = math.sqrt(float(np.mean(np.concatenate(rests) ** 2))) * self.setting.weights[name]
         return max((self.setting.floors or FLOORS).get(name, 0.0), off)
 
     def _independent(self, name: str) -> float:
-        """Squares of a relation's residual, in weights, on a healthy trial: its floor over its samples."""
+        """Return χ² of an equation in the reference condition: its samples × (reference RMSE / weight)²."""
         return self.setting.samples(name) * (self._floor(name) / self.setting.weights[name]) ** 2
 
 
 def _moving(candidate: Candidate) -> EffectParameter:
-    """The parameter that says how large the effect is; the others shape it."""
+    """Return the parameter of an effect's size; the others are its shape."""
     parameters = CATALOGUE[candidate.name].parameters
     free = [p for p in parameters if p.name in candidate.parameters]
     return next((p for p in free if p.neutral is not None), free[0])
 
 
 def _alike(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    """Return the share of `one` that `other`, scaled, takes away."""
+    """Return the share of χ² of `one` that `other`, scaled, explains."""
     both = float(one @ one) * float(other @ other)
     return float(one @ other) ** 2 / both if both > 0.0 else 0.0

@@ -1,7 +1,7 @@
-"""The top line of a diagnosis: by how much the simulation of this bench misses START and END, before and after.
+"""Top line of a diagnosis: RMS error of the simulation of this bench in START and END, before and after.
 
-The rule of this file: the figures are of a holdout or of cycles that the fit they rest on has not seen; the bench is
-what the healthy trials made of the simulation, moved by what the trial's own fit moved.
+The figures are of a holdout or of held-out cycles. The simulated bench has the constants that fit the reference trials,
+plus the changes found by the trial's own fit.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from diagnosis.search.search import FittedEffects
 
 Values = Mapping[str, float]
 TAUGHT = 3
-"""Healthy trials that are simulated for comparison: enough for a figure, and no more time than the trial itself."""
+"""Most reference trials simulated for comparison: enough for a figure, in about the time of the trial itself."""
 
 
 def judged(judge: Judge, trials: Sequence[Table], holdout: Sequence[Table], healthy: HealthyTrials
            ) -> dict[str, Any] | None:
-    """Return `before_rms_n`, `after_rms_n`, of which `signals` and `on` what; None where nothing can be simulated.
+    """Return `before_rms_n` and `after_rms_n`, N, their `signals` and data (`on`); None without simulation.
 
-    `healthy_rms_n`: what the same simulation misses of the healthy trials that it was fitted to; None without any.
+    `healthy_rms_n`: RMS error of the same simulation on the reference trials of its fit; None without reference trials.
     """
     setting = judge.setting
     able = [t for t in (holdout or trials) if simulated_blocks.can(t)]
@@ -53,7 +53,7 @@ def _moved(base: Values, learnt: Values, fitted: Values) -> dict[str, float]:
 
 
 def _unseen(judge: Judge, model: FittedEffects, trials: Sequence[Table], base: Values) -> float | None:
-    """Return the RMS over the first fold's cycles, of values fitted to the other cycles."""
+    """Return the RMS over the first fold's cycles, N, with values fitted to the other cycles; None without samples."""
     values = _moved(base, judge.setting.reference.values, model.unseen.fitted[0])
     total, count, first = 0.0, 0, 0
     for given in trials:

@@ -1,7 +1,7 @@
-"""What may be said: before and after on unseen cycles, intervals, the class, and the word for it.
+"""Thresholds and figures of a verdict: RMSE before and after on held-out cycles, intervals, and the ambiguity set.
 
-The rule of this file: a figure is of cycles or files that the fit that made it has not seen, an interval comes
-from drawing whole cycles again, and what the data do not decide is left undecided.
+Every figure is of cycles or files that its own fit has not used. Intervals come from resampling complete cycles. A
+question that the data do not decide stays open.
 """
 
 from __future__ import annotations
@@ -19,78 +19,81 @@ from diagnosis.search.search import FittedEffects, SearchResult
 from physics.effects.effect import Effect
 
 LEAST_GAIN: Final = 0.08
-"""Share of a relation's RMSE on unseen cycles that an effect must take away."""
+"""Share of an equation's held-out RMSE by which an effect must reduce it."""
 LEAST_FURTHER: Final = 1.0 - math.sqrt(0.7)
-"""The same of what the first effect left: three tenths of its χ² beyond noise.  A law that is not quite the bench's own
-leaves some of what it explains, and a second one bends to that."""
+"""Share by which a further effect must reduce the RMSE that remains after the first: 30 % of its χ² beyond noise. A
+submodel that differs from the bench explains its effect incompletely, and a second one absorbs the remainder."""
 LEAST_FALL: Final = 40.0
-"""χ² that says something at all: the oracle of the family of plants counts from there."""
+"""Smallest Δχ² that can be distinguished from noise; the oracle of the bench population uses the same value."""
 BENT: Final = 100.0
-"""χ² on unseen cycles that an effect must take away which leaves the healthy constants as strained as they were: on
-healthy benches some law of the catalogue bends to what the laws leave there and takes up to 96."""
+"""Held-out Δχ² required of an effect that does not relieve a prior–data conflict. In the reference condition some
+submodel of the catalogue absorbs model error and reduces χ² by up to 96."""
 STRUCTURE: Final = 0.12
-"""The same, of the χ² that the laws leave on a healthy bench beyond noise."""
+"""Held-out Δχ² required of an effect, as a share of the χ² of systematic model error in the reference condition."""
 MISMATCH: Final = 0.02
-"""Share of a relation's whole excess below which a further effect mends only what the first one's law lacks; and of
-what an effect takes away, which another relation may lose to it: its law is not quite the bench's own."""
+"""Share of an equation's excess χ² below which an effect only absorbs model error. Also the share of its Δχ² by which
+an effect may raise χ² of another equation, since its submodel differs from the bench."""
 LEAST_RATIO: Final = 80.0
-"""n·ln(χ²₀/χ²₁) on unseen cycles that an effect must reach on a rig that nothing is known of."""
+"""Least n·ln(χ²₀/χ²₁) on held-out cycles of an effect on a rig of another kind without reference trials."""
 STRETCHED: Final = 0.5
-"""How far outside of where the catalogue expects it, of that range, a further effect's parameter may be: beyond, it
-mends what the first one's law lacks (of a friction that breaks away, a lever arm five times what is likely)."""
+"""Distance outside its expected range, as a share of that range, at which a further effect's parameter is rejected.
+Beyond, the effect absorbs error of the first submodel (with breakaway friction: a lever arm five times the likely
+one)."""
 FURTHER_ELSEWHERE: Final = 0.3
-"""Share of the χ² that the other effects leave in a relation, on unseen cycles, that one more must take away there: no
-floor says what the laws' own shortcomings are, and a further law bends to them (a Stribeck curve takes 15 % on a real
-cable drive, a tribometer 27 %, after its true causes)."""
+"""Share of an equation's held-out χ² by which a further effect must reduce it on a rig of another kind. The reference
+RMSE does not bound systematic error there, and a further submodel absorbs part of it. After the true causes, a Stribeck
+curve reduces χ² by 15 % on a real cable drive and by 27 % on a tribometer."""
 LEAST_GAIN_ELSEWHERE: Final = 0.03
 MISMATCH_ELSEWHERE: Final = 0.0
-"""Shares of RMSE, and of the baseline's whole χ², that it must take away there."""
+"""Shares of RMSE, and of the baseline's total χ², by which an effect must reduce them on such a rig."""
 LAW: Final = 0.10
-"""1σ of a parameter that another bench's laws cost, of its change: with it intervals cover 93.6 % of the 110 parameters
-that the family's serials below 800 have (with 0.06, from another structure of tests/hidden, 90.9 %)."""
+"""1σ of a parameter due to systematic model error, as a share of its change. With it, intervals cover 93.6 % of the 110
+parameters in the bench population's serials below 800 (with 0.06, from another structure of tests/hidden, 90.9 %)."""
 RIVAL_RMSE: Final = 0.10
 RIVAL_GAIN: Final = 0.85
 WORTH_A_LOOK: Final = 1.5
-"""Cost of a fit, of the chosen one's, from which a model is no rival whatever unseen cycles say."""
+"""Cost ratio to the chosen fit above which a hypothesis is excluded, whatever its held-out χ²."""
 STRANGE: Final = 1.33
-"""RMSE on unseen cycles, in healthy floors, that no longer counts as healthy: like benches differ by so much."""
+"""Held-out RMSE, in units of the reference RMSE, above which there is a lack of fit: benches of the population differ
+by up to this factor."""
 WANTING: Final = 1.2
-"""The same from which, where none of the foremost effects pays, all are fitted."""
+"""Held-out RMSE, in units of the reference RMSE, above which all effects are fitted if none of the foremost passes."""
 STRANGE_FALL: Final = 2.0 * BENT
-"""χ² above a healthy trial's that a relation must have, too: a small one's floor is soon exceeded by a third."""
+"""Excess χ² that an equation with a lack of fit must have, too: a small reference RMSE is soon exceeded by a third."""
 STRANGE_NAMED: Final = 0.225
-"""The same where an effect was chosen: RMSE less one floor, times the share of the excess χ² that it left."""
+"""Threshold of a lack of fit beside a chosen effect: (RMSE / reference RMSE − 1) × remaining share of the excess χ²."""
 STRANGE_SHARE: Final = 0.15
-"""Share of the excess over healthy χ² that may remain as the chosen law's own mismatch."""
+"""Share of the excess χ² that may remain as the chosen submodel's own error."""
 OPEN: Final = 0.1
-"""Excess of a relation over its healthy χ², in that, from which a further effect is looked for."""
+"""Excess χ² of an equation, as a share of the χ² of its systematic error, above which a further effect is searched."""
 STRAINED: Final = 15.0
-"""What the nuisance pays for standing away from what is known of it, from which an effect may be behind that; and by
-which an effect may not raise it: a true cause relaxes the rest, a false one bends it."""
+"""Prior penalty of the nuisance parameters above which an effect may be the cause, χ². Also the most by which an effect
+may raise the penalty: a true cause lowers it, a false one raises it."""
 TWICE: Final = 2.0
 THRICE: Final = 3.0
-"""Standard deviations of χ² above its mean from which what the nuisance pays is no chance: one trial in twenty, where
-that only costs a search of all effects, one in a thousand, where it opens the door to a second name."""
+"""Standard deviations of χ² above its mean from which a prior penalty is not due to chance. Beyond 2 (one trial in
+twenty) all effects are fitted, which only costs time. Beyond 3 (one in a thousand) a second effect may be named."""
 CERTAIN: Final = 2.0
-"""Departure from the healthy value, in 1σ of the fit, below which a value says nothing."""
+"""Departure from the reference value, in 1σ of the fit, below which a change is not significant."""
 MATERIAL: Final = 0.5
-"""Departure from absence that is a find, of the least that the catalogue expects (of a tenth of its largest, where
-absence lies among what is expected)."""
+"""Least departure from absence for a detection, as a share of the smallest that the catalogue expects. If the expected
+range includes absence: as a share of a tenth of the largest."""
 DRAWS: Final = 400
 
 
 def least_fall(structure: float, elsewhere: bool = False) -> float:
-    """Return the χ² that an effect must take away on unseen cycles.
+    """Return the held-out Δχ² required of an effect.
 
-    `structure`: χ² that the laws leave on a healthy bench beyond noise, some law of the catalogue may bend to it.
-    `elsewhere`: a rig of another kind, where an effect must take `FURTHER_ELSEWHERE` besides.
+    `structure`: χ² of systematic model error in the reference condition, which a submodel of the catalogue may absorb.
+    `elsewhere`: a rig of another kind, on which `FURTHER_ELSEWHERE` is required in addition.
     """
     return max(LEAST_FALL if elsewhere else BENT, STRUCTURE * structure)
 
 
 @dataclass(frozen=True)
 class Figures:
-    """One relation, in its unit: RMSE on held-out cycles and on holdout files, gain in % with its 95 % interval."""
+    """Figures of one equation, in its unit: RMSE on held-out cycles and on holdout files; gain, %, and its 95 %
+    interval."""
 
     unit: str
     checked: bool
@@ -105,7 +108,7 @@ class Figures:
 
 
 def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[float, float, float]:
-    """Return the gain in RMSE, %, and its 95 % interval from drawing whole cycles again."""
+    """Return the gain in RMSE, %, and its 95 % interval from resampling complete cycles."""
     a, _ = before.arrays(relation)
     b, _ = after.arrays(relation)
     draw = np.random.default_rng(0).integers(0, len(a), (DRAWS, len(a)))
@@ -115,9 +118,9 @@ def gain(before: CycleSquares, after: CycleSquares, relation: str) -> tuple[floa
 
 
 def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Return, by relation, the share of RMSE on unseen cycles that `model` takes from `lesser`.
+    """Return, by equation, the share by which `model` reduces the held-out RMSE of `lesser`.
 
-    `noise`: χ² by relation that no law can take away.
+    `noise`: χ² by equation that no submodel can explain.
     """
     shares = {}
     for name, before in lesser.by_relation.items():
@@ -129,12 +132,13 @@ def cut(lesser: FittedEffects, model: FittedEffects, noise: Mapping[str, float] 
 
 def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool],
            pays: Callable[[FittedEffects, FittedEffects], bool]) -> tuple[str, ...]:
-    """Return the effects that could stand in the chosen model, the chosen ones first.
+    """Return the ambiguity set: the chosen effects first, then each one that could replace one of them.
 
-    A rival takes the place of one chosen effect, with at least `RIVAL_GAIN` of what that one gains and within
-    `RIVAL_RMSE` of the chosen model's RMSE; or, of a faint one, where it pays in that place and leaves less than
-    `LEAST_FALL` more.  `says`: whether an effect is one in a model; a law that is freed with its level, at a value that
-    says nothing, stands for the level alone.  `pays`: whether a model is worth what it has more than a lesser one.
+    A competing effect replaces one chosen effect. It reaches at least `RIVAL_GAIN` of that effect's gain, at an RMSE
+    within `RIVAL_RMSE` of the chosen model's. Alternatively it passes the selection test in that place, at a χ² less
+    than `LEAST_FALL` above the chosen model's. `says`: whether an effect is significant in a model; an effect freed
+    with its base coefficient may otherwise be a surrogate for that coefficient. `pays`: whether a model passes the
+    selection test against a lesser one.
     """
     best, others = found.best, dict[str, float]()
     for out in best.effects:
@@ -147,7 +151,7 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
                 continue
             if model.fit.cost > WORTH_A_LOOK * best.fit.cost:
                 continue
-            # what either all cycles or unseen ones do not tell apart
+            # neither all cycles nor held-out ones separate these
             share = max((left.score - model.score) / max(left.score - best.score, 1e-9),
                         (left.fit.cost - model.fit.cost) / max(left.fit.cost - best.fit.cost, 1e-9))
             rival = next(c for c in model.effects if c.name in strange)
@@ -162,11 +166,11 @@ def rivals(found: SearchResult, says: Callable[[Candidate, FittedEffects], bool]
 
 def unsplit(found: SearchResult, structure: float, differs: Callable[[Candidate, FittedEffects], bool]
             ) -> tuple[str, ...]:
-    """Return what an experiment leaves of a class, the chosen effects first.
+    """Return the ambiguity set after an experiment, the chosen effects first.
 
-    A rival goes when it leaves more of χ² than the chosen effects, on unseen cycles and on all, by what an effect has
-    to take to be one (`least_fall`, of the `structure` that the laws leave of healthy trials), or where its value does
-    not differ from the healthy one.
+    A competing effect is excluded if its χ² exceeds the chosen model's by `least_fall` both on held-out and on all
+    cycles. It is also excluded if its value does not differ from the reference. `structure`: χ² of systematic model
+    error in the reference condition.
     """
     best, least, others = found.best, least_fall(structure), dict[str, float]()
     for model in found.models:
@@ -178,9 +182,9 @@ def unsplit(found: SearchResult, structure: float, differs: Callable[[Candidate,
 
 
 def material(effect: Effect, name: str, change: float) -> bool:
-    """Whether a change from the healthy value is a share of what the catalogue expects of the effect.
+    """Whether a change from the reference value is at least `MATERIAL` of the size that the catalogue expects.
 
-    A shape without absence says nothing alone.
+    A shape parameter cannot be tested without its amplitude.
     """
     parameter = next((p for p in effect.parameters if p.name == name), None)
     if parameter is None or parameter.neutral is None:
@@ -191,14 +195,15 @@ def material(effect: Effect, name: str, change: float) -> bool:
 
 
 def spread(fitted: Sequence[Mapping[str, float]], name: str, sigma: float, likeness: float, change: float) -> float:
-    """Return the half width of a 95 % interval: what folds and curvature say, like benches, and the law's mismatch.
+    """Return the half width of a 95 % interval, from folds and curvature, bench population, and systematic model error.
 
-    `sigma`: from the curvature; `likeness`: 1σ of the healthy value; `change`: what the effect has moved it by.
+    `sigma`: 1σ from the curvature; `likeness`: 1σ of the reference value; `change`: change of the parameter by the
+    effect.
     """
     values = np.array([f[name] for f in fitted])
     k = len(values)
     jackknife = math.sqrt((k - 1) / k * float(((values - values.mean()) ** 2).sum())) if k > 1 else 0.0
-    # a rig's stiffness is not known to a share of an ideal one's
+    # the stiffness of a rig of another kind cannot be known to a share of the ideal one's
     return 1.96 * math.hypot(max(jackknife, sigma), likeness, LAW * min(abs(change), abs(float(values.mean()))))
 
 

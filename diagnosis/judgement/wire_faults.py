@@ -1,7 +1,8 @@
-"""What wire and converter did to the values, before any law of the bench is asked: their ages and their grid.
+"""Faults of bus and converter, found before any submodel of the bench is fitted: staleness and quantisation of values.
 
-The rule of this file: values as they were recorded, never filtered, each column against itself and against healthy
-trials; ages where the recorder says them, else repeats, less those that the trial's own noise and grid give by chance.
+Values are used as recorded, without filtering. Each column is compared with itself and with reference trials. Staleness
+is taken from the recorder's ages if available, else from repeated values. Repeats by chance, due to the trial's own
+noise and quantisation, are subtracted.
 """
 
 from __future__ import annotations
@@ -25,33 +26,33 @@ Values = Mapping[str, float]
 
 SENSORS: Final[Mapping[str, str]] = {"start_sensor": "tension_start_n", "end_sensor": "tension_end_n"}
 LEAST_SHARE: Final = 0.005
-"""Share of stale values from which the wire is at fault: the least that the catalogue expects."""
+"""Share of stale values above which the bus is at fault: the least that the catalogue expects."""
 UNLIKE: Final = 0.2
-"""The same, of the repeats that healthy values show."""
+"""Share of stale values, relative to the chance of a repeat, above which the bus is at fault."""
 SURE: Final = 6.0
-"""The same, in 1σ of what chance gives."""
+"""Share of stale values, in 1σ of the chance of a repeat, above which the bus is at fault."""
 LEAST_MOVED: Final = 200
-"""Samples that differ from their neighbour from which their steps say how often chance repeats one."""
+"""Fewest samples that differ from their neighbour, for an estimate of the chance of a repeat from their steps."""
 LEAST_SPREAD: Final = 1.5
-"""Spread of the steps, in grids, from which the chance of none is that of one."""
+"""Least spread of the steps, in quantisation steps; above, a step of 0 is about as likely as a step of 1."""
 LEAST_STEP: Final = 0.1
-"""Grid of a sensor, N, below which it is fine enough."""
+"""Quantisation step of a sensor, N, below which it is not at fault."""
 COARSER: Final = 2.0
-"""Grid against the healthy one from which it is at fault."""
+"""Ratio of the quantisation step to that of reference trials from which it is at fault."""
 LIKELY: Final = 10.0
-"""Difference of log-likelihood within which two laws of age both stand."""
+"""Difference of log-likelihood within which two staleness models are both accepted."""
 SIMPLER: Final = 3.0
-"""Log-likelihood that a further parameter must be worth to come first."""
+"""Log-likelihood by which a model must improve for each further parameter to be ranked first."""
 ON_GRID: Final = 1e-3
 RAREST: Final = 1e-7
-"""Chance of an age below which the law of ages says nothing: some values are late for another reason."""
+"""Lower limit of the probability of an age in a model: some values are late for another reason."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """One effect of wire or converter, its values, and how well it explains what was seen (less is better).
+    """Effect of bus or converter that was fitted: its values, and its misfit to the observed ages (less is better).
 
-    `sigma`: 1σ of its share of the values; a time is of whole cycles and a grid exact.
+    `sigma`: 1σ of its share of the values; a time is a number of complete cycles, a quantisation step exact.
     """
 
     effect: Effect
@@ -62,9 +63,9 @@ class Told:
 
 @dataclass(frozen=True)
 class Seen:
-    """Counts of each age in cycles, the cycle time, s, and the chance of a repeat by noise and grid (None: true ages).
+    """Counts of each age in cycles, the cycle time, s, and the chance of a repeat by noise and quantisation.
 
-    `sigma`: 1σ of that chance.
+    `chance`: None if the counts are true ages. `sigma`: 1σ of that chance.
     """
 
     counts: Array
@@ -74,7 +75,7 @@ class Seen:
 
     @property
     def share(self) -> float:
-        """Return the share of values that did not come in their cycle, less what chance explains."""
+        """Return the share of values that did not arrive in their cycle, less the repeats by chance."""
         stale = 1.0 - float(self.counts[0] / self.counts.sum())
         return stale if self.chance is None else max(0.0, 1.0 - (1.0 - stale) / (1.0 - self.chance))
 
@@ -85,9 +86,9 @@ class Seen:
 
 
 def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
-    """Return the values' ages on `trials`; None where neither the recorder nor their own noise tells.
+    """Return the ages of values on `trials`; None if neither the recorder nor the values' own noise determines them.
 
-    Values that sit on no grid repeat by chance as often as those of `healthy` trials.
+    Values without quantisation repeat by chance as often as those of `healthy` trials.
     """
     cycle_s = float(np.median(np.diff(trials[0]["time_s"])))
     known = [values for t in trials for name, values in t.columns.items() if name.endswith(AGE_SUFFIX)]
@@ -110,16 +111,16 @@ def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
 
 
 class Chance(NamedTuple):
-    """The share of samples that repeat their neighbour by chance, and the variance of their count."""
+    """Share of samples that repeat their neighbour by chance, and the variance of their count."""
 
     share: float
     variance: float
 
 
 def _chance(given: Table, name: str) -> Chance | None:
-    """Return the chance of a repeat from the column's own steps: as often as one grid step up or down, a little more.
+    """Return the chance of a repeat from the column's steps: slightly above that of one quantisation step.
 
-    None where the noise is less than the grid: then nearly every value repeats, and nothing is to be learnt from it.
+    None if the noise is below the quantisation step: then nearly every value repeats, which carries no information.
     """
     values = given[name][np.isfinite(given[name])]
     grid = step(given, name)
@@ -141,14 +142,14 @@ def _counted(ages: Array) -> Array:
 
 
 def _runs(given: Table, name: str) -> Array:
-    """Return, by sample, for how many cycles the value has been the same."""
+    """Return, by sample, for how many cycles the value has been constant."""
     same = np.concatenate(([False], np.diff(given[name]) == 0.0))
     k = np.arange(same.size)
     return np.asarray(k - np.maximum.accumulate(np.where(same, 0, k)), dtype=np.float64)
 
 
 def stale(seen: Seen) -> list[Told]:
-    """Return the effects that could have made the values stale, the best first; none where they are fresh."""
+    """Return the effects that could have made the values stale, the best first; empty if the values are fresh."""
     if seen.share < max(LEAST_SHARE, UNLIKE * (seen.chance or 0.0), SURE * seen.sigma):
         return []
     told = [_aged(effect, seen) for effect in CATALOGUE.values() if effect.stale is not None]
@@ -158,7 +159,7 @@ def stale(seen: Seen) -> list[Told]:
 
 
 def _aged(effect: Effect, seen: Seen) -> Told:
-    """Fit one effect: what is a time is tried cycle by cycle, the share is fitted."""
+    """Fit one effect: its time by trying each number of cycles, its share by maximum likelihood."""
     law = effect.stale
     assert law is not None
     times = [p for p in effect.parameters if p.unit == "s"]
@@ -175,13 +176,13 @@ def _aged(effect: Effect, seen: Seen) -> Told:
 
 
 def _misfit(law: sampling_laws.Staleness, seen: Seen) -> float:
-    """Return the negative log-likelihood of the ages that were seen."""
+    """Return the negative log-likelihood of the observed ages."""
     expected = sampling_laws.ages(law) if seen.chance is None else sampling_laws.repeats(law, seen.chance)
     return -float(seen.counts @ np.log(np.maximum(expected, RAREST)))
 
 
 def step(given: Table, name: str) -> float:
-    """Return the step of the grid on which all values of a column sit, N; 0 where there is none."""
+    """Return the quantisation step of all values of a column, N; 0 if the values are not quantised."""
     values = given[name][np.isfinite(given[name])]
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > 1e-9]
@@ -193,7 +194,7 @@ def step(given: Table, name: str) -> float:
 
 
 def coarse(trials: Sequence[Table], healthy: Sequence[Table]) -> dict[str, tuple[float, float]]:
-    """Return, by relation of a sensor, the grid of the trials and of healthy ones, N (0: none is known)."""
+    """Return, by equation of a sensor, the quantisation step of the trials and of reference ones, N (0: unknown)."""
     found = {}
     for relation, name in SENSORS.items():
         if all(name in t for t in trials):
@@ -204,13 +205,13 @@ def coarse(trials: Sequence[Table], healthy: Sequence[Table]) -> dict[str, tuple
 
 @dataclass(frozen=True)
 class WireFindings:
-    """What was found: effects that stand, the best first, and the figures of the relations that were looked at."""
+    """Accepted effects of bus and converter, the best first, and the figures of the equations examined."""
 
     told: list[Told]
     figures: dict[str, Figures]
 
     def causes(self) -> list[dict[str, Any]]:
-        """Return the chosen effect as the verdict tells it."""
+        """Return the chosen effect in the form of a verdict's causes."""
         return [{"effect": t.effect.name, "site": t.effect.site, "gain_percent": 100.0, "parameters": {
             p.name: _told(t.values[p.name], 0.0 if p.unit else 1.96 * t.sigma, p.unit) for p in t.effect.parameters}}
             for t in self.told[:1]]
@@ -221,7 +222,7 @@ def _told(value: float, half: float, unit: str) -> dict[str, Any]:
 
 
 def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
-    """Say what wire and converter did to the values of `trials`."""
+    """Return the effects of bus and converter on the values of `trials`."""
     grids, seen = coarse(trials, healthy), ages(trials, healthy)
     worst = max((mine for mine, rest in grids.values() if mine >= max(LEAST_STEP, COARSER * rest)), default=0.0)
     told = [Told(e, {e.parameters[0].name: worst}, 0.0) for e in CATALOGUE.values() if e.grid is not None and worst]
@@ -229,7 +230,7 @@ def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
                              (rest if mine >= max(LEAST_STEP, COARSER * rest) else mine) / math.sqrt(12.0))
                for name, (mine, rest) in grids.items()}
     if seen is not None:
-        # a coarse grid repeats values by itself
+        # a coarse quantisation repeats values, too
         told = told or stale(seen)
         figures["bus"] = Figures("s", True, None, seen.rms_s, seen.rms_s)
     return WireFindings(told, figures)

@@ -1,1 +1,1 @@
-"""The estimation problem: which relations can be checked, against which reference, with which weights; and its fit."""
+"""Estimation problem of a diagnosis: checked prediction equations, reference, weights, candidate effects, and fits."""

@@ -1,7 +1,7 @@
-"""Which relations the columns allow, on which samples, and how far each is from holding.
+"""Blocks of a fit: each prediction equation that the columns allow, on each trial, with its samples and cycles.
 
-The rule of this file: a relation that lacks a column is not checked, and said to be; every sample belongs to
-one whole cycle of one trial, and cycles are never split between what is fitted and what judges.
+An equation that lacks a column is not checked, and is reported as not checked. Each sample belongs to one complete
+cycle of one trial. A cycle is never split between fitting and validation.
 """
 
 from __future__ import annotations
@@ -30,34 +30,39 @@ from physics.relations.relation import RELATIONS, Relation
 Values = Mapping[str, float]
 
 SAMPLE_BUDGET: Final = 10_000
-"""Samples of one relation over all trials that a fit looks at; more are thinned, behind a low-pass."""
+"""Largest number of samples of one equation over all trials in a fit; more are thinned behind a low-pass."""
 RATE_RANGE_HZ: Final = (50.0, 125.0)
 TAUT_N: Final = 5.0
-"""END tension above which rope, knee and stretch are one: below, the rope may be slack."""
+"""END tension, N, above which rope motion, knee angle and stretch are coupled; below, the rope may be slack."""
 REMEMBERED: Final = 4
 ROPE_PER_KNEE: Final = PARAMETERS["rope_per_knee"].nominal
 FINE_HZ: Final = 100.0
-"""Cut-off of the rope's motion that the drive's friction sees."""
+"""Cut-off, Hz, of the rope's motion that the drive's friction is computed from."""
 RATE_HZ: Final = 25.0
-"""Cut-off of END's rate of change: a bench's drives move no quicker, and a sensor's noise grows with its rate."""
+"""Cut-off, Hz, of END's rate of change. The drives move no faster, and the noise of a rate grows with its cut-off."""
 FEWEST_TURNS: Final = 2
-"""Turns of a signal below which another one counts the cycles."""
+"""Cycles of a signal below which the rope's speed counts the cycles instead."""
 SETTLE_S: Final = 0.1
-"""What is left out at a trial's start, where the memory of the friction is not known, and at its end, where a rate is
-of one side only."""
+"""Time, s, excluded at both ends of a trial: friction's memory is unknown at the start, derivatives are one-sided at
+the end."""
 JERKED: Final = 0.5
-"""Change of the acceleration from one sample to the next, of its RMS, that a rate does not resolve."""
+"""Change of the acceleration between samples, as a share of its RMS, above which the sampling rate does not resolve
+it."""
 
 SPIKE_SAMPLES: Final = 5
 SPIKE_SIGMA: Final = 6.0
 SPIKE_SHARE: Final = 0.5
-"""A spike of a motor's force: away from the median of so many samples by so many deviations of what is away from it
-everywhere, and by this share of its RMS."""
+"""Definition of a spike of a motor's force, by its distance from the median of `SPIKE_SAMPLES` samples. The distance
+exceeds `SPIKE_SIGMA` robust deviations of all distances and `SPIKE_SHARE` of the force's RMS."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """One relation on one trial: `weight` makes a residual floors, `cycle` numbers whole cycles over all trials."""
+    """One prediction equation on one trial: its signals, and the samples on which it is compared.
+
+    `keep`: indices of the compared samples; `cycle`: cycle number of each, unique over all trials; `uses`: names of the
+    parameters that the equation reads.
+    """
 
     relation: Relation
     signals: Signals
@@ -67,19 +72,19 @@ class Block:
     _last: Memory = field(default_factory=lambda: Memory(REMEMBERED), repr=False, kw_only=True)
 
     def residual(self, values: Values) -> Array:
-        """Return measured less predicted, in the relation's unit, on the samples that count."""
+        """Return measured less predicted output, in the equation's unit, on the samples `keep`."""
         if self._read is None:
             return self._residual(values)
         return self._last.recall(self.relation.name, self._read(values), lambda: self._residual(values))
 
     def like(self, name: str, values: Values) -> str | None:
-        """Return another parameter that the residual has the same slope by at `values`, if there is one."""
+        """Return another parameter by which the residual has the same slope at `values`; None if no parameter has."""
         del name, values
         return None
 
     @cached_property
     def _read(self) -> Callable[[Values], tuple[float, ...]] | None:
-        """Return what gives the values that move this block; None where an effect brings a law that may read more."""
+        """Return a getter of the values that move this block; None if an effect brings a submodel of others."""
         if models.brings_own(self.relation):
             return None
         names = sorted(self.uses)
@@ -90,7 +95,7 @@ class Block:
 
 
 def working_rate(tables: Sequence[Table]) -> float:
-    """Return the rate, Hz, at which all trials are looked at: the highest that keeps to the sample budget."""
+    """Return the sampling rate, Hz, of all trials in a fit: the highest one that keeps the sample budget."""
     seconds = sum(float(t["time_s"][-1] - t["time_s"][0]) for t in tables)
     low, high = RATE_RANGE_HZ
     native = min(1.0 / float(np.median(np.diff(t["time_s"]))) for t in tables)
@@ -98,9 +103,9 @@ def working_rate(tables: Sequence[Table]) -> float:
 
 
 def signals_of(given: Table, rate_hz: float) -> Signals:
-    """Bring a trial to one working rate behind an anti-alias low-pass, with the derivatives the laws read.
+    """Resample a trial to one working rate behind an anti-alias low-pass, with the derivatives that the submodels read.
 
-    Rates are taken before the thinning: afterwards they would fall short where the motion is quick.
+    Derivatives are computed before the thinning: computed afterwards they would be too small in quick motion.
     """
     time = given["time_s"]
     step = float(np.median(np.diff(time)))
@@ -121,7 +126,7 @@ def signals_of(given: Table, rate_hz: float) -> Signals:
 
 
 def _low_passed(values: Array, cutoff: float) -> Array:
-    """Take a sensor's noise off a signal; `cutoff` in cycles per sample."""
+    """Low-pass a signal to remove sensor noise; `cutoff` in cycles per sample."""
     if np.isnan(values).any() or cutoff >= 0.45:
         return values
     return np.asarray(sosfiltfilt(butter(2, 2.0 * cutoff, output="sos"), values))
@@ -153,7 +158,8 @@ def _derive(columns: dict[str, Array]) -> None:
 
 
 def cycles_of(given: Signals) -> NDArray[np.intp]:
-    """Return each sample's cycle from 0: the `cycle` column, else gait percent, else turns of the slowest motion."""
+    """Return each sample's cycle from 0: from the `cycle` column, else gait percent, else repetitions of the slowest
+    motion."""
     if given.has("cycle"):
         return np.unique(given["cycle"], return_inverse=True)[1].astype(np.intp)
     if given.has("gait_percent"):
@@ -163,7 +169,7 @@ def cycles_of(given: Signals) -> NDArray[np.intp]:
 
 
 def _turns(given: Signals) -> NDArray[np.intp]:
-    """Return the turns of the first signal there is; of the speed where that one goes one way only (a run-up)."""
+    """Return cycle numbers by the first available signal, or by the speed in one-way motion (a run-up)."""
     count = np.zeros(given["time_s"].size, dtype=np.intp)
     for name in ("knee_angle_rad", "rope_m", "tension_start_n", "servo_force_n"):
         if given.has(name):
@@ -175,7 +181,7 @@ def _turns(given: Signals) -> NDArray[np.intp]:
 
 
 def _rises(signal: Array) -> NDArray[np.intp]:
-    """Count the passages of a signal from below its median to above it, by sample."""
+    """Return, by sample, the number of passages of a signal from below its median to above it."""
     values = signal - np.median(signal)
     band = 0.3 * np.std(values)
     side = np.where(values > band, 1, np.where(values < -band, -1, 0))
@@ -185,7 +191,8 @@ def _rises(signal: Array) -> NDArray[np.intp]:
 
 
 def allowed(tables: Iterable[Table]) -> dict[str, tuple[str, ...]]:
-    """Return, for each relation of the catalogue, the columns that some trial lacks (empty: it can be checked)."""
+    """Return, for each equation of the catalogue, the columns that some trial lacks (empty: the equation can be
+    checked)."""
     held = [set(t.columns) for t in tables]
     return {name: tuple(c for c in (*relation.columns, relation.output) if not all(c in h for h in held))
             for name, relation in RELATIONS.items()}
@@ -193,10 +200,10 @@ def allowed(tables: Iterable[Table]) -> dict[str, tuple[str, ...]]:
 
 def blocks_of(tables: Sequence[Table], names: Iterable[str], taut_n: float | None = None, rate_hz: float | None = None
               ) -> list[Block]:
-    """Return the blocks of relations `names` on all trials; `taut_n`: relations of angle only where END pulls more.
+    """Return the blocks of the equations `names` on all trials; `taut_n`: angle equations only if END pulls more, N.
 
-    `rate_hz`: the rate at which all that is compared is looked at (none: `working_rate` of these trials alone).  What
-    friction does right after a reversal depends on it, through the noise of the motion.
+    `rate_hz`: sampling rate of all trials that are compared (None: `working_rate` of these trials). The predicted
+    friction right after a reversal depends on this rate, through the noise of the motion.
     """
     rate = working_rate(tables) if rate_hz is None else rate_hz
     names = tuple(names)
@@ -220,7 +227,7 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
     for name in (*relation.columns, relation.output):
         keep &= np.isfinite(signals[name])
     if taut_n is None and signals.has("rope_m"):
-        # what friction remembers from before the trial is forgotten once the rope has gone half its way
+        # friction's memory of the motion before the trial is erased once the rope has travelled half its range
         gone = np.cumsum(np.abs(np.diff(signals["rope_m"], prepend=signals["rope_m"][0])))
         keep &= gone >= 0.5 * float(np.ptp(signals["rope_m"]))
     if relation.name == "drive_force" and taut_n is not None:
@@ -235,11 +242,11 @@ def _kept(signals: Signals, relation: Relation, taut_n: float | None) -> NDArray
 
 
 def _resolved(acceleration: Array) -> NDArray[np.bool_]:
-    """Return where the rate resolves an acceleration: it hardly changes between samples, nor beside its neighbours.
+    """Return a mask of the samples whose acceleration the sampling rate resolves.
 
-    A motor that is jerked pushes and brakes within one sample of a slow recording; the force of that instant says
-    nothing of the mass, and few such samples outweigh all others.  An acceleration is a difference over its neighbours:
-    what they do not resolve is in it as well.
+    A jerked motor pushes and brakes within one sample of a slow recording. The force of that instant carries no
+    information about the mass, yet a few such samples outweigh all others. The acceleration is a difference over
+    neighbouring samples, so that those are masked, too.
     """
     whole = float(np.sqrt(np.nanmean(acceleration**2)))
     jump = np.pad(np.abs(np.diff(acceleration)) > JERKED * whole, 2)
@@ -247,9 +254,9 @@ def _resolved(acceleration: Array) -> NDArray[np.bool_]:
 
 
 def _spiked(force: Array) -> NDArray[np.bool_]:
-    """Return where a motor's own force leaves its neighbours' for a sample or two, and beside it.
+    """Return a mask of one-sample or two-sample spikes of a motor's own force, and of their neighbours.
 
-    A jerk too short for the recorded position shows in the force alone: no law on that position can follow it.
+    A jerk too short for the recorded position shows in the force alone: no submodel of that position can reproduce it.
     """
     apart = np.abs(force - median_filter(force, SPIKE_SAMPLES))
     least = SPIKE_SHARE * float(np.sqrt(np.nanmean(force**2)))
@@ -257,7 +264,7 @@ def _spiked(force: Array) -> NDArray[np.bool_]:
 
 
 def rmse(residuals: Iterable[Array]) -> float:
-    """Return the root mean square of all residuals together; NaN of none."""
+    """Return the root mean square of all residuals together; NaN without residuals."""
     parts = list(residuals)
     count = sum(r.size for r in parts)
     return math.sqrt(sum(float(r @ r) for r in parts) / count) if count else math.nan

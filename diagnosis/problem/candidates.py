@@ -1,6 +1,6 @@
-"""The catalogue's effects as the fits see them: which parameters each one frees, within what, and from where to start.
+"""Effects of the catalogue as candidates of a search: the parameters that each frees, their bounds and starting points.
 
-The rule of this file: everything comes from the declarations of `physics.effects.catalogue`; no effect is named here.
+Everything comes from the declarations of `physics.effects.catalogue`; no effect is named here.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ MAX_STARTS: Final = 8
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect: the parameters it frees, and the points its fits start from (at each the effect is at work).
+    """One effect: the parameters that it frees, and starting points of its fits, each with the effect present.
 
-    `likely`: by parameter, where its value is expected on such a bench; empty where nothing is known of the rig.
-    `rivals`: the effects that the catalogue says look like it, of either.  `counted`: as how many parameters its own
-    are counted, None: as so many.
+    `likely`: range in which each value is expected on such a bench, empty on a rig of another kind. `level`: base
+    coefficients freed with the effect. `rivals`: effects that the catalogue declares similar, in either direction.
+    `counted`: number of parameters charged for the effect, None for the number of `frees`.
     """
 
     name: str
@@ -39,12 +39,12 @@ class Candidate:
     counted: int | None = None
 
     def unlikely(self, values: Mapping[str, float], margin: float = 0.0) -> int:
-        """Return how many of its parameters are outside of where they are expected, by a `margin` of that range."""
+        """Return how many parameters lie outside their expected range, widened by `margin` of that range."""
         return sum(not low - margin * (high - low) <= values[f.name] <= high + margin * (high - low)
                    for f in self.frees if f.name in self.likely for low, high in (self.likely[f.name],))
 
     def on_bound(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Return its parameters that stand on a bound of the search: those are no measurements."""
+        """Return the parameters that rest on a bound of the search: these are not measurements."""
         return tuple(f.name for f in self.frees if min(values[f.name] - f.low, f.high - values[f.name])
                      <= 1e-6 * min(f.scale, f.high - f.low))
 
@@ -57,11 +57,11 @@ def candidates(
     checked: Iterable[str], reference: Mapping[str, float], nuisance: Sequence[Free], any_rig: bool = False,
     blind: bool = False
 ) -> list[Candidate]:
-    """Return every effect that some parameter of the `checked` relations can show and that `nuisance` does not swallow.
+    """Return the effects with a parameter that `checked` equations read and that `nuisance` does not free already.
 
-    An effect is offered where the relation that shows it first can be checked; `blind`: those where it cannot.
-    `any_rig`: bounds are those for rigs of any size, a shape that healthy trials taught stays, and what reads this
-    bench's geometry is left out; else what holds about an axis recorded in rad alone.
+    An effect is offered if the equation that shows it first is checked; with `blind`, if that equation is not checked.
+    `any_rig`: bounds for rigs of any size; shapes identified from reference trials stay fixed; effects of this bench's
+    geometry are omitted. Otherwise effects of an axis recorded in rad are omitted.
     """
     checked = tuple(checked)
     visible = frozenset().union(*(relation.uses(RELATIONS[name]) for name in checked))
@@ -89,19 +89,22 @@ def _rivals(effect: Any) -> frozenset[str]:
 
 
 def _drives_alone(effect: Any, checked: Iterable[str]) -> bool:
-    """Whether an effect of the drive is seen in its force, where its target is not recorded."""
+    """Whether an effect of the drive is detected in the drive's force because its target is not recorded."""
     return effect.relations[0] == "servo" and len(effect.relations) > 1 and effect.relations[1] in checked
 
 
 def untold(checked: Iterable[str]) -> list[str]:
-    """Return the effects that no name is given to because the relation that shows them first cannot be checked."""
+    """Return the effects that cannot be named because the equation that shows them first cannot be checked."""
     known = set(checked)
     return [e.name for e in CATALOGUE.values() if e.relations[0] in RELATIONS and e.relations[0] not in known
             and not _drives_alone(e, known) and known & set(e.relations)]
 
 
 def _moves(parameter: Any, effect: Any) -> bool:
-    """A shape parameter (no neutral value, beside one that has one) says nothing alone."""
+    """Whether a parameter gives the size of an effect: it has a neutral value, or no parameter of the effect has one.
+
+    A shape parameter cannot be tested without the effect's size.
+    """
     return parameter.neutral is not None or all(p.neutral is None for p in effect.parameters)
 
 

@@ -1,7 +1,6 @@
-"""Whole cycles that a fit has not seen: the folds, and what fits on the other folds leave on each.
+"""Cross-validation over complete cycles: the folds, and squared residuals of each fold after a fit to the others.
 
-The rule of this file: every figure that a verdict rests on is of a full refit on the other cycles, never of the fit
-that is judged.
+Every figure in a verdict comes from a full refit on the other cycles, never from the fit that it judges.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ FOLDS: Final = 5
 
 
 def folds_of(cycles: NDArray[np.intp]) -> list[frozenset[int]]:
-    """Deal whole cycles into at most `FOLDS` sets, neighbours apart."""
+    """Assign complete cycles to at most `FOLDS` sets; neighbouring cycles are in different sets."""
     labels = np.unique(cycles)
     count = min(FOLDS, len(labels))
     return [frozenset(int(c) for c in labels[k::count]) for k in range(count)]
 
 
 class CycleSquares:
-    """Sums of squared residuals of whole cycles, by relation: what intervals are drawn from.
+    """Sums of squared residuals by equation and complete cycle, from which intervals are resampled.
 
-    `fitted`: the values of each fold's fit.
+    `fitted`: parameter values of each fold's fit.
     """
 
     def __init__(self) -> None:
@@ -54,12 +53,12 @@ class CycleSquares:
         return math.sqrt(squares.sum() / counts.sum())
 
     def chi_square(self, weights: Mapping[str, float]) -> dict[str, float]:
-        """Return the sums by relation, each in its weight."""
+        """Return χ² by equation: the sum of squares divided by the square of the equation's weight."""
         return {name: float(self.arrays(name)[0].sum()) / weights[name] ** 2 for name in weights if name in self.sums}
 
 
 def unseen(problem: Problem, folds: Sequence[frozenset[int]], fit: Fit) -> CycleSquares:
-    """Refit in full for each fold on the other cycles; return the squares on the fold's own."""
+    """Return the squared residuals of each fold's held-out cycles after a full refit on the other cycles."""
     squares = CycleSquares()
     everything = frozenset().union(*folds)
     for fold in folds:

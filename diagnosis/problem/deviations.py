@@ -1,6 +1,6 @@
-"""Several trials of one bench in one fit: what is common to them, how far each stands apart, how much is chance.
+"""Joint fit of several trials of one bench: common parameters, each trial's own deviations, and the noise.
 
-The rule of this file: a trial's own deviation of a parameter is a parameter `NAME@TRIAL` beside the common one.
+A trial's deviation of a parameter is a further parameter, `NAME@TRIAL`, beside the common one.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 WINDOW: Final = 24
-"""Samples over which noise is taken to be even: 0.2 s at the highest working rate."""
+"""Samples over which noise is taken as stationary: 0.2 s at the highest working rate."""
 PASSED: Final = 0.7
-"""Share of a white noise's power that the low-pass before the thinning, run forward and back, leaves of what the middle
-of the band has; with it the median of a window says the noise of any working rate (a test holds it to 5 %)."""
+"""Mean power of white noise behind the low-pass of the thinning (run forward and back), relative to its mid-band power.
+With it the median of a window estimates the noise at any working rate, which a test holds to 5 %."""
 
 PHASES: Final = 20
-"""Places of a cycle at which its repetition is looked for."""
+"""Phases of a cycle at which its repeatability is computed."""
 
 
 @dataclass(frozen=True)
 class Deviating(Block):
-    """A block of one of several like benches: what is common, and how far this bench is from it (`SLOT@BENCH`).
+    """Block of one trial of several: the common parameters, each shifted by this trial's own deviation (`NAME@TRIAL`).
 
-    `own`: by slot in which it may deviate, the deviation's name and the slot's bounds.
+    `own`: for each parameter that may deviate, the deviation's name and the parameter's bounds.
     """
 
     common: Block
@@ -47,7 +47,7 @@ class Deviating(Block):
             for slot, (name, low, high) in self.own.items()}})
 
     def like(self, name: str, values: Values) -> str | None:
-        """Return the slot whose deviation `name` is: only their sum is read, while it is inside the bounds."""
+        """Return the parameter that `name` deviates: within the bounds the residual reads only the sum of both."""
         slot, _, bench = name.partition("@")
         if not bench:
             return None
@@ -56,7 +56,7 @@ class Deviating(Block):
 
 
 def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
-    """Return `block` of the bench of a number, which may stand apart from what is common in the slots of `nuisance`."""
+    """Return `block` with a deviation (numbered `bench`) for each parameter of `nuisance` that it reads."""
     own = {f.name: (f"{f.name}@{bench}", *RELATION_PARAMETERS[f.name].rig_bounds) for f in nuisance
            if f.name in block.uses}
     return Deviating(block.relation, block.signals, block.keep, block.cycle,
@@ -64,12 +64,11 @@ def deviating(block: Block, bench: int, nuisance: Sequence[Free]) -> Deviating:
 
 
 def chances(rest: Array) -> Array:
-    """Return, by sample, the square of the white part of a residual: from second differences over every other sample.
+    """Return, by sample, the variance of a residual's white part, from second differences over every other sample.
 
-    A sensor's noise is white at the working rate and what a law lacks is not, but for the few samples after a reversal,
-    which a median leaves out; it is taken over `WINDOW` samples, since a relation shows less noise in a slack rope than
-    in a taut one.  These differences see the middle of the band, which the low-pass of the working rate leaves as it
-    is; of the rest it leaves `PASSED`.
+    Sensor noise is white at the working rate. Systematic model error is not, except for a few samples after a reversal,
+    which a median excludes. The median is over `WINDOW` samples, because an equation has less noise while the rope is
+    slack. The differences measure mid-band power; `PASSED` converts it to the mean power.
     """
     bent = np.abs(rest[4:] - 2.0 * rest[2:-2] + rest[:-4])
     if bent.size < WINDOW:
@@ -81,12 +80,12 @@ def chances(rest: Array) -> Array:
 
 
 def chance(rest: Array) -> float:
-    """Return 1σ of the white part of a residual, over all of it."""
+    """Return 1σ of the white part of a residual, over all its samples."""
     return math.sqrt(float(np.mean(chances(rest)))) if rest.size else 0.0
 
 
 def correlated(rests: Sequence[Array]) -> float:
-    """Return how many neighbouring samples count as one: 1 + 2·Σρ over the first positive lags."""
+    """Return how many neighbouring samples make one effective sample: 1 + 2·Σρ over the first positive lags."""
     total, energy = np.zeros(1), 0.0
     for rest in rests:
         centred = rest - rest.mean()
@@ -106,9 +105,9 @@ def correlated(rests: Sequence[Array]) -> float:
 
 
 def repeated(rests: Sequence[Array], cycles: Sequence[NDArray[np.intp]]) -> float:
-    """Return how many cycles count as one, from 1 to all: what a law lacks comes again in each cycle, noise does not.
+    """Return the cycles per effective cycle, from 1 to all: systematic error repeats each cycle, noise does not.
 
-    `cycles`: by sample of each of `rests`, its cycle; compared is by the share of a cycle that has passed.
+    `cycles`: cycle of each sample of each of `rests`. Cycles are compared at equal shares of their duration.
     """
     one, many, count = 0.0, 0.0, 1
     for rest, cycle in zip(rests, cycles, strict=True):

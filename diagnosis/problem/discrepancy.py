@@ -1,9 +1,9 @@
-"""What the laws leave on healthy trials and a bench repeats: learnt per relation, held back where it is judged.
+"""Discrepancy of each equation in the reference condition: a regression of its residuals, validated held-out.
 
-The rule of this file: a regression on features of motion and load that are measured, by radial basis functions about
-a few samples of the healthy trials (a Gaussian process on a subset of regressors; Quiñonero-Candela and Rasmussen
-2005), so that it goes to zero where no healthy trial has been; what counts is what it leaves on a trial (with one
-trial, on cycles) that it has not seen.
+The features are measured motion and load. The basis functions are Gaussians about a few samples of the reference trials
+(a Gaussian process on a subset of regressors; Quiñonero-Candela and Rasmussen 2005). The discrepancy therefore goes to
+zero away from the reference trials. It is judged by the residual of held-out trials, or of held-out cycles if only one
+trial exists.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ Values = Mapping[str, float]
 
 CENTRES: Final = 160
 LENGTHS: Final = (1.5, 3.0)
-"""Lengths of the basis functions that are tried, in standard deviations of the features times the root of their
-number over two."""
+"""Lengths of the basis functions to try, in standard deviations of the n features times √(n/2)."""
 NOISES: Final = (0.03, 0.3, 3.0)
-"""Ratios of noise to structure that are tried."""
+"""Ratios of noise variance to systematic variance to try."""
 SAMPLES: Final = 3000
-"""Samples of one relation that it is learnt on."""
+"""Most samples of one equation that its discrepancy is fitted to."""
 WORTH: Final = 0.97
-"""RMSE on the unseen, of that without it, from which it is used."""
+"""Held-out RMSE with the discrepancy, as a share of that without, above which the discrepancy is not used."""
 SMOOTH_S: Final = 0.03
 MEMORIES_S: Final = (0.15, 0.8)
 LOCAL: Final = 0.5
-"""Length over which scatter is taken to be even, as `LENGTHS`."""
+"""Length of the kernel that averages the local mean square; same unit as `LENGTHS`."""
 FEW: Final = 0.1
-"""Samples about a place, of what there are about one in the mean, that say as much of it as all samples together."""
+"""Weight of the global mean square in a local one, as a share of the mean number of samples about a centre."""
 AMPLITUDE: Final = 0.3
-"""1σ of the amplitude with which it returns on another trial."""
+"""1σ of the amplitude (mean 1) of the discrepancy on another trial."""
 
 
 def slot(relation: str) -> str:
-    """Name of the amplitude among the values of a fit."""
+    """Return the name of a discrepancy's amplitude among the parameters of a fit."""
     return f"discrepancy.{relation}"
 
 
 def features(signals: Signals, values: Values) -> Array:
-    """Return the features, (samples, n): speed, slip, knee angle, tension, its rate, two memories of it.
+    """Return the features, (samples, n): speed, slip, knee angle, tension, its rate, and two low-passed tensions.
 
-    A knee that is not recorded is a locked one: such a trial may lie beside others whose knee moved.
+    A knee angle that is not recorded is taken as constant (locked knee), so that such a trial can be combined with
+    others.
     """
     time = signals["time_s"]
     found = []
@@ -72,7 +72,7 @@ def features(signals: Signals, values: Values) -> Array:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """One relation's: `of` gives it at features; `left` is its RMSE on the unseen, `plain` the one without it."""
+    """Discrepancy of one equation as a function of features; `left`: its held-out RMSE; `plain`: RMSE without it."""
 
     left: float
     plain: float
@@ -87,7 +87,7 @@ class Discrepancy:
         return self.weights.size > 0
 
     def of(self, at: Array) -> Array:
-        """Return the discrepancy, in the relation's unit, at `at` (samples, features)."""
+        """Return the discrepancy, in the equation's unit, at the features `at` (samples, n)."""
         if not self.used:
             return np.zeros(len(at))
         return np.asarray(_kernel((at - self.scale[0]) / self.scale[1], self.centres, self.length) @ self.weights)
@@ -103,18 +103,18 @@ def _kernel(at: Array, centres: Array, length: float) -> Array:
 
 
 class _Normal(NamedTuple):
-    """Normal equations of a basis on some samples; of sums and differences of samples they are such, too."""
+    """Normal equations of a basis on some samples; those of two sample sets can be added and subtracted."""
 
     gram: Array
     right: Array
     samples: int
 
     def less(self, other: _Normal) -> _Normal:
-        """Return them without the samples of `other`."""
+        """Return the normal equations without the samples of `other`."""
         return _Normal(self.gram - other.gram, self.right - other.right, self.samples - other.samples)
 
     def weights(self, prior: Array, noise: float) -> Array:
-        """Return the basis functions' weights; `noise` over structure weighs the prior."""
+        """Return the coefficients of the basis functions; `noise`: ratio of noise to systematic variance."""
         matrix = self.gram + noise * prior
         matrix.flat[:: len(matrix) + 1] += 1e-8 * self.samples
         return np.asarray(np.linalg.solve(matrix, self.right))
@@ -125,9 +125,9 @@ def _normal(basis: Array, target: Array) -> _Normal:
 
 
 def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[np.intp]]) -> Discrepancy:
-    """Learn one relation's from features `at` and residuals `rests` of each healthy trial.
+    """Fit the discrepancy of one equation to the features `at` and residuals `rests` of each reference trial.
 
-    `groups`: by sample, what is held back together (the trial's number, or with one trial the cycle's).
+    `groups`: by sample, the number of the set that is held out together (trial, or cycle if only one trial exists).
     """
     x, y, group = np.concatenate(list(at)), np.concatenate(list(rests)), np.concatenate(list(groups))
     plain = math.sqrt(float(np.mean(y**2))) if y.size else math.nan
@@ -159,7 +159,7 @@ def learn(at: Sequence[Array], rests: Sequence[Array], groups: Sequence[NDArray[
 
 
 def again(known: Discrepancy, at: Sequence[Array], rests: Sequence[Array]) -> Discrepancy:
-    """Learn it from other trials, of as many as are given, with the smoothness of `known`."""
+    """Refit a discrepancy to the residuals `rests` of other trials, with kernel length and noise ratio of `known`."""
     if not known.used:
         return known
     x, y = np.concatenate(list(at)), np.concatenate(list(rests))
@@ -170,7 +170,7 @@ def again(known: Discrepancy, at: Sequence[Array], rests: Sequence[Array]) -> Di
 
 
 def _sampled(x: Array) -> tuple[Array, NDArray[np.intp], Array]:
-    """Return mean and deviation of the features, the samples that are learnt on, and the centres, scaled."""
+    """Return mean and deviation of the features, indices of the samples to fit, and the scaled centres."""
     scale = np.stack([x.mean(axis=0), np.maximum(x.std(axis=0), 1e-9)])
     rng = np.random.default_rng(0)
     chosen = np.sort(rng.permutation(len(x))[:SAMPLES])
@@ -180,8 +180,7 @@ def _sampled(x: Array) -> tuple[Array, NDArray[np.intp], Array]:
 
 @dataclass(frozen=True)
 class Scatter:
-    """A mean square by where in motion and load: a kernel's local mean; where no sample has been, what it is on the
-    whole."""
+    """Local mean square of a residual by kernel average over features; the global one far from all samples."""
 
     scale: Array = field(repr=False)
     centres: Array = field(repr=False)
@@ -190,14 +189,14 @@ class Scatter:
     whole: float
 
     def of(self, at: Array) -> Array:
-        """Return the mean square at `at` (samples, features), in the relation's unit squared."""
+        """Return the mean square at the features `at` (samples, n), in the square of the equation's unit."""
         near = _kernel((at - self.scale[0]) / self.scale[1], self.centres, LOCAL)
         few = FEW * float(self.counts.mean())
         return np.asarray((near @ self.squares + few * self.whole) / (near @ self.counts + few))
 
 
 def scatter(at: Array, squares: Array, least: float = 0.0) -> Scatter:
-    """Return where `squares` (samples) are how large, from features `at`; nowhere below `least`."""
+    """Return the local mean of `squares` (samples) as a function of features `at`, at least `least`."""
     scale, chosen, centres = _sampled(at)
     near = _kernel((at[chosen] - scale[0]) / scale[1], centres, LOCAL)
     counts = near.sum(axis=0)
@@ -206,16 +205,16 @@ def scatter(at: Array, squares: Array, least: float = 0.0) -> Scatter:
 
 
 def certainty(structure: Array, noise: Array) -> Array:
-    """Return how much each sample counts, 1 in the mean square, from its mean squares of structure and of noise."""
+    """Return the weight of each sample, of mean square 1, from the variances of model error and of noise."""
     cost = structure + noise
     return np.asarray(1.0 / np.sqrt(cost * np.mean(1.0 / cost)))
 
 
 @dataclass(frozen=True)
 class Corrected(Block):
-    """A block less what its relation is known to leave, by an amplitude that the fit may move.
+    """Block whose residual is reduced by the expected discrepancy, times an amplitude that a fit may free.
 
-    `certainty`: by sample, how much more (or less) it counts than the relation's samples do in the mean.
+    `certainty`: weight of each sample, relative to the equation's mean; None for equal weights.
     """
 
     plain: Block
@@ -232,7 +231,7 @@ class Corrected(Block):
 
 def corrected(block: Block, learnt: Mapping[str, Discrepancy], values: Values,
               certainty: Array | None = None) -> Block:
-    """Return `block` with what `learnt` knows of its relation taken off; itself where nothing is known."""
+    """Return `block` with its equation's discrepancy subtracted; `block` itself without discrepancy and weights."""
     name = block.relation.name
     known = name in learnt and learnt[name].used
     if not known and certainty is None:

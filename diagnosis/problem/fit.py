@@ -1,10 +1,9 @@
-"""Bounded least squares over whole cycles, with what is known beforehand about the parameters.
+"""Bounded least squares over complete cycles, with a Gaussian prior on the parameters.
 
-The rule of this file: a fit sees blocks and parameters, never the name of a cause.  Cost: ½·Σ(r/w)² + ½·δᵀ·C⁻¹·δ,
-w the relation's floor times the root of the samples that count as one, δ how far the parameters are from what is known
-beforehand, C its covariance (`prior`).  Slopes are taken by differences once and
-then follow each step (Broyden 1965, Math. Comp. 19, eq. 4.5); a fit that adds to another starts from that one's: most
-steps cost one evaluation.
+A fit receives blocks and parameters, never the name of a cause. Cost: ½·Σ(r/w)² + ½·δᵀ·C⁻¹·δ. r: residual. w: the
+equation's reference RMSE times the root of the number of samples per effective sample. δ: parameters less prior means.
+C: prior covariance (`prior`). Slopes are computed once by differences, then updated with each step (Broyden 1965, Math.
+Comp. 19, eq. 4.5). A fit that extends another one starts from its slopes, so that most steps cost one evaluation.
 """
 
 from __future__ import annotations
@@ -25,27 +24,29 @@ Values = Mapping[str, float]
 
 MAX_STEPS: Final = 80
 DIFFERENCE: Final = 0.02
-"""Step of a slope, of a parameter's scale: far above what the laws' own solvers leave (1 nm, 1 µN)."""
+"""Step of a slope's difference, as a share of the parameter's scale: far above the tolerance of the submodels' solvers
+(1 nm, 1 µN)."""
 ENOUGH: Final = 1e-3
-"""Relative fall of the cost below which a fit has arrived."""
+"""Predicted relative fall of the cost below which a fit has converged."""
 ROUGHLY: Final = 5e-3
-"""The same of a fit that only says which others are worth carrying on."""
+"""Predicted relative fall of the cost at which a coarse fit stops, if it only ranks which fits to continue."""
 LEAST_PULL: Final = 1e-9
-"""Slope, of the steepest, below which nothing pulls a parameter off its bound."""
+"""Gradient component, as a share of the largest, below which a parameter stays on its bound."""
 SINGULAR: Final = 1e-9
-"""What is added to a scaled curvature before it is inverted."""
+"""Value added to the diagonal of the scaled curvature before its inversion."""
 IDLE: Final = 1e-5
-"""Share of the cost below which a parameter's step is not made: the blocks that read it need no evaluation."""
+"""Predicted change of the cost, as a share of the cost, below which a parameter is not moved. Blocks that read only
+such parameters need no evaluation."""
 SHORT: Final = 1e-3
-"""Step, of the scales, below which it teaches nothing of the slopes."""
+"""Step length, in parameter scales, below which a step does not update the slopes."""
 TRUSTED: Final = 0.25
-"""Share of the predicted gain that a step must reach for its slopes to be used again."""
+"""Ratio of actual to predicted fall of the cost, below which slopes are computed again."""
 MOVED: Final = 0.25
-"""Change of a parameter, in its scale, beyond which its slope is taken again."""
+"""Change of a parameter, in its scale, beyond which its slope is computed again."""
 
 
 class Space:
-    """The free parameters of a fit side by side: bounds, scales and what is known beforehand as arrays."""
+    """Bounds, scales, prior means and prior precision of the free parameters of a fit, as arrays."""
 
     def __init__(self, free: Sequence[Free], prior: Prior) -> None:
         self.names = tuple(f.name for f in free)
@@ -54,28 +55,28 @@ class Space:
         self.precision = prior.precision(free)
 
     def of(self, values: Values) -> Array:
-        """Return the parameters among `values`."""
+        """Return the free parameters of `values`, as an array."""
         return np.array([values[name] for name in self.names])
 
     def put(self, values: Values, at: Array) -> dict[str, float]:
-        """Return `values` with the parameters at `at`."""
+        """Return `values` with the free parameters replaced by `at`."""
         return {**values, **dict(zip(self.names, at.tolist(), strict=True))}
 
     def cost(self, residuals: Sequence[Array], at: Array) -> float:
-        """Return half the squares of the residuals and of the priors."""
-        with np.errstate(over="ignore"):  # a residual beyond 1e154 is as infinite as its square
+        """Return the cost: half the sum of squared weighted residuals and of the prior penalty."""
+        with np.errstate(over="ignore"):  # the square of a residual beyond 1e154 overflows: an infinite cost
             total = 0.5 * sum(float(r @ r) for r in residuals)
         total += 0.5 * self.penalty(at)
         return total if math.isfinite(total) else math.inf
 
     def penalty(self, at: Array) -> float:
-        """Return the χ² of what is known beforehand."""
+        """Return the χ² of the parameters under their prior."""
         off = at - self.mean
         return float(off @ self.precision @ off)
 
 
 class Problem:
-    """Blocks with their weights, what is known beforehand, and for each block the samples that a fit may see."""
+    """Blocks with their weights and a prior; `cycles`: cycles that a fit may use, None for all."""
 
     def __init__(self, blocks: Sequence[Block], weights: Mapping[str, float], prior: Prior = NOTHING_TOGETHER,
                  cycles: frozenset[int] | None = None):
@@ -83,7 +84,7 @@ class Problem:
         self.masks = [None if cycles is None else np.isin(b.cycle, list(cycles)) for b in blocks]
 
     def only(self, relation: str) -> Problem:
-        """Return the part of one relation."""
+        """Return the part of the problem that belongs to one prediction equation."""
         return Problem([b for b in self.blocks if b.relation.name == relation], self.weights, self.prior, self.cycles)
 
     def residual(self, i: int, values: Values) -> Array:
@@ -95,7 +96,7 @@ class Problem:
         return [self.residual(i, values) for i in range(len(self.blocks))]
 
     def slope(self, i: int, values: Values, residual: Array, f: Free) -> Array:
-        """Return ∂residual/∂parameter of block `i` at `values`, one-sided, inside the bounds."""
+        """Return ∂residual/∂parameter of block `i` at `values`, by a one-sided difference within the bounds."""
         step = DIFFERENCE * f.scale
         if values[f.name] + step > f.high:
             step = -step
@@ -104,11 +105,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Fit:
-    """Where a fit arrived: all values, the cost, and what the residual does there, by block.
+    """Result of a fit: all values, the cost, and by block the residuals and their slopes.
 
-    `slopes`: one row for each parameter that the block reads, in half the width that they were computed in, since many
-    fits are held and a step needs no more; `reads`: which of `free` those are.  `penalty`: the χ² of what is known
-    beforehand, twice its part of the cost.
+    `slopes`: one row for each parameter that the block reads, in single precision to save memory. `reads`: indices of
+    these parameters in `free`. `curvature`: JᵀJ + C⁻¹, (free, free). `penalty`: χ² of the parameters under their prior,
+    twice its part of the cost.
     """
 
     values: dict[str, float]
@@ -122,7 +123,7 @@ class Fit:
     steps: int
 
     def every_slope(self) -> Array:
-        """Return ∂residual/∂parameter of all blocks side by side, one row for each of `free`."""
+        """Return ∂residual/∂parameter of all blocks, (free, samples); one row for each of `free`."""
         every = np.zeros((len(self.free), sum(r.size for r in self.residuals)))
         at = 0
         for reads, rows in zip(self.reads, self.slopes, strict=True):
@@ -132,7 +133,7 @@ class Fit:
 
 
 class Slopes:
-    """∂residual/∂parameter by block, one row for each parameter that it reads, and their products (`grams`)."""
+    """∂residual/∂parameter by block, one row for each parameter that the block reads, and their products (`grams`)."""
 
     def __init__(self, problem: Problem, free: Sequence[Free], space: Space, residuals: Sequence[Array],
                  known: Fit | None) -> None:
@@ -158,9 +159,9 @@ class Slopes:
             self.rows[i][here] = carried[theirs] if mask is None else carried[np.ix_(theirs, np.flatnonzero(mask))]
 
     def stale(self, values: Values, thorough: bool = False) -> NDArray[np.intp]:
-        """Return the parameters whose slope was never taken, or too far from `values`.
+        """Return the parameters whose slope was never computed, or was computed too far from `values`.
 
-        `thorough`: all parameters, as soon as one was elsewhere when the slopes were taken.
+        `thorough`: return all parameters as soon as any has moved since its slope was computed.
         """
         at = self.space.of(values)
         if thorough:
@@ -168,13 +169,13 @@ class Slopes:
         return np.flatnonzero(~(np.abs(at - self.taken) <= MOVED * self.space.scale))
 
     def unknown(self) -> NDArray[np.intp]:
-        """Return the parameters whose slope was never taken."""
+        """Return the parameters whose slope was never computed."""
         return np.flatnonzero(np.isnan(self.taken))
 
     def take(self, values: Values, residuals: Sequence[Array], which: NDArray[np.intp]) -> bool:
-        """Take the slopes of the parameters `which` by differences; return whether there were any.
+        """Compute the slopes of the parameters `which` by differences; return whether `which` held any.
 
-        One parameter after another, each in all blocks: relations of one trial share parts of their laws.
+        The outer loop is over parameters: the equations of one trial share intermediate results of their submodels.
         """
         wanted = {self.free[j].name: int(j) for j in which.tolist()}
         copies: list[tuple[int, int, int]] = []
@@ -197,7 +198,7 @@ class Slopes:
         return which.size > 0
 
     def follow(self, step: Array, before: Sequence[Array], after: Sequence[Array]) -> None:
-        """Make the slopes agree with what `step` did."""
+        """Update the slopes so that they reproduce the residuals' change over `step` (Broyden)."""
         for reads, rows, gram, old, new in zip(self.reads, self.rows, self.grams, before, after, strict=True):
             scale = self.space.scale[reads]
             way = step[reads] / scale
@@ -225,8 +226,8 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
           thorough: bool = False, enough: float = ENOUGH) -> Fit:
     """Minimise the cost over `free` from `start` by Levenberg–Marquardt with the bounds projected.
 
-    `known`: a fit of the same blocks whose slopes are near those at `start`.  `thorough`: it has arrived only where
-    slopes say so that were all taken there.  `enough`: relative fall of the cost below which it has arrived.
+    `known`: a fit of the same blocks whose slopes are valid near `start`. `thorough`: converge only by slopes that were
+    all computed at the final point. `enough`: relative fall of the cost below which the fit has converged.
     """
     space = Space(free, problem.prior)
     at = np.clip(space.of(start), space.low, space.high)
@@ -259,13 +260,13 @@ def solve(problem: Problem, start: Values, free: Sequence[Free], max_steps: int 
 
 def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping: float, cost: float
              ) -> tuple[Array, float]:
-    """Return the next parameters and the gain that the slopes predict; those that would leave stop on their bound."""
+    """Return the next parameters and the predicted fall of the cost; a parameter stops on its bound."""
     down, up = space.low - at, space.high - at
-    # what nothing is told of stays where it is
+    # a parameter that neither residuals nor prior constrain is not moved
     idle = np.diag(curvature) <= 0.0
     scale = np.sqrt(np.where(idle, 1.0, np.diag(curvature)))
     even = np.where(idle[:, None] | idle, np.eye(at.size), curvature / np.outer(scale, scale))
-    # damped by what is known of each beside all others: of two that trade with each other, the sum is known far better
+    # damping by each parameter's curvature conditional on all others: of two confounded ones only the sum is well known
     alone = 1.0 / np.maximum(np.diag(_solved(even + SINGULAR * np.eye(at.size), np.eye(at.size))), 1.0)
     slope = np.where(idle, 0.0, gradient / scale)
     step = _between(even + damping * np.diag(alone), slope, down * scale, up * scale) / scale
@@ -275,10 +276,10 @@ def _stepped(at: Array, space: Space, gradient: Array, curvature: Array, damping
 
 
 def _between(matrix: Array, gradient: Array, down: Array, up: Array) -> Array:
-    """Return the step between bounds (0 among them) that makes ½·xᵀ·matrix·x + gradient·x least: by active sets.
+    """Return the step x between bounds (which include 0) that minimises ½·xᵀ·matrix·x + gradient·x, by active sets.
 
-    A parameter that would leave stops on its bound, and the worst one that the others pull back inside is let go
-    (Nocedal and Wright 2006, algorithm 16.3).
+    A parameter that would cross its bound stops on it. Of the parameters on bounds, the one with the largest inward
+    gradient is released (Nocedal and Wright 2006, algorithm 16.3).
     """
     step, slope = np.zeros(gradient.size), gradient
     held = ((down >= 0.0) & (slope > 0.0)) | ((up <= 0.0) & (slope < 0.0))
@@ -302,9 +303,9 @@ def _between(matrix: Array, gradient: Array, down: Array, up: Array) -> Array:
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solve for a matrix that damping keeps definite; where rounding has left it singular, the shortest solution.
+    """Solve a linear system; return the shortest solution if rounding has made the matrix singular.
 
-    Where laws that overflow have left no matrix at all, nothing moves.
+    The solution is zero if submodels that overflow have made the matrix non-finite.
     """
     try:
         return np.asarray(np.linalg.solve(matrix, right))

@@ -1,7 +1,7 @@
-"""What the measurement is compared with: healthy values, and the bands inside which nothing is to be found.
+"""Reference of a diagnosis: parameter values in the reference condition, and bands inside which no effect is reported.
 
-The rule of this file: a band comes from a calibration's own interval and from how far like benches differ,
-or, on a rig that nothing is known of, there is none: then what an ideal transmission lacks is to be found.
+A band combines the interval of a calibration and the spread of the bench population. On a rig of another kind the
+reference is an ideal transmission without bands: every departure from it is an effect.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy, ideal
 from physics.plant.leg import KNEE_AT_FIT
 
 BAND: Final = 3.0
-"""Half width of a hard band, in 1σ of like benches."""
+"""Half width of a hard band, in 1σ of the bench population."""
 LIKE_THIS_BENCH: Final = (0.7, 1.4)
-"""Rope per knee angle against the bench's own, within which a trial is taken to come from such a bench."""
+"""Range of rope per knee angle, relative to the bench's own, in which a trial is attributed to such a bench."""
 
 
 @dataclass(frozen=True)
 class HealthyReference:
-    """Healthy values, and what a baseline may move; `kind`: calibration, nominal or none.
+    """Reference values, and the parameters that a baseline fit may move; `kind`: calibration, nominal, healthy or none.
 
-    `measured`: 1σ of the values that a calibration measured on this bench, by its intervals.  `prior`: how what is not
-    known of the healthy values hangs together.
+    `measured`: 1σ of the values that a calibration measured on this bench. `prior`: joint covariance of the reference
+    values.
     """
 
     kind: str
@@ -44,18 +44,18 @@ class HealthyReference:
     prior: Prior = NOTHING_TOGETHER
 
     def within(self, band: Free, rest: Sequence[Free], values: Mapping[str, float]) -> bool:
-        """Whether a value is what is expected of a healthy bench whose constants `rest` are what `values` have."""
+        """Whether a value lies in its reference band, conditional on the constants `rest` at `values`."""
         mean, sigma = self.prior.expected(band, rest, values)
         return max(band.low, mean - BAND * sigma) < values[band.name] < min(band.high, mean + BAND * sigma)
 
 
 IDENTIFIED: Final = ("mu1", "mu2", "phi0", "fabric_wrap", "cable_share", "presliding", "rope_per_knee", "rope_zero",
                      "stiffness_scale", "stiffness_shape", "servo_bandwidth", "servo_delay", "start_offset")
-"""What the relations take from a calibration; the rest has its healthy value."""
+"""Parameters taken from a calibration by identification; all others keep their nominal reference value."""
 
 
 def of_bench(calibration: Mapping[str, Any] | None) -> HealthyReference:
-    """Return the bench of the signal table, its values from `calibration` where that has them."""
+    """Return the reference of the bench in the signal table, with values of `calibration` where available."""
     values = {**healthy(), **_brought()}
     model = bench_model.from_tables(calibration or {}, "calibration")
     nuisance, spreads, told, known = [], _spreads(model), model.related(), model.at_work()
@@ -75,12 +75,12 @@ def of_bench(calibration: Mapping[str, Any] | None) -> HealthyReference:
 
 
 def _measured(model: BenchModel) -> tuple[str, ...]:
-    """Return what the relations take from a model: all that a fit to trials tells, else what identification does."""
+    """Return the parameters that a model provides: all related ones if it was fitted to trials, else `IDENTIFIED`."""
     return tuple(model.related()) if model.fitted else IDENTIFIED
 
 
 def _daily(name: str, value: float) -> float:
-    """Return 1σ of a value of one bench from day to day: a tolerance is the half width of an even distribution."""
+    """Return 1σ of a parameter between sessions; a tolerance is the half width of a uniform distribution."""
     tolerance = RELATION_PARAMETERS[name].daily
     if tolerance is None:
         return 0.0
@@ -89,9 +89,9 @@ def _daily(name: str, value: float) -> float:
 
 def _spreads(model: BenchModel, ends: Callable[[ScalarEvidence, float], tuple[float, float]] = ScalarEvidence.again
              ) -> dict[str, float]:
-    """Return the 1σ of what a bench model tells.
+    """Return 1σ of each parameter, propagated from the intervals of a bench model's scalars.
 
-    `ends`: by default the repeatability of its values, where like is compared with like.
+    `ends`: interval of one scalar; by default its repeatability, for comparisons on the same bench.
     """
     total: dict[str, float] = {}
     for measured, evidence in model.evidence.items():
@@ -106,13 +106,13 @@ def _spreads(model: BenchModel, ends: Callable[[ScalarEvidence, float], tuple[fl
 
 
 def _brought() -> dict[str, float]:
-    """Return the neutral values of parameters that only an effect's own law reads."""
+    """Return the neutral values of parameters that only an effect's additional submodel reads."""
     return {p.name: sum(p.likely) / 2.0 if p.neutral is None else p.neutral
             for effect in CATALOGUE.values() for p in effect.parameters if p.name not in RELATION_PARAMETERS}
 
 
 def of_unknown_rig(blocks: Sequence[Block]) -> HealthyReference:
-    """Return an ideal transmission whose offsets, ratios and load-free friction are whatever the data say."""
+    """Return an ideal transmission as reference; its offsets, ratios and load-free friction are free without prior."""
     values = {**ideal(), **_brought()}
     for block in blocks:
         s = block.signals
@@ -136,7 +136,10 @@ def _scale(blocks: Sequence[Block], unit: str, at: float) -> float:
 
 
 def like_this_bench(tables: Sequence[Table]) -> bool:
-    """Return whether rope and knee move together as on the bench of the signal table (unknown: it is assumed)."""
+    """Return whether rope and knee move together as on the bench of the signal table.
+
+    Trials without both signals are attributed to that bench if they contain a force target or gait percent.
+    """
     for given in tables:
         if "servo_position_m" in given and "knee_angle_rad" in given:
             angle, rope = given["knee_angle_rad"], given["servo_position_m"]

@@ -1,8 +1,8 @@
-"""What the laws leave on the healthy trials: how much of it another trial repeats, and how far it scatters where.
+"""Residuals of the fitted model in the reference condition: how far a trial repeats them, and where they scatter.
 
-The rule of this file: each healthy trial is judged by what the other ones teach, fitted again inside the bands of like
-benches as a trial in question will be (a single one by cycles); what that leaves is the floor, and where in motion and
-load it is left says how much a sample there may count.
+Each reference trial is held out, corrected by the discrepancy of the others, and fitted again inside the population's
+bands, as a trial under diagnosis will be. A single trial is held out by cycles. The RMS of what remains is the
+reference RMSE. Its local mean square over motion and load gives the weight of each sample.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 STRUCTURE: Final = 0.25
-"""Share of what the laws leave that one like bench may leave in another way than another one."""
+"""Systematic error in which two benches of the population differ, as a share of the residual of the fitted model."""
 
 
 @dataclass(frozen=True)
 class HealthyResiduals:
-    """By relation, what the laws leave on the healthy trials.
+    """Residuals in the reference condition, by prediction equation and in its unit.
 
-    `floors`: RMSE with the discrepancy taken off, on what it was not learnt on; `plain`: without it; `misfit`: that one
-    with each sample counted as the fit counts it, beside the signal's own `spread`; `noise`: what of both is the
-    sensors' noise of these trials, which another trial need not have; `correlation_length`: how many samples of the
-    former count as one; `discrepancies`: what was learnt; `scatters`: where it scatters.
+    `floors`: reference RMSE, on held-out data with the discrepancy subtracted. `plain`: RMSE without the discrepancy.
+    `misfit`: `plain` with the fit's sample weights. `spread`: standard deviation of the signal. `noise`: sensor noise
+    of these trials, contained in both RMSE. `correlation_length`: samples per effective sample of the held-out
+    residual. `discrepancies`: those that are used. `scatters`: local mean square of the model error.
     """
 
     floors: Mapping[str, float]
@@ -52,8 +52,8 @@ class HealthyResiduals:
 
 @dataclass(frozen=True)
 class _Alone:
-    """One relation on one trial that was fitted alone: its features, what the law leaves, how much that counts, and
-    what is held back together."""
+    """One equation on one trial fitted alone: features, residual, sample weights, and the number of the set held out
+    together."""
 
     at: Array
     rest: Array
@@ -63,16 +63,16 @@ class _Alone:
 
 def examine(trials: Sequence[Sequence[Block]], bench: HealthyReference, near: Sequence[Values],
             weights: Mapping[str, float], certain: Sequence[Sequence[Array]]) -> HealthyResiduals:
-    """Fit each trial alone inside the bands of `bench` from `near`, learn what the laws leave, judge it on the unseen.
+    """Fit each trial alone inside the bands of `bench` from `near`; return the residuals of held-out trials.
 
-    `certain`: by trial and block, how much each sample counts in these fits.
+    `certain`: by trial and block, the weight of each sample in these fits.
     """
     held = [list(zip(trial, own, strict=True)) for trial, own in zip(trials, certain, strict=True)]
     alone = [_fitted(trial, {}, bench, start, weights) for trial, start in zip(held, near, strict=True)]
     told = _told(held, alone, bench.values)
     learnt = {n: _learnt(parts) for n, parts in told.items() if _motion(n)}
     if len(trials) > 1 and any(d.used for d in learnt.values()):
-        # with the discrepancy taken off the constants need not stand in for it any more
+        # with the discrepancy subtracted, the constants no longer have to absorb it
         alone = [_fitted(trial, learnt, bench, values, weights) for trial, values in zip(held, alone, strict=True)]
         told = _told(held, alone, bench.values)
         learnt = {n: _learnt(parts) for n, parts in told.items() if _motion(n)}
@@ -90,27 +90,27 @@ def examine(trials: Sequence[Sequence[Block]], bench: HealthyReference, near: Se
 
 
 def another(trials: int) -> float:
-    """Return the share of what the laws leave that a further like bench may leave in another way than `trials` did.
+    """Return the systematic error by which a further bench may differ, as a share of the residual of the fitted model.
 
-    One bench's own way is taken for that of all where it alone taught it: the mean of `trials` is off by as much again,
-    over the root of their number.
+    The bench-to-bench part of the residual counts once for the further bench. The mean over `trials` adds the same part
+    divided by the root of their number.
     """
     return STRUCTURE * math.sqrt(1.0 + 1.0 / trials)
 
 
 LEAST: Final = 0.1
-"""Share of the noise below which nothing is known of what else a relation leaves."""
+"""Lower limit of the systematic error, as a share of the noise, both RMS: a smaller one cannot be determined."""
 
 
 def noise_at(at: Sequence[Array], rests: Sequence[Array]) -> list[Array]:
-    """Return, by sample of each of some blocks of one relation, the square of its noise."""
+    """Return the noise variance by sample, for each of several blocks of one equation."""
     every = np.concatenate([chances(r) for r in rests])
     local = discrepancy.scatter(np.concatenate(list(at)), every, 1e-24)
     return [local.of(x) for x in at]
 
 
 def certainties(blocks: Sequence[Block], rests: Sequence[Array], values: Values) -> list[Array]:
-    """Return, by block of any trials, how much each sample counts by how far its law is from holding about there."""
+    """Return the weight of each sample by block of any trials, from the local mean square of the residual."""
     found = [np.ones(b.keep.size) for b in blocks]
     for name in dict.fromkeys(b.relation.name for b in blocks if b.keep.size):
         mine = [i for i, b in enumerate(blocks) if b.relation.name == name and b.keep.size]
@@ -128,9 +128,10 @@ def _scattered(at: Sequence[Array], squares: Sequence[Array], noise: Sequence[Ar
 
 
 def _structure(parts: Sequence[_Alone], left: Sequence[Array], share: float) -> Scatter:
-    """Return where a relation is from holding on a further bench: what is `left` on the unseen, and its own way.
+    """Return the local mean square of the model error of one equation on a further bench.
 
-    `share`: of what the laws plainly leave, that a further bench leaves in its own way; it is off by no more than they.
+    `left`: held-out residuals. `share`: part of the plain residual in which a further bench may differ; the sum is
+    limited to the larger of both squares.
     """
     at = [p.at for p in parts]
     noise = noise_at(at, left)
@@ -171,7 +172,7 @@ def _learnt(parts: Sequence[_Alone]) -> Discrepancy:
 
 def _unseen(held: Sequence[Held], told: Mapping[str, Sequence[_Alone]], learnt: Mapping[str, Discrepancy],
             bench: HealthyReference, alone: Sequence[Values], weights: Mapping[str, float]) -> dict[str, list[Array]]:
-    """Return what each trial leaves of what the other ones teach; of a single one, each cycle."""
+    """Return the residual of each trial with the discrepancy of the others subtracted; by cycles for a single trial."""
     if len(held) == 1:
         return {n: [_by_cycles(parts[0], learnt.get(n))] for n, parts in told.items()}
     found: dict[str, list[Array]] = {n: [] for n in told}
@@ -204,5 +205,5 @@ def _spread(trials: Sequence[Sequence[Block]], name: str) -> float:
 
 
 def _motion(relation: str) -> bool:
-    """Whether a relation's discrepancy may follow motion and load: a drive's own loop is what it is."""
+    """Whether an equation's discrepancy may depend on motion and load; the loops of servo and knee are excluded."""
     return relation not in ("servo", "knee")

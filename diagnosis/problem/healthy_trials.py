@@ -1,7 +1,7 @@
-"""Healthy trials and what is learnt from them, once for all the diagnoses that use them.
+"""Reference trials and the bench model fitted to them, computed once for all diagnoses that use them.
 
-The rule of this file: what is learnt depends on the healthy trials, the relations that are checked and the reference
-alone, so that it serves every trial in question that has the same columns.
+A fit depends only on the reference trials, the checked equations, the reference and the rate. It therefore serves every
+trial under diagnosis that has the same columns.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from diagnosis.problem.learnt_bands import Learnt, geometry, learn, of_geometry
 from physics.parameters import RELATION_PARAMETERS
 
 SECONDS: Final = 5.0
-"""Length of all trials together that the simulation is fitted on, s."""
+"""Length of all trials together to which the simulation is fitted, s."""
 RATES_HZ: Final = (50.0, 62.5, 80.0, 100.0, 125.0)
 Key = tuple[tuple[str, ...], tuple[tuple[str, float], ...], float]
 
 
 class HealthyTrials:
-    """Trials of this or a like bench with nothing wrong: usable samples, filtered alike."""
+    """Trials of this bench or of its population without fault: usable samples, filtered alike."""
 
     def __init__(self, tables: Sequence[Table] = ()) -> None:
         self.tables = tuple(tables)
@@ -38,15 +38,15 @@ class HealthyTrials:
         return iter(self.tables)
 
     def rate(self, trials: Sequence[Table]) -> float:
-        """Return the rate, Hz, at which `trials` and these are looked at, that of the longest among them.
+        """Return the sampling rate, Hz, for `trials` and these: the rate that suits the longest of them.
 
-        Rates are those of `RATES_HZ`, so that trials of about one length share a fit.
+        Rates are limited to `RATES_HZ`, so that trials of similar length share a fit.
         """
         least = min(blocks.working_rate(group) for group in (trials, *([t] for t in self.tables)) if group)
         return max((r for r in RATES_HZ if r <= least), default=least)
 
     def fit(self, checked: Sequence[str], known: HealthyReference, rate_hz: float | None = None) -> Learnt:
-        """Return what these trials say of the relations `checked`; `known` is one point to start from."""
+        """Return the bench model fitted to these trials with the equations `checked`; `known` is one starting point."""
         rate = self.rate(()) if rate_hz is None else rate_hz
         key = tuple(checked), tuple(sorted(known.values.items())), rate
         if key not in self._fits:
@@ -54,7 +54,7 @@ class HealthyTrials:
         return self._fits[key]
 
     def simulated(self, learnt: Learnt) -> dict[str, float]:
-        """Return what was learnt, moved to where the simulation fits these trials; computed once."""
+        """Return the identified constants, adjusted so that the simulation fits these trials; computed once."""
         if id(learnt) not in self._simulated:
             values = {n: v for n, v in learnt.reference.values.items() if n in RELATION_PARAMETERS}
             self._simulated[id(learnt)] = simulated_blocks.fitted(
@@ -69,7 +69,7 @@ class HealthyTrials:
                   for t in self.tables]
         columns = [t.columns for t in self.tables]
         near, closed = geometry(columns, own.values["rope_per_knee"]), geometry(columns)
-        # what a calibration measured is known better than what the closed form says
+        # a calibration measured the constants more accurately than the closed form estimates them
         start = own.values if near is None or known.measured else of_geometry(own.values, near)
         others = [known.values] if known.kind == "calibration" and not known.measured else []
         others += [of_geometry(own.values, closed)] if closed is not None else []

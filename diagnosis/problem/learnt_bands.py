@@ -1,8 +1,8 @@
-"""A bench's constants from its healthy trials of any motion: wide physical priors, several starts, then its own floor.
+"""Identification of a bench from reference trials of any motion: wide priors, several starts, then its reference RMSE.
 
-The rule of this file: nothing is known of the bench but that a rope runs over a knee and stretches; geometry comes in
-closed form from rope, knee and tension, the zero from the median of what kinematics leaves, friction from several
-starts, coarse and then in full.  What the data do not move stays where it was and is said so.
+The only assumption is that a rope runs over a knee and stretches. Geometry has a closed form in rope, knee angle and
+tension. The encoder zero follows from the median kinematic residual. Friction is fitted from several starts, first
+coarsely, then in full. Constants that the data do not determine keep their prior.
 """
 
 from __future__ import annotations
@@ -44,41 +44,41 @@ WIDE: Final[Mapping[str, float]] = {
     "drive_coulomb": 3.0, "drive_viscous": 40.0, "drive_inertia": 2.0, "drive_offset": 1.0, "drive_asymmetry": 0.1,
     "drive_presliding": 0.3e-3, "servo_bandwidth": 15.0, "servo_damping": 0.4, "knee_bandwidth": 15.0,
     "knee_damping": 0.4, "knee_backlash": 3.5e-3, "creep_compliance": 5e-6}
-"""1σ of what is known beforehand of a bench of this kind."""
+"""Prior 1σ of each constant of a bench of this kind, in its unit."""
 KNEE_RATIO: Final = 0.05
-"""1σ of the rope per knee angle about what the closed form says, of it."""
+"""1σ of the rope per knee angle about its closed form, as a share of its value."""
 KNEE_RATIO_RANGE: Final = (0.5, 2.0)
 NARROW: Final = 0.3
-"""Slots that stand in for missing physics (`STANDING_IN`): 1σ after learning, of that of like benches."""
+"""1σ after identification of the surrogates of missing physics (`STANDING_IN`), as a share of the population's 1σ."""
 STANDING_IN: Final = ("cable_bend", "load_slope", "toe", "rope_per_knee_quadratic", "stribeck_ratio",
                       "stiffness_shape")
 RELATIVE: Final = ("mu1", "mu2", "stiffness_scale", "presliding", "drive_coulomb", "drive_viscous", "drive_inertia")
-"""Slots whose tolerance among like benches is a share of their value."""
+"""Parameters whose tolerance in the bench population is a share of their value."""
 KEPT: Final = ("knee_backlash", "creep_compliance")
 KEPT_SHARE: Final = 0.1
-"""Slots that are nothing on a nominal bench and stay what they are on a bench that has them: 1σ of their value, beside
-how well they were learnt."""
+"""Parameters that are 0 on a nominal bench and constant on a bench that has them, and 1σ as a share of their value. The
+uncertainty of the identification is added to this 1σ."""
 DRAG: Final = ("viscous",)
 DRAG_SHARE: Final = 0.05
-"""Slots that a nominal bench has not, and 1σ among like benches, of the value that a bench has."""
+"""Parameters that are 0 on a nominal bench, and their 1σ in the population as a share of the identified value."""
 NOISE_LENGTH: Final = 1.25
-"""Samples of white noise behind the low-pass of the working rate that count as one."""
+"""Samples of white noise behind the low-pass of the working rate per effective sample."""
 STARTS: Final = ((1.0, 0.1e-3), (0.5, 0.3e-3), (2.0, 0.1e-3))
-"""Friction, of the nominal, and pre-sliding, m, that fits start from."""
+"""Starting points of the fits: friction as a multiple of the reference value, and pre-sliding, m."""
 AGAIN: Final[tuple[Mapping[str, float], ...]] = (
     {"stribeck_ratio": 1.5, "stribeck_memory": 35e-3},
     {"stribeck_ratio": 1.5, "stribeck_speed": 4e-3, "stribeck_memory": 5e-3},
     {"viscous": 10.0, "viscous_tension": 25.0})
-"""Where a fit starts again: friction that breaks away late, or at once, is another minimum than friction that hardly
-does, and so is a rope that drags only where it is pressed to its sheath."""
+"""Further starting points of the joint fit. Each can lead to another local minimum: friction that breaks away late,
+friction that breaks away at once, and viscous drag only where the rope is pressed to its sheath."""
 COARSE: Final = ("mu1", "mu2", "viscous", "timestamp_skew", "presliding", "stiffness_scale", "stiffness_shape",
                  "rope_zero", "rope_per_knee")
 FULL: Final = 2
 CLOSE: Final = 1.2
-"""Coarse fits that are carried on: so many at most, of at most this share of the best one's cost."""
+"""Coarse fits to continue: at most `FULL`, with a cost below `CLOSE` times the best one."""
 STRETCH_AT_60_N: Final = (2e-3, 60e-3)
 STRAIGHT: Final = 0.9
-"""R² of rope over knee and tension from which a rig is one of this kind."""
+"""R² of rope over knee angle and tension above which a rig is of this kind."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +93,15 @@ class Geometry:
 
     @property
     def stretches(self) -> bool:
-        """Whether a tension stretches what is there like a rope and a strap."""
+        """Whether the stretch under tension is of the size of a rope with a strap."""
         stretch = self.linear * 60.0 + self.bend * 3600.0
         return self.straight > STRAIGHT and STRETCH_AT_60_N[0] < abs(stretch) < STRETCH_AT_60_N[1]
 
 
 def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None) -> Geometry | None:
-    """Return the geometry of trials with rope, knee and a tension; None where too little of it is taut.
+    """Return the geometry of trials with rope, knee angle and a tension; None if too few samples are taut.
 
-    `ratio`: rope per knee angle where it is known.
+    `ratio`: rope per knee angle, if it is given.
     """
     rows, rope = [], []
     for held in columns:
@@ -126,7 +126,7 @@ def geometry(columns: Sequence[Mapping[str, Array]], ratio: float | None = None)
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
-    """Return the trials with a rope position that grows where it pulls, and the sign that theirs has (1 or −1)."""
+    """Return the trials, rope position oriented to grow with the pull, and the sign of the original (1 or −1)."""
     found = geometry([t.columns for t in tables])
     if found is None or found.linear * 60.0 + found.bend * 3600.0 >= 0.0:
         return list(tables), 1
@@ -137,7 +137,7 @@ def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
 
 @dataclass(frozen=True, kw_only=True)
 class Learnt(HealthyResiduals):
-    """What healthy trials say of a bench: bands about the learnt values, 1σ by slot, and what the laws leave."""
+    """Bench identified from reference trials: bands about its constants, their 1σ, and its residuals."""
 
     reference: HealthyReference
     sigma: Mapping[str, float]
@@ -145,27 +145,27 @@ class Learnt(HealthyResiduals):
     trials: int
 
     def structure(self, relation: str) -> float:
-        """Return how far a relation may be from holding on a healthy trial without noise, RMS.
+        """Return the systematic error of an equation in the reference condition without noise, RMS, in its unit.
 
-        Like benches differ in structure, too.
+        The spread between benches of the population is included.
         """
         left, plain = (_less(v[relation], self.noise[relation]) for v in (self.floors, self.plain))
         return min(math.hypot(left, another(self.trials) * plain), max(left, plain))
 
     def structure_length(self, relation: str) -> float:
-        """Return how many samples of the structure count as one: what the correlation of all has beyond the noise's."""
+        """Return the samples per effective sample of the systematic error: total correlation less that of noise."""
         left, noise = self.floors[relation], self.noise[relation]
         beyond = left**2 * self.correlation_length[relation] - NOISE_LENGTH * noise**2
         return min(max(beyond / _less(left, noise) ** 2, LEAST_CORRELATION_LENGTH), MOST_CORRELATION_LENGTH)
 
     def corrected(self, blocks: Sequence[Block]) -> list[Block]:
-        """Return blocks of another trial with the discrepancies taken off."""
+        """Return the blocks of another trial with the discrepancies subtracted."""
         return [discrepancy.corrected(b, self.discrepancies, self.reference.values) for b in blocks]
 
     def weighed(self, blocks: Sequence[Block]) -> Weighed:
-        """Return blocks of another trial with the discrepancies taken off, each sample with what it counts.
+        """Return the blocks of another trial with the discrepancies subtracted and each sample weighted.
 
-        A sample counts by how well the laws hold about there, and by the noise that the trial itself has there.
+        The weight of a sample follows from the local model error and from the local noise of the trial itself.
         """
         values, found = self.reference.values, self.corrected(blocks)
         floors, weights, noises = dict[str, float](), dict[str, float](), dict[str, float]()
@@ -190,10 +190,10 @@ class Learnt(HealthyResiduals):
 
 
 class Weighed(NamedTuple):
-    """Blocks of which each sample counts by how well its law holds about there; what a healthy trial leaves of them.
+    """Weighted blocks of a trial, and the residual expected of them in the reference condition.
 
-    By relation, in its unit: the RMSE `floors`, the residual that costs one, and what of the RMSE is noise.  The mean
-    square of what the samples of a relation count is 1.
+    By equation, in its unit: `floors`, the reference RMSE; `weights`, the residual that costs 1; `noise`, the noise in
+    the RMSE. Sample weights of an equation have mean square 1.
     """
 
     blocks: list[Block]
@@ -203,16 +203,16 @@ class Weighed(NamedTuple):
 
 
 def _less(whole: float, noise: float) -> float:
-    """Return what of a whole RMS is not noise; a tenth of the noise at least, below which nothing is known of it."""
+    """Return the RMS of a residual without its noise; at least a tenth of the noise."""
     return math.sqrt(max(whole**2 - noise**2, (0.1 * noise) ** 2, 1e-24))
 
 
 def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors: Mapping[str, float],
           correlation_length: Mapping[str, float], others: Sequence[Values] = ()) -> Learnt:
-    """Learn a bench from the blocks of each of its healthy trials; `others`: further values to start from.
+    """Identify a bench from the blocks of each of its reference trials; `others`: further starting points.
 
-    `reference`: where nothing is learnt, and how far like trials of one bench differ; `floors`, `correlation_length`:
-    what is assumed before they are seen.
+    `reference`: prior means of all constants, and the spread between trials of one bench. `floors`,
+    `correlation_length`: reference RMSE and samples per effective sample assumed before the fit.
     """
     weights = {n: 2.0 * floors[n] * math.sqrt(correlation_length[n]) for n in floors}
     blocks = [deviating(b, i, _own(reference)) for i, trial in enumerate(trials) for b in trial]
@@ -231,8 +231,8 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
         together = min(together, solve(Problem(blocks, weights), {**together.values, **other}, free, known=together,
                                        thorough=True), key=lambda f: f.cost)
     for last in (False, True):
-        # few samples that no law meets (a loose rope that snaps tight) would lead the constants: each counts as its
-        # place; and how much data count beside what is known beforehand, what the laws do leave says, not what they may
+        # few samples that no submodel fits (a slack rope that snaps tight) would dominate the constants, so that each
+        # sample is weighted by the local residual; the actual RMSE replaces the assumed one
         certain = certainties(blocks, [b.residual(together.values) for b in blocks], reference.values)
         counted = [discrepancy.corrected(b, {}, {}, c) for b, c in zip(blocks, certain, strict=True)]
         weights = _costing_one(counted, together.values, weights)
@@ -250,19 +250,19 @@ def learn(trials: Sequence[Sequence[Block]], reference: HealthyReference, floors
 
 
 def _costing_one(blocks: Sequence[Block], values: Values, before: Mapping[str, float]) -> dict[str, float]:
-    """Return by relation the residual that costs one, from what is left at `values`; never more than `before`."""
+    """Return by equation the residual that costs 1, from the RMSE at `values`; at most `before`."""
     left = {n: rmse(b.residual(values) for b in blocks if b.relation.name == n and b.keep.size) for n in before}
     return {n: min(before[n], max(left[n], LEAST_FLOOR[n]) * math.sqrt(LEAST_CORRELATION_LENGTH))
             if math.isfinite(left[n]) else before[n] for n in before}
 
 
 def _own(reference: HealthyReference) -> tuple[Free, ...]:
-    """Return in what one trial may differ from another of the same bench."""
+    """Return the parameters in which trials of one bench may differ."""
     return reference.nuisance
 
 
 def _wide(reference: HealthyReference) -> list[Free]:
-    """Return every constant with what is known of it beforehand."""
+    """Return every constant with its prior before identification."""
     found = {f.name: f for f in reference.nuisance}
     for name, sigma in WIDE.items():
         low, high = bounds(name)
@@ -278,20 +278,20 @@ def _wide(reference: HealthyReference) -> list[Free]:
 
 
 def bounds(name: str) -> tuple[float, float]:
-    """Return the bounds of a slot on a healthy bench: of two signals either may be the later one."""
+    """Return the bounds of a parameter in the reference condition; a delay between two signals may have either sign."""
     slot = RELATION_PARAMETERS[name]
     return (-slot.high if name in ("timestamp_skew", "end_delay") else slot.low), slot.high
 
 
 def _step(name: str) -> float:
-    """Return the scale on which a slot's slopes are taken."""
+    """Return the scale on which a parameter's slope is computed."""
     return {"rope_zero": 1e-3, "timestamp_skew": 5e-4, "end_delay": 5e-4, "drive_viscous": 10.0, "viscous": 1.0,
             "viscous_tension": 2.0, "servo_bandwidth": 5.0, "knee_bandwidth": 5.0,
             "knee_backlash": 1e-3, "creep_compliance": 5e-6}.get(name, math.inf)
 
 
 def _short(trials: Sequence[Sequence[Block]], cycles: int = 3) -> list[Block]:
-    """Return the first cycles of each trial, for fits that only look where to go."""
+    """Return the first cycles of each trial, for coarse fits that only select starting points."""
     short = []
     for trial in trials:
         for block in trial:
@@ -314,7 +314,7 @@ def _starts(values: Values, trials: Sequence[Sequence[Block]]) -> Iterator[dict[
 
 
 def _zeroed(values: dict[str, float], trials: Sequence[Sequence[Block]]) -> dict[str, float]:
-    """Put the zero where the median of what kinematics leaves is none."""
+    """Shift the encoder zero so that the median kinematic residual is 0."""
     left = [b.residual(values) for trial in trials for b in trial if b.relation.name == "kinematics" and b.keep.size]
     if not left:
         return values
@@ -323,7 +323,7 @@ def _zeroed(values: dict[str, float], trials: Sequence[Sequence[Block]]) -> dict
 
 
 def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
-    """Return values with rope per knee angle, zero and stretch as the closed form has them."""
+    """Return values with rope per knee angle, zero and stretch replaced by those of the closed form."""
     scale = min(max(STRETCH_LINEAR / found.linear, 0.3), 3.0) if found.linear > 0.0 else 1.0
     shape = min(max(found.bend * scale / STRETCH_BEND - 1.0, -0.95), 0.9)
     return {**values, "rope_per_knee": found.ratio, "rope_zero": found.zero, "stiffness_scale": scale,
@@ -331,7 +331,7 @@ def of_geometry(values: Values, found: Geometry) -> dict[str, float]:
 
 
 def _like(reference: HealthyReference, values: Values) -> dict[str, float]:
-    """Return 1σ by slot of like benches about what was learnt."""
+    """Return the bench population's 1σ of each parameter about the identified value."""
     found = {}
     zero = next((f.sigma for f in reference.nuisance if f.name == "rope_zero"), math.inf)
     for f in reference.nuisance:
@@ -351,17 +351,17 @@ def _like(reference: HealthyReference, values: Values) -> dict[str, float]:
 
 
 def _deviations(like: Values, trials: int) -> list[Free]:
-    """Return each trial's own deviation from what is common; of a single one it is part of what is learnt."""
+    """Return each trial's deviation parameters; empty for a single trial, whose deviation is part of the constants."""
     return [Free(f"{name}@{i}", -BAND * sigma, BAND * sigma, 0.0, sigma, sigma)
             for i in range(trials) for name, sigma in like.items()] if trials > 1 else []
 
 
 def _bands(reference: HealthyReference, values: Values, trials: int, relations: Mapping[str, float],
            learnt: Values) -> tuple[Free, ...]:
-    """Return the bands of like benches about what was learnt, each amplitude of a discrepancy beside them.
+    """Return the bands of the population about the identified values, and those of the discrepancies' amplitudes.
 
-    `learnt`: 1σ by slot of what was not learnt.  Slots that no like bench differs in (the wrap of the fabric) are open
-    as far as the healthy trials left them so: beside them stand those that trade with them.
+    `learnt`: 1σ of the identification by parameter. Parameters without spread in the population (the wrap of the
+    fabric) keep the uncertainty of the identification, because others are confounded with them.
     """
     alone = math.sqrt(2.0) if trials == 1 else 1.0
     like = {**dict.fromkeys(learnt, 0.0), **_like(reference, values), **{n: KEPT_SHARE * values[n] for n in KEPT}}
@@ -371,29 +371,29 @@ def _bands(reference: HealthyReference, values: Values, trials: int, relations: 
 
 
 def _band(name: str, value: float, like: float, learnt: float) -> Free:
-    """Return the band of a slot from 1σ among like benches and of what was not learnt."""
+    """Return the band of a parameter from its population 1σ and its identification 1σ."""
     sigma, (low, high) = math.hypot(like, learnt), bounds(name)
     return Free(name, max(low, value - BAND * sigma), min(high, value + BAND * sigma), value, sigma, like or sigma)
 
 
 def _homed(values: Values) -> float:
-    """Return by how much a newton of homing's preload moves the zero, m: by what the bench's stretch is not (10)'s.
+    """Return |∂zero/∂preload| of homing, m/N: linear compliance of the bench less that of equation (10).
 
-    It stands for a bench homed before its stretch changed; what is learnt has the zero that it was recorded with.
+    This covers a bench that was homed before its stretch changed; the identified zero is that of the recording.
     """
     linear = STRETCH_LINEAR * (1.0 / values["stiffness_scale"] - 1.0)
     return abs(linear)
 
 
 def covariance(fit: Fit) -> Prior:
-    """Return what a fit leaves open of every slot, from its curvature, what was known beforehand included."""
+    """Return the posterior covariance of the common parameters, from the fit's curvature including the prior."""
     return _open(fit, fit.curvature, 1e-10)
 
 
 def learnt_covariance(blocks: Sequence[Block], fit: Fit) -> Prior:
-    """Return what a fit leaves open, its residuals counted as what they are: one after another, cycle after cycle.
+    """Return the covariance of the common parameters, with correlated residuals counted by their effective samples.
 
-    What the laws lack is left again in each cycle of a trial, and does not say more for being seen more often.
+    Systematic error repeats in each cycle of a trial; a repeated error adds no information.
     """
     information = NOTHING_TOGETHER.precision(fit.free)
     for name in dict.fromkeys(b.relation.name for b in blocks):
@@ -407,7 +407,7 @@ def learnt_covariance(blocks: Sequence[Block], fit: Fit) -> Prior:
 
 
 def _open(fit: Fit, information: Array, singular: float) -> Prior:
-    """Return the covariance of all but each trial's own; what is less than `singular` of the most is not inverted."""
+    """Return the covariance of the common parameters; directions below `singular` of the largest are not inverted."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     whole = np.linalg.pinv(information / np.outer(scale, scale), rcond=singular, hermitian=True)
     common = [j for j, f in enumerate(fit.free) if "@" not in f.name]
@@ -416,5 +416,5 @@ def _open(fit: Fit, information: Array, singular: float) -> Prior:
 
 
 def sigmas(unknown: Prior) -> dict[str, float]:
-    """Return 1σ of every slot."""
+    """Return 1σ of every parameter of `unknown`."""
     return {n: math.sqrt(max(float(v), 0.0)) for n, v in zip(unknown.names, np.diag(unknown.covariance), strict=True)}

@@ -1,8 +1,8 @@
-"""Constants that one relation alone reads, a drive's loop: fitted to it from every corner, before all others.
+"""Constants that a single equation reads (a drive's loop), fitted to it from all corners before other fits.
 
-The rule of this file: a loop that is not quite of second order is followed equally well by a slow one and by a quick
-one with a dead time, and neither says anything of the rest of the bench.  A bench is learnt in the better minimum, and
-every fit of a search starts in that one, so that two models never differ by it.
+A loop that is not exactly of second order is fitted equally well by a slow model and by a quick one with dead time.
+Neither minimum carries information about the rest of the bench. A bench is identified in the better one. Every fit of a
+search starts in it, so that two models never differ by this choice.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ from diagnosis.problem.prior import Free
 Values = Mapping[str, float]
 
 MOST: Final = 3
-"""Constants of a relation's own, beyond which it is no loop."""
+"""Most constants that only one equation reads; with more of them the equation is not treated as a loop."""
 CORNER: Final = 2.0
-"""How far from the mean the corners are, in 1σ."""
+"""Distance of the corners from the prior mean, in 1σ."""
 
 
 def settled(problem: Problem, values: Values, free: Sequence[Free], corners: bool = True) -> dict[str, float]:
-    """Return those constants of `free` that one relation alone reads, where they fit it best; the rest is at `values`.
+    """Return the constants of `free` that one equation alone reads, fitted to it; the others stay at `values`.
 
-    Without `corners` in the minimum that they are in: where the bench is known, that it is another one says nothing.
+    Without `corners` only the minimum around `values` is searched. On an identified bench another minimum carries no
+    information.
     """
     found: dict[str, float] = {}
     names = dict.fromkeys(b.relation.name for b in problem.blocks)

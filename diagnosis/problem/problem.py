@@ -1,7 +1,7 @@
-"""What a diagnosis works on: the relations that can be checked, their blocks, reference, weights and floors.
+"""Setting of a diagnosis: equations that can be checked, their blocks, reference, weights and candidate effects.
 
-The rule of this file: everything that is known before the search starts is decided here, from columns,
-calibration and healthy trials alone; the trials under question decide nothing but the scale on an unknown rig.
+Columns, calibration and reference trials decide everything before the search starts. On a rig of another
+kind without reference trials, the trials under diagnosis also fit the reference and scale the weights.
 """
 
 from __future__ import annotations
@@ -29,16 +29,20 @@ from physics.relations import relation
 from physics.relations.relation import RELATIONS
 
 CORRELATED_S = 0.09
-"""Time over which residuals repeat themselves on a rig that nothing is known of."""
+"""Time, s, over which residuals of a rig of another kind are correlated."""
 UNEXPLAINED_SHARE = 0.3
-"""What a search is expected to leave of the baseline's residual on such a rig: it scales the weights, no more."""
+"""Part of the baseline's residual that a search is expected not to explain on such a rig; scales the weights only."""
 
 
 @dataclass(frozen=True)
 class ProblemSetting:
-    """`checked` relations on `blocks`; `floors` only from healthy trials; `any_rig`: nothing is known of the bench;
-    `rate_hz`: the rate at which trials are looked at; `noise`: RMS by relation that is noise of these trials; `blind`:
-    effects whose own relation lacks a column, which may be rivals and are never chosen."""
+    """Setting of one diagnosis: `checked` equations on `blocks`, with `folds` of their cycles.
+
+    `any_rig`: a rig of another kind, without reference trials. `missing`: columns that each equation lacks. `floors`:
+    reference RMSE, only with reference trials. `rate_hz`: sampling rate of all trials. `noise`: RMS noise of these
+    trials by equation. `blind`: effects whose first equation lacks a column; these may be competing hypotheses and are
+    never chosen.
+    """
 
     any_rig: bool
     missing: Mapping[str, tuple[str, ...]]
@@ -65,12 +69,12 @@ class ProblemSetting:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether the trials are of a rig of another kind, known by its healthy trials alone."""
+        """Whether the trials are of a rig of another kind that has reference trials."""
         return self.learnt is None and self.reference.kind == "healthy"
 
     @property
     def nameless(self) -> tuple[str, ...]:
-        """Return the constants that are free on a rig that nothing is known of and that no effect names."""
+        """Return the constants without prior on a rig of another kind that are in no effect of the catalogue."""
         return tuple(f.name for f in self.reference.nuisance if f.name in RELATION_PARAMETERS
                      and math.isinf(f.sigma) and RELATION_PARAMETERS[f.name].nameless)
 
@@ -78,36 +82,36 @@ class ProblemSetting:
         return sum(b.keep.size for b in self.blocks if b.relation.name == relation)
 
     def independent(self, relation: str) -> float:
-        """Return how many samples of a relation count as independent on a rig that nothing is known of."""
+        """Return the effective number of samples of an equation on a rig of another kind."""
         step = float(np.median(np.diff(self.blocks[0].signals["time_s"])))
         return self.samples(relation) * min(1.0, step / CORRELATED_S)
 
     def noise_squares(self, relation: str) -> float:
-        """Return the χ² of a relation that is the trials' own noise; 0 where nothing says it."""
+        """Return the χ² of an equation due to the noise of these trials; 0 if the noise is not given."""
         return self.samples(relation) * (self.noise[relation] / self.weights[relation]) ** 2 if self.noise else 0.0
 
     def healthy_squares(self, relation: str, samples: int | None = None) -> float:
-        """Return the χ² that a healthy trial has of a relation, or of so many `samples` of it; 0 where none says."""
+        """Return χ² of an equation in the reference condition, or of `samples` of it; 0 without reference trials."""
         count = self.samples(relation) if samples is None else samples
         return count * (self.floors[relation] / self.weights[relation]) ** 2 if self.floors else 0.0
 
     def structure_squares(self, relation: str) -> float:
-        """Return the χ² that the law of a relation leaves on a healthy trial beyond noise."""
+        """Return the χ² of an equation due to systematic model error in the reference condition."""
         return self.healthy_squares(relation) - self.noise_squares(relation)
 
     @property
     def structure(self) -> float:
-        """Return the same over all relations."""
+        """Return χ² due to systematic model error in the reference condition, summed over all equations."""
         return sum(self.structure_squares(n) for n in self.checked)
 
     def rmse(self, relation: str, chi_square: float) -> float:
-        """Turn a relation's χ² into its RMSE."""
+        """Return the RMSE of an equation, in its unit, for a χ²."""
         return math.sqrt(max(chi_square, 0.0) / self.samples(relation)) * self.weights[relation]
 
 
 def build_problem(trials: Sequence[Table], healthy: HealthyTrials,
                   calibration: Mapping[str, Any] | None) -> ProblemSetting:
-    """Decide what can be checked on `trials` and against what."""
+    """Return the setting of a diagnosis of `trials`: the equations that can be checked, and their reference."""
     missing = relations.allowed(trials)
     any_rig = calibration is None and not like_this_bench(trials)
     checked = tuple(n for n, lacks in missing.items() if not lacks and not (any_rig and RELATIONS[n].bench_only))
@@ -164,13 +168,13 @@ def _unknown(missing: Mapping[str, tuple[str, ...]], checked: tuple[str, ...], b
 
 
 def offered_on(blocks: Sequence[Block], checked: tuple[str, ...], reference: HealthyReference) -> list[Candidate]:
-    """Return the effects that the relations show on these signals, of a rig of any kind."""
+    """Return the effects that the equations can show on these signals of a rig of any kind."""
     return [c for c in candidates(checked, reference.values, reference.nuisance, True)
             if any(c.parameters & relation.read_on(b.relation, b.signals) for b in blocks)]
 
 
 def _chance(blocks: Sequence[Block], name: str, values: Mapping[str, float]) -> float:
-    """Return the noise in a relation, RMS over its blocks."""
+    """Return the noise of an equation, RMS over its blocks."""
     held = [chance(b.residual(values)) ** 2 for b in blocks if b.relation.name == name]
     return math.sqrt(float(np.mean(held)))
 

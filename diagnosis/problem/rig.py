@@ -1,7 +1,7 @@
-"""Before and after on a rig of any kind: what its healthy trials need of the catalogue is its healthy state.
+"""Diagnosis of a rig of another kind: its reference model is fitted from its reference trials with catalogue effects.
 
-The rule of this file: the healthy trials say which laws the rig follows and by which constants; another trial is
-compared with that, inside the bands that one day differs from another by, and never with an ideal transmission.
+Reference trials select the submodels and constants of the rig. Another trial is compared with this model inside
+session-to-session bands, never with an ideal transmission.
 """
 
 from __future__ import annotations
@@ -28,30 +28,31 @@ from diagnosis.problem.problem import ProblemSetting, build_problem, offered_on
 from physics.parameters import RELATION_PARAMETERS
 
 DAILY: Final = 0.08
-"""1σ from one session to another of a rig's whole friction, of it; of a rubber seal recorded in five sessions, 0.08."""
+"""1σ of a rig's total friction between sessions, as a share of it; measured on a rubber seal over five sessions."""
 DAILY_PART: Final = 0.25
-"""The same of each of its parts (dry, of the load, viscous), which one session tells apart from the others less well:
-those of the seal have 0.18."""
+"""1σ between sessions of each part of the friction (dry, load-dependent, viscous), as a share of it. A single session
+separates the parts less well than the total; 0.18 was measured on the seal."""
 FIRM: Final = {"stiffness_scale": 0.03, "stiffness_shape": 0.03, "drive_inertia": 0.02,
                "unbalance": 0.02}
-"""The same of what does not rub: temperature moves a spring by per cents, and a mass is what it was."""
+"""1σ between sessions of constants without friction, as a share of each; temperature changes a spring by percents."""
 DAILY_ANGLE: Final = 0.02
-"""The same of the angle of a mass on a turning axis, rad: its encoder's zero."""
+"""1σ between sessions of the angle of a mass on a turning axis, rad: the zero of its encoder."""
 DAILY_RATIO: Final = 0.005
-"""The same of the ratio of two sensors."""
+"""1σ between sessions of the ratio of two sensors, as a share of it."""
 DAILY_ZERO: Final = 0.002
-"""The same of a zero, of the greatest value that its signal has."""
+"""1σ between sessions of a sensor's zero, as a share of its signal's peak."""
 WHOLE: Final = "cable_friction"
 PARTS: Final = ("coulomb", "viscous")
 STRUCTURE: Final = 0.5
-"""Share of what the laws leave on healthy trials that those of another day may leave in another way."""
+"""Systematic error in which two sessions differ, as a share of the residual in the reference condition."""
 
 
 def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
                     searched: Callable[[ProblemSetting], Fit]) -> ProblemSetting:
-    """Return what `trials` are judged on beside healthy ones of their rig; `searched`: the best fit of a setting.
+    """Return the setting of `trials` with a reference fitted to `healthy` trials of their rig.
 
-    All healthy trials are fitted together: one load alone tells a ratio from a friction no more than one speed does.
+    `searched`: function that returns the best fit of a setting. All reference trials are fitted together, because one
+    load cannot separate a ratio from friction, nor can one speed.
     """
     first = build_problem(healthy, HealthyTrials(), None)
     found = searched(first)
@@ -62,7 +63,7 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
     reference = HealthyReference("healthy", dict(found.values), nuisance, prior=prior)
     rests = {n: [b.residual(found.values) for b in first.blocks if b.relation.name == n] for n in checked}
     blocks: list[Block] = [b for b in relations.blocks_of(trials, checked, None, first.rate_hz) if b.keep.size]
-    # what a law lacks is a share of what it says: of twice the force it is twice as much
+    # systematic error is a share of the predicted value: at twice the force it is twice as large
     floors = {n: math.hypot(1.0, STRUCTURE) * rmse(r) * max(1.0, _spread(blocks, n) / _spread(first.blocks, n))
               for n, r in rests.items()}
     weights = {n: floors[n] * math.sqrt(max(correlated(rests[n]), LEAST_CORRELATION_LENGTH)) for n in checked}
@@ -74,10 +75,10 @@ def against_healthy(trials: Sequence[Table], healthy: Sequence[Table],
 
 
 def _whole(effect: Candidate, reference: HealthyReference) -> Candidate:
-    """Return cable friction with every part of it that the healthy trials have: dry, of the load, and viscous.
+    """Return cable friction with all friction parts of the reference model: dry, load-dependent and viscous.
 
-    On a bench the sheath's friction is a share of the load alone; another seal, or a drier one, rubs otherwise in all:
-    one change, which no more parameters are counted for than one.
+    On the bench, sheath friction is proportional to load alone. Another seal, or a drier one, changes all parts at
+    once; this is one change and is charged as the parameters of one.
     """
     if effect.name != WHOLE:
         return effect
@@ -87,16 +88,16 @@ def _whole(effect: Candidate, reference: HealthyReference) -> Candidate:
 
 
 def _spread(blocks: Sequence[Block], name: str) -> float:
-    """Return the standard deviation of what a relation predicts, within each trial."""
+    """Return the standard deviation of an equation's measured output, pooled within trials."""
     return rmse(v - v.mean() for b in blocks if b.relation.name == name
                 for v in (b.signals[b.relation.output][b.keep],))
 
 
 def _sessions(found: Fit, setting: ProblemSetting) -> Prior:
-    """Return what constants differ by from one session to another: each by itself, and the friction as a whole by less.
+    """Return the prior of the constants between sessions: 1σ of each, and a smaller 1σ of the total friction.
 
-    δ = Σ aᵢ·δθᵢ is the relative change of the friction F = Σ θᵢ·∂r/∂θᵢ along itself, aᵢ = ⟨∂r/∂θᵢ, F⟩ / ⟨F, F⟩, by
-    relation; its 1σ is `DAILY`.
+    δ = Σ aᵢ·δθᵢ is the relative change of the friction F = Σ θᵢ·∂r/∂θᵢ, projected on F: aᵢ = ⟨∂r/∂θᵢ, F⟩ / ⟨F, F⟩, by
+    equation. Its 1σ is `DAILY`.
     """
     names = tuple(f.name for f in found.free)
     apart = np.array([_daily(name, found, setting) for name in names])
@@ -124,7 +125,7 @@ def _rubs(name: str) -> bool:
 
 
 def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
-    """Return 1σ of a constant from one day to another."""
+    """Return 1σ of a constant between sessions, in its unit."""
     p, at = RELATION_PARAMETERS[name], found.values[name]
     if p.free and p.neutral is None and p.nominal == 1.0:
         return DAILY_RATIO * abs(at)
@@ -137,7 +138,7 @@ def _daily(name: str, found: Fit, setting: ProblemSetting) -> float:
 
 
 def _band(f: Free, at: float, sigma: float) -> Free:
-    """Return the band of a constant about its healthy value."""
+    """Return the band of a constant about its reference value."""
     sigma = max(sigma, 1e-3 * f.scale)
     low, high = RELATION_PARAMETERS[f.name].rig_bounds
     return Free(f.name, max(low, at - BAND * sigma), min(high, at + BAND * sigma), at, sigma, sigma)

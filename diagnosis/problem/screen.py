@@ -1,6 +1,6 @@
-"""Cycles that a fit has not seen, from one linearisation: the score of a fit, and what every candidate may gain.
+"""Held-out χ² from one linearisation: the score of a fit, and the expected improvement by every candidate.
 
-The rule of this file: it ranks, and nothing is reported from it; what is reported is fitted in full, fold by fold.
+Screening only ranks candidates. Every reported figure comes from full fits, fold by fold.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from physics.laws import Array
 
 RIDGE: Final = 1e-6
 ROUNDS: Final = 6
-"""Most rounds in which parameters that would leave their bounds are held."""
+"""Most iterations in which parameters that would cross their bounds are fixed."""
 
 
 class Screen:
-    """Normal matrices, by fold and relation, of the residual's change by each free parameter and extra column."""
+    """Normal matrices by fold and equation, over each free parameter and each extra column of residual change."""
 
     def __init__(self, problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], count: int,
                  extra: Callable[[int, Array], None]) -> None:
-        """Linearise `problem` about `fit`; `extra` writes a block's change by each of `count` further columns."""
+        """Linearise `problem` about `fit`; `extra` writes a block's residual change for `count` further columns."""
         self.known = len(fit.free)
         self.down = np.array([-math.inf if fit.values[f.name] > f.low else 0.0 for f in fit.free])
         self.up = np.array([math.inf if fit.values[f.name] < f.high else 0.0 for f in fit.free])
@@ -60,9 +60,9 @@ class Screen:
             self.cost[k, relation] += float(r @ r)
 
     def unseen(self, extra: int | None = None, released: Sequence[int] = ()) -> dict[str, float]:
-        """Return χ² by relation on unseen folds, the free parameters (and one extra column) fitted on the others.
+        """Return held-out χ² by equation, the free parameters (and one extra column) fitted to the other folds.
 
-        A parameter that rests on its bound leaves it only inwards, unless it is `released` from bounds and prior.
+        A parameter on its bound moves only inwards, unless it is `released` from bounds and prior.
         """
         at = np.arange(self.known) if extra is None else np.append(np.arange(self.known), self.known + extra)
         more = len(at) - self.known
@@ -87,7 +87,7 @@ class Screen:
 
 
 def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
-    """Return the steps to the minima of several grams; parameters that one would carry out of their bounds stay."""
+    """Return the minimising steps of several normal matrices; parameters that would cross a bound are fixed."""
     steps = -np.linalg.solve(gram, slope[:, :, None])[:, :, 0]
     for step, matrix, right, beyond in zip(steps, gram, slope, (steps < down) | (steps > up), strict=True):
         moving, out = np.ones(right.size, dtype=np.bool_), beyond
@@ -104,9 +104,9 @@ def _inside(gram: Array, slope: Array, down: Array, up: Array) -> Array:
 
 def promises(problem: Problem, fit: Fit, folds: Sequence[frozenset[int]], offered: Sequence[Candidate]
              ) -> list[tuple[float, int, int]]:
-    """Return (fall of χ² on unseen cycles, candidate, its start) of every start of every candidate, best first.
+    """Return (fall of held-out χ², candidate, start) for every start of every candidate, best first.
 
-    Start −1 is where the fit is, of a candidate whose parameters all move there already, inside their bands.
+    Start −1 continues from the fit itself, for a candidate whose parameters are all free there already.
     """
     starts = [(c, s) for c, candidate in enumerate(offered) for s in range(len(candidate.starts))]
 

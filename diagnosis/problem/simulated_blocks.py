@@ -1,6 +1,6 @@
-"""The many-segment simulation as one more relation of a fit: START and END, N, under a trial's own motion.
+"""Many-segment simulation as a further block of a fit: START and END, N, under the motion of a trial.
 
-The rule of this file: it is slow beside the relations, so it comes last, from where they arrived, over what it reads.
+The simulation is slow compared with the prediction equations. It is therefore fitted last, from their result.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ LOOKED_AT_HZ: Final = 100.0
 MOVED: Final = (
     "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
     "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
-"""Slots that the simulation is fitted over: what the relations determine less well than it reads them."""
+"""Parameters fitted by the simulation: those that it needs more accurately than the equations determine them."""
 NEAR: Final = 2.0
-"""1σ of where the simulation's constant may be, of that which the relations leave it."""
+"""1σ of a constant in the simulation, as a multiple of its posterior 1σ from the equations."""
 STEPS: Final = 6
 
 
@@ -62,7 +62,7 @@ class SimulatedBlock(Block):
 
 
 def can(given: Table) -> bool:
-    """Whether a trial can be simulated and compared."""
+    """Whether a trial has the columns to be simulated and compared."""
     return "servo_position_m" in given and "knee_angle_rad" in given and any(n in given for n in simulation.SIGNALS)
 
 
@@ -85,9 +85,9 @@ def block(given: Table, first: int = 0, seconds: float | None = None) -> Simulat
 
 def fitted(trials: Sequence[Table], values: Values, sigma: Mapping[str, float], own: Sequence[Free],
            seconds: float | None = None) -> dict[str, float]:
-    """Return `values` moved to where the simulation fits the trials, each trial its own deviation over `own`.
+    """Return `values` adjusted so that the simulation fits the trials, each with deviations in the parameters `own`.
 
-    `sigma`: what the relations leave unknown of each slot.
+    `sigma`: posterior 1σ of each parameter from the prediction equations.
     """
     blocks: list[Block] = [block(t, 0, seconds) for t in trials if can(t)]
     if not blocks:

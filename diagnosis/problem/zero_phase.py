@@ -1,7 +1,7 @@
-"""A low-pass without phase that a fit runs thousands of times: its coefficients and its start are prepared once.
+"""Zero-phase low-pass and decimation for fits that run them thousands of times: coefficients are computed once.
 
-The rule of this file: it gives what `scipy.signal.sosfiltfilt` gives with the same sections, to rounding (Gustafsson's
-start of a steady signal, odd extension), and then every so many samples of it.
+The result equals `scipy.signal.sosfiltfilt` with the same sections to rounding (Gustafsson's initial state of a steady
+signal, odd extension), decimated.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Array = NDArray[np.float64]
 
 ORDER: Final = 4
 SHARE: Final = 0.8
-"""Cut-off, of half the rate that is left."""
+"""Cut-off, as a share of half the rate after decimation."""
 
 
 @njit(inline="always")
 def _run(sections: Any, steady: Any, values: Any) -> None:
-    """Filter `values` in place by two sections, from where a steady signal of the first value would have left them."""
+    """Filter `values` in place by two sections, started in the steady state of the first value."""
     b00, b01, b02, _, a01, a02 = sections[0]
     b10, b11, b12, _, a11, a12 = sections[1]
     first = values[0]

@@ -1,1 +1,1 @@
-"""The search for effects that explain what the reference does not."""
+"""Search for effects that explain the residual of the reference model."""

@@ -1,7 +1,7 @@
-"""Adds, pairs, swaps and deletions of effects, judged on cycles that the fit has not seen.
+"""Search for effects by adding, pairing, swapping and deleting them, judged on held-out cycles.
 
-The rule of this file: effects mask each other, so no effect is dropped for what it gains alone: the best few
-models are carried on together, each is offered every effect again, and what no longer pays is taken out.
+Effects mask each other, so that no effect is dropped for its gain alone. The best few models continue together, and
+each is offered every effect again. Effects that no longer pass the selection test are removed.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ Values = Mapping[str, float]
 BEAM: Final = 4
 FIRST_REFITS: Final = 8
 PARAMETER: Final = 0.01
-"""Share of the score that a parameter must take away to come before a simpler model, where nothing says its scatter."""
+"""Share of the score by which each further parameter must reduce it, on data without known scatter."""
 UNLIKELY: Final = 0.02
-"""The same for a value outside the range where the catalogue expects it; elsewhere twice a parameter's price."""
+"""Share of the score charged for a value outside its expected range; with known scatter, twice a parameter's price."""
 LATER_REFITS: Final = 4
 WORTH_POLISHING: Final = 2.0
-"""Cost of a fit, of the chosen one's, from which it is no rival however it is carried on."""
+"""Cost ratio to the chosen fit above which a fit is not continued: it cannot become a competing hypothesis."""
 LEVEL: Final = 4.0
-"""How much wider than among like benches the level of a law is when the law is an effect."""
+"""Factor on the population's band of a base coefficient while its effect is fitted."""
 
 
 @dataclass(frozen=True)
 class FittedEffects:
-    """A set of effects fitted together, to `problem`, and what it leaves on the cycles of `folds` when refitted.
+    """Effects fitted together to `problem`, and their residuals on held-out cycles of the `folds`.
 
-    `price`: χ² that a parameter costs; None: a share of the score, on a rig of which no scatter is known.
+    `price`: χ² charged for a parameter; None for a share of the score, on a rig without known scatter.
     """
 
     effects: tuple[Candidate, ...]
@@ -51,12 +51,12 @@ class FittedEffects:
 
     @cached_property
     def unseen(self) -> CycleSquares:
-        """Squares on cycles that a fit has not seen: expensive, so computed only for models that may be chosen."""
+        """Squared residuals of held-out cycles; expensive, so computed only for models that may be chosen."""
         return unseen(self.problem, self.folds, self.fit)
 
     @cached_property
     def by_relation(self) -> Mapping[str, float]:
-        """χ² of the same."""
+        """Held-out χ² by equation."""
         return self.unseen.chi_square(self.problem.weights)
 
     @property
@@ -65,7 +65,7 @@ class FittedEffects:
 
     @property
     def prior_penalty(self) -> float:
-        """Return what the nuisance pays for standing away from what is known of it."""
+        """Return the prior penalty of the nuisance parameters, χ²."""
         return self.fit.penalty
 
     @property
@@ -74,11 +74,11 @@ class FittedEffects:
 
     @property
     def fit_score(self) -> float:
-        """Return the rank as far as the fit alone says it."""
+        """Return the rank from the fit alone, without held-out cycles."""
         return self._priced(2.0 * self.fit.cost)
 
     def _priced(self, score: float) -> float:
-        """Return a score with what each parameter costs that the model took, and each where it is not expected."""
+        """Return a score plus the charge for each parameter of the effects and for each unexpected value."""
         cost = sum(PARAMETER * (c.counted or len(c.frees)) + UNLIKELY * c.unlikely(self.fit.values)
                    for c in self.effects)
         return score * (1.0 + cost) if self.price is None else score + self.price / PARAMETER * cost
@@ -89,22 +89,22 @@ class FittedEffects:
 
 
 class Criteria(Protocol):
-    """What leads a search."""
+    """Selection criteria of a search."""
 
     def pays(self, lesser: FittedEffects, model: FittedEffects, search: Search) -> bool:
-        """Whether `model` is worth what it has more than `lesser`; both are models of `search`."""
+        """Whether `model` passes the selection test against `lesser`; both are models of `search`."""
 
     def stopped(self, effect: Candidate, model: FittedEffects) -> bool:
-        """Whether a bound has stopped an effect's size, so that it explains nothing."""
+        """Whether a bound limits an effect's size, so that it explains nothing."""
 
     def can_improve(self, model: FittedEffects) -> bool:
-        """Whether a model leaves something that a further effect could take away."""
+        """Whether a further effect could reduce the residual of a model."""
 
     def needs_full_search(self, model: FittedEffects, baseline: FittedEffects) -> bool:
-        """Whether the foremost effects left so much that all have to be fitted."""
+        """Whether the residual of the foremost effects is so large that all must be fitted."""
 
     def needs_pairs(self, baseline: FittedEffects) -> bool:
-        """Whether, where no effect pays by itself, two may that only pay together."""
+        """Whether pairs must be tried because no single effect passes the selection test."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class SearchResult:
     models: tuple[FittedEffects, ...]
 
     def model(self, names: Sequence[str]) -> FittedEffects | None:
-        """Return the model of exactly the effects `names`, if it was fitted."""
+        """Return the model of exactly the effects `names`; None if it was not fitted."""
         wanted = tuple(sorted(names))
         return next((m for m in self.models if m.names == wanted), None)
 
@@ -124,8 +124,8 @@ class SearchResult:
 class Search:
     """One search over one problem.
 
-    `near`: effects are small enough for slopes to outlive one more of them.  `scatter`: the laws' scatter is known on
-    these data, so that χ² is one.  `blind`: effects that are fitted in a chosen one's place, and never chosen.
+    `near`: effects are small enough for slopes to stay valid with one more of them. `scatter`: the weights are known on
+    these data, so that χ² is absolute. `blind`: effects that are fitted in place of a chosen one, and never chosen.
     """
 
     def __init__(self, problem: Problem, start: Values, nuisance: Sequence[Free], offered: Sequence[Candidate],
@@ -145,11 +145,11 @@ class Search:
 
     @property
     def baseline(self) -> FittedEffects:
-        """The best fit without any effect."""
+        """Best fit without any effect."""
         return self.tried[()]
 
     def free_of(self, effects: Sequence[Candidate]) -> tuple[Free, ...]:
-        """Return what a model of `effects` may move: their parameters in their bounds, other nuisance in bands."""
+        """Return the free parameters of a model of `effects`: these in their bounds, the nuisance in bands."""
         level = {name for c in effects for name in c.level}
         own = {f.name: replace(f, sigma=f.scale) if f.name in c.level else f for c in effects for f in c.frees}
         return tuple(_released(f) if f.name in level else f for f in self.nuisance if f.name not in own) + tuple(
@@ -157,12 +157,12 @@ class Search:
 
     @cached_property
     def origin(self) -> Fit:
-        """What the residuals do where the search starts, no effect at work."""
+        """Residuals and slopes at the start of the search, without any effect."""
         return solve(self.problem, self.start, self.nuisance, max_steps=0)
 
     def model(self, effects: Sequence[Candidate], start: Values, near: Fit | None = None, thorough: bool = True
               ) -> FittedEffects:
-        """Fit `effects` from `start`, `near` a fit; keep it when it beats the same effects from elsewhere."""
+        """Fit `effects` from `start`, `near` a fit; keep the result if it has the lowest cost for these effects."""
         known_fit = near if self.near else None
         fit = solve(self.problem, start, self.free_of(effects), known=known_fit, thorough=thorough,
                     enough=ENOUGH if thorough else ROUGHLY)
@@ -174,17 +174,17 @@ class Search:
         return self.tried[names]
 
     def polished(self, model: FittedEffects) -> FittedEffects:
-        """Return the model of these effects, its fit carried on to where slopes taken there say that it has arrived."""
+        """Return the model of these effects, its fit continued until slopes at the final point confirm convergence."""
         if model.names not in self.arrived:
             self.model(model.effects, model.fit.values, model.fit)
             self.arrived.add(model.names)
         return self.tried[model.names]
 
     def grow(self, model: FittedEffects, most: int, among: Sequence[Candidate] | None = None) -> list[FittedEffects]:
-        """Offer `model` every effect it lacks (of those `among`); fit in full the `most` promising by the screen.
+        """Screen every effect that `model` lacks (of those `among`), and fit the `most` promising ones in full.
 
-        Screened in turns by slopes at the model's fit and at the healthy constants: where what is lacking has bent
-        the fit, slopes there point elsewhere.
+        Screening alternates between slopes at the model's fit and at the reference constants. If the fit has absorbed a
+        missing effect, its own slopes are misleading.
         """
         offered = [c for c in (self.offered if among is None else among) if c.name not in model.names]
         screened = [promises(self.problem, fit, self.folds, offered) for fit in (
@@ -197,14 +197,14 @@ class Search:
         return [self._grown(model, offered[c], s) for c, s in chosen.items()]
 
     def _unbent(self, model: FittedEffects) -> Fit:
-        """Return what the residuals do with a model's effects at work and the nuisance where the search started."""
+        """Return residuals and slopes with a model's effects present and nuisance parameters as at the start."""
         if not model.effects:
             return self.origin
         kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
         return solve(self.problem, {**self.start, **kept}, self.free_of(model.effects), max_steps=0)
 
     def grow_all(self, model: FittedEffects) -> list[FittedEffects]:
-        """Fit `model` with each effect it lacks, from every start."""
+        """Fit `model` with each effect that it lacks, from every starting point."""
         offered = [c for c in self.offered if c.name not in model.names]
         return [self._grown(model, c, s) for c in offered for s in range(len(c.starts))]
 
@@ -215,13 +215,13 @@ class Search:
             begun = candidate.starts[start] if start >= 0 else {}
             effects = (*model.effects, candidate)
             self.model(effects, {**model.fit.values, **begun}, model.fit, not self.near)
-            # what the nuisance did in the effect's place is a way into another minimum
+            # nuisance constants that absorbed the effect can hide another minimum: start again from the reference
             kept = {f.name: model.fit.values[f.name] for c in model.effects for f in c.frees}
             self.model(effects, {**self.start, **kept, **begun}, self.origin if self.near else None, not self.near)
         return self.tried[tuple(sorted((*model.names, candidate.name)))]
 
     def _from_all_starts(self, model: FittedEffects) -> FittedEffects:
-        """Return a grown model with its last effect fitted from each of its starts: a law may have several minima."""
+        """Return a grown model, its last effect fitted from all starts because it may have several minima."""
         *rest, last = model.effects
         lesser = self.tried[tuple(sorted(c.name for c in rest))]
         for start in range(len(last.starts) if self.near else 0):
@@ -229,7 +229,7 @@ class Search:
         return self.tried[model.names]
 
     def prune(self, model: FittedEffects) -> FittedEffects:
-        """Take out, one by one, the effects that do not pay for themselves, the least first."""
+        """Return `model` after removing, one by one, the effects that fail the selection test, the weakest first."""
         while model.effects:
             stopped = [c for c in model.effects if self.criteria.stopped(c, model)]
             lesser = [self.without(model, out) for out in stopped or model.effects]
@@ -240,13 +240,13 @@ class Search:
         return model
 
     def without(self, model: FittedEffects, out: Candidate) -> FittedEffects:
-        """Return `model` less one effect, fitted anew from there: in its place the rest may be in another minimum."""
+        """Return `model` without one effect, refitted: the other effects may then be in another minimum."""
         left = [c for c in model.effects if c is not out]
         back = {f.name: self.baseline.fit.values[f.name] for f in out.frees}
         return self.model(left, {**model.fit.values, **back}, model.fit)
 
     def level_alone(self, model: FittedEffects, law: Candidate) -> FittedEffects:
-        """Return `model` with a law as it is on a healthy bench and its level free, fitted anew; it is no candidate."""
+        """Return `model` with an effect absent and its base coefficient free, refitted; the result is no candidate."""
         key = (model.names, law.name)
         if key not in self.lacks:
             own = law.parameters - set(law.level)
@@ -257,7 +257,7 @@ class Search:
         return self.lacks[key]
 
     def lacking(self, model: FittedEffects, constant: str) -> FittedEffects:
-        """Return `model` with one constant of the nuisance absent instead of free, fitted anew; it is no candidate."""
+        """Return `model` with one nuisance constant absent instead of free, refitted; the result is no candidate."""
         key = (model.names, constant)
         if key not in self.lacks:
             free = tuple(f for f in self.free_of(model.effects) if f.name != constant)
@@ -267,13 +267,13 @@ class Search:
         return self.lacks[key]
 
     def _ahead(self, grown: Iterable[FittedEffects], best: FittedEffects) -> tuple[FittedEffects, list[FittedEffects]]:
-        """Return the best of the `grown` models, pruned (`best` where there are none), and the next level."""
+        """Return the best of the `grown` models, pruned (`best` if `grown` is empty), and the next level."""
         foremost = sorted((self.polished(self._from_all_starts(m)) for m in _foremost(
             {m.names: m for m in grown}.values())), key=lambda m: m.rank)
         return self._best_pruned(foremost) if foremost else best, foremost
 
     def _best_pruned(self, models: Iterable[FittedEffects]) -> FittedEffects:
-        """Return the best of `models` with what does not pay taken out: what one of them lacks may hide the others."""
+        """Return the best of `models` after removing effects that fail: one weak effect may mask the others."""
         best: FittedEffects | None = None
         for model in sorted(models, key=lambda m: m.rank):
             if best is not None and best.rank <= model.rank:
@@ -284,31 +284,31 @@ class Search:
         return best
 
     def _ordered(self, model: FittedEffects) -> FittedEffects:
-        """Return `model` with the effect first whose absence would leave most."""
+        """Return `model` with its effects ordered by the score without each, the largest first."""
         left = {c.name: self.without(model, c).score for c in model.effects}
         return replace(model, effects=tuple(sorted(model.effects, key=lambda c: -left[c.name])))
 
     def _first(self, most: int) -> FittedEffects:
-        """Return the best, pruned, of all models of at most so many effects that were fitted on the way."""
+        """Return the best, pruned, of all fitted models with at most `most` effects."""
         lengths = range(most + 1)
         return self._best_pruned(m for k in lengths for m in _foremost(
             m for m in self.tried.values() if len(m.effects) == k))
 
     def run(self, most: int) -> SearchResult:
-        """Search to `most` effects; a level is opened only while something is left and the one before has paid.
+        """Search up to `most` effects; a further level is opened only if the last one passed and a residual remains.
 
-        Where no effect pays by itself, pairs are tried, once: each must pay beside the other, and both together.
+        If no single effect passes, pairs are tried once; each effect must pass beside the other, and both together.
 
-        Where the foremost effects leave structure, all are fitted: a screen by slopes can miss one.
+        If the foremost effects have a lack of fit, all effects are fitted, because a screen by slopes can miss one.
 
-        At the end the place of each chosen effect is offered to those that look like it, of two also to the foremost
-        of the others, so that its rivals are known.
+        At the end, effects declared similar replace each chosen effect; beside two chosen ones also the foremost
+        others. This gives the competing hypotheses.
         """
         level, best, paired = [self.baseline], self.baseline, False
         for depth in range(most):
             if not self.criteria.can_improve(best):
                 break
-            # the screen ranks by residuals and does not see what the prior pays for several parts that move together
+            # the screen ranks by residuals and ignores the prior penalty of several parts that move together
             whole = [] if depth else [self._grown(best, c, -1) for c in self.offered if c.counted is not None]
             ahead, grown = self._ahead(itertools.chain((m for model in level for m in self.grow(
                 model, LATER_REFITS if depth else FIRST_REFITS)), whole), best)
@@ -316,12 +316,12 @@ class Search:
                 ahead, grown = self._ahead(self.grow_all(self.baseline), best)
             level, more = grown, len(ahead.effects) > len(best.effects) and ahead.rank < best.rank
             if not more and depth + 1 < most and not paired and self.criteria.needs_pairs(best):
-                # two effects that hide each other (inertia and drag of a run-up) show nothing one by one
+                # two effects that mask each other (inertia and drag of a run-up) cannot be detected one by one
                 paired = True
                 continue
             if not more:
                 break
-            # it pays: what did not was taken out, beside what fits on the way had made of the lesser models
+            # the pruned model passes the selection test against the lesser models as refitted meanwhile
             best = ahead
         for out in best.effects:
             left = self.without(best, out)
@@ -340,11 +340,11 @@ class Search:
 
 
 def _released(f: Free) -> Free:
-    """Return a band made wide for the level of a law that is said about another load, bend or time."""
+    """Return a widened band of a base coefficient, whose effect describes it at another load, bend or time."""
     wide = LEVEL * f.sigma
     return replace(f, low=max(min(f.low, 0.0), f.mean - 3.0 * wide), high=f.mean + 3.0 * wide, sigma=wide)
 
 
 def _foremost(models: Iterable[FittedEffects]) -> list[FittedEffects]:
-    """Return the few of the best fit score, best first."""
+    """Return the `BEAM` models of the best fit score, best first."""
     return sorted(models, key=lambda m: m.fit_score)[:BEAM]

@@ -1,7 +1,6 @@
 """`bus.yml`, the bus configuration of ros2_canopen and Lely's dcfgen: devices, node ids, EDS files, PDOs, SDO list.
 
-The rule of this file: what is not understood is kept. A file that is read and written again has the same content;
-comments are not content.
+Unknown entries are kept: a file that is read and written again has the same content. Comments are not content.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _HEX: Final = ("index", "cob_id", "vendor_id", "product_code", "revision_number"
 
 @dataclass(frozen=True)
 class BusPdo:
-    """One PDO of a device: `name` such as tpdo1, None for what the file leaves to the EDS, mapping as (index, sub).
+    """One PDO of a device: `name` such as tpdo1, mapping as (index, sub); None for values that the EDS gives.
 
     `cob_id` "auto" is the identifier of CiA 301's default connection set; `inhibit` in 100 µs, `event_timer` in ms.
     """
@@ -55,7 +54,7 @@ class BusYmlDevice:
 
 @dataclass(frozen=True)
 class BusYml:
-    """A whole file; `path` names it in messages, `content` is what it holds."""
+    """One bus.yml file; `path` names it in messages, `content` is its parsed content."""
 
     path: str
     content: Mapping[str, Any]

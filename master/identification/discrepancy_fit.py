@@ -1,9 +1,9 @@
-"""The discrepancy START → END from gait trials: a Bayesian linear model of the controller's simulated state.
+"""Fit of the discrepancy START → END to gait trials: a Bayesian linear model of the controller's simulated state.
 
-One control cycle says y = ln(estimated END / measured END): the controller's own estimate from START against END.
+Each control cycle gives y = ln(estimated END / measured END): the controller's own estimate from START against END.
 The features are those that the controller computes again in its cycle, from the desired force and the knee's angle.
-Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: what the fit leaves of y,
-which is systematic, so that a gait trial counts as `WORTH` independent control cycles.
+Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: residual of y, which
+is systematic, so that the effective sample size of a gait trial is `WORTH` control cycles.
 """
 
 from __future__ import annotations

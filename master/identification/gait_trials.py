@@ -1,7 +1,7 @@
 """Two short gait trials that end an identification: START and END under the motion that a controller will run.
 
-Their peaks and cadences are others than those that a controller is judged at, below and above them.  What is kept of
-them is START against END by motion and load (`discrepancy_fit`), and no force over time.
+Their peaks and cadences are others than those that a controller is judged at, below and above them.  Only START
+against END by motion and load is kept of them (`discrepancy_fit`), and no force over time.
 """
 
 from __future__ import annotations

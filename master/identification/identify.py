@@ -1,7 +1,7 @@
-"""Identification experiments, over the bus, as the paper describes them if it does.
+"""Identification experiments over the bus, those of the paper where the paper describes them.
 
-The rule of this file: motions only; what they tell is for `calibration_fit` and `discrepancy_fit`.  The gait is run at
-other peaks and cadences than a controller is judged at, and only its discrepancy by motion and load is kept.
+This module only runs motions; `calibration_fit` and `discrepancy_fit` evaluate them.  The gait trials have other peaks
+and cadences than those at which a controller is judged; only their discrepancy by motion and load is kept.
 
 | kind | motion | result |
 |---|---|---|
@@ -10,7 +10,7 @@ other peaks and cadences than a controller is judged at, and only its discrepanc
 | swing | 20 N held at START, the knee swung slowly ten times (paper, 4.2) | (11) |
 | ramp | pulls and releases from slack to the top and to 45 N at three knee angles, 0.015…0.12 m/s | friction, lags |
 | pull | two pulls and releases to the top, 0.015 and 0.12 m/s, on a calibration that is there | END's lag |
-| gait | two gait cycles at 36 N and 1.6 s and two at 62 N and 1.2 s, on what the others told | the discrepancy |
+| gait | two gait cycles at 36 N and 1.6 s and two at 62 N and 1.2 s, calibrated by the others | the discrepancy |
 
 The ramps are an addition, since the paper gives no procedure for friction. Pulling and releasing slide rope and
 fabric both ways, so START by END force is e^(±(μ1θ + μ2φ)). Three knee angles separate the part that grows with the
@@ -131,7 +131,7 @@ def walk(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     calibration: Calibration, progress: Progress = lambda what, share: None,
 ) -> tuple[str | None, list[Segment]]:
-    """Run the gait trials on what the experiments told; returns why they stopped, if they did, and their segments."""
+    """Run the gait trials with the identified calibration; return the cause of a stop, if any, and their segments."""
     top_n = TOP_SHARE * identification.limits.start_n
     segments: list[Segment] = []
     trials = gait_trials.run(link, tap, recorder, identification.network, identification.limits,

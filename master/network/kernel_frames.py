@@ -54,7 +54,7 @@ DONE, WAITING, STRANGE = 1, 0, -1
 
 @njit(cache=True)
 def rows(slots: Any, headers: Any, count: int, block: Any, told: Any) -> None:
-    """Write `count` frames into `block`, rows of `ROW` words, behind those there; the state `told` goes on."""
+    """Write `count` frames into `block`, rows of `ROW` words, behind those there, and update the state `told`."""
     at = told[TAKEN]
     for n in range(count):
         raw, size = slots[n, 0] & np.uint64(0xFFFFFFFF), (slots[n, 0] >> np.uint64(32)) & np.uint64(0xFF)

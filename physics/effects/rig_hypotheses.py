@@ -1,6 +1,6 @@
-"""What each effect of the catalogue frees in the forward model of a rig of another kind than the bench.
+"""Parameters that each catalogue effect frees in the forward model of a rig of another kind than the bench.
 
-A rig's friction is one constant, its size in N, and the shares of it that load and speed carry; what is left is dry:
+A rig's friction has a size G, N, and two shares of it that depend on load (a) and speed (b); the remainder is dry:
 
     F = G·[(1 − a − b)·s·(1 + α·s) + a·s·T/T₀]·(1 + r·e^(−(v/vₛ)²)) + G·b·(v + β·abs(v))/v₀     s Dahl's state
 
@@ -49,7 +49,7 @@ def _variant(*directions: tuple[Mapping[str, float], float]) -> Callable[[Values
 
 
 def _share(prefix: str, name: str, sd: float) -> Callable[[Values], tuple[Variant, ...]]:
-    """Return the variant that changes one part of the friction and leaves the others; `name`: load, viscous or dry."""
+    """Return the variant that changes one part of the friction alone; `name`: load, viscous or dry."""
     def variants(values: Values) -> tuple[Variant, ...]:
         a, b = values[prefix + "load_share"], values[prefix + "viscous_share"]
         along = {prefix + "friction": 1.0, prefix + "load_share": float(name == "load") - a,
