@@ -148,22 +148,19 @@ def _constant(row: Any, model: BenchModel, name: str) -> Constant:
     return Constant(value, low, high, RELATION_PARAMETERS[name].unit, bool(row.get("determined", True)))
 
 
-def fit(trials: Sequence[str | Path | Table], calibration: str | Path | Mapping[str, Any] | None = None,
-        lowpass: float | None = None) -> FittedBench:
+def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> FittedBench:
     """Fit the constants of a bench to trials of any motion in the reference condition.
 
-    `calibration`: accepted, not used.  `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first
-    passes (None: no filter).  Trials of another rig than a rope over a knee are fitted by `rig_fit`.
+    `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes (None: no filter).  Trials of another rig than a rope over a knee are fitted by `rig_fit`.
     Raises `InputError` for contradictory trials, and for columns that allow no prediction equation.
     """
     if not trials:
         raise InputError("fit: no trial given; name at least one healthy trial.")
     with threadpool_limits(1, user_api="blas"):
-        return _fitted([t if isinstance(t, Table) else table.read(t) for t in trials], calibration, lowpass)
+        return _fitted([t if isinstance(t, Table) else table.read(t) for t in trials], lowpass)
 
 
-def _fitted(given: Sequence[Table], calibration: str | Path | Mapping[str, Any] | None, lowpass: float | None
-            ) -> FittedBench:
+def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     findings = [f for t in given for f in integrity.examine(t)]
     for finding in findings:
         if finding.refuses:

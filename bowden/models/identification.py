@@ -182,13 +182,11 @@ def _model(found: Identified) -> BenchModel:
 
 
 def fit(
-    trials: Sequence[Trial | str | Path], *, model: Model | None = None, lowpass_hz: float | None = None,
-    progress: Progress = SILENT,
+    trials: Sequence[Trial | str | Path], *, lowpass_hz: float | None = None, progress: Progress = SILENT,
 ) -> BenchModel:
     """Fit the simulation's constants to reference trials of one bench, as `bowden fit` does.
 
-    `trials`: any motion, own or imported, with rope position and START, END or both; `model`: the point that the fit
-    starts from; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz. Errors on held-out trials are in
+    `trials`: any motion, own or imported, with rope position and START, END where recorded; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz. Errors on held-out trials are in
     `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
     import tomllib
@@ -196,8 +194,6 @@ def fit(
     from diagnosis import bench_fit
     from physics import bench_model
 
-    start = None if model is None else tomllib.loads(model_files.given(model).text())
     with progress.waiting("fitting"):
-        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], start,
-                              lowpass_hz)
+        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], lowpass_hz)
     return bench_model.from_tables(tomllib.loads(found.text()), "fit", rigs=True)

@@ -220,7 +220,7 @@ INPUTS = {  # commands that write, with the input named as the output
     "diagnose -o": ("diagnose", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
     "replay": ("replay", "a.mcap", "--onto", "plant", "-o", "a.mcap"),
     "cut": ("cut", "a.mcap", "--to", "1", "-o", "a.mcap"),
-    "fit": ("fit", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),
+    "fit": ("fit", "c.toml", "-o", "c.toml"),
     "simulate": ("simulate", "a.csv", "-o", "a.csv"), "merge": ("merge", "a.mcap", "c.mcap", "-o", "a.mcap"),
     "trial": ("trial", "--config", "c.mcap", "-o", "c.mcap"), "recover": ("recover", "a.mcap", "-o", "a.mcap"),
     "identify": ("identify", "all", "--from", "a.mcap", "--calibration", "c.toml", "-o", "c.toml"),

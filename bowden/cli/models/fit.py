@@ -17,7 +17,6 @@ Trials = Annotated[list[Path], typer.Argument(
     metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
     show_default=False)]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="model.toml to write.")]
-Start = Annotated[Path | None, typer.Option("--calibration", metavar="FILE", help="One point to start from.")]
 Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase low-pass on every signal.")]
 
 
@@ -25,7 +24,6 @@ Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase lo
 def fit(
     trials: Trials,
     output: Output,
-    calibration: Start = None,
     lowpass: Lowpass = None,
     logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
@@ -33,7 +31,7 @@ def fit(
 ) -> int:
     """Fit the simulation to a bench, from its healthy trials.
 
-    Any motion, own or imported: rope position, knee angle (none: locked) and START, END or both.  A rig of another
+    Any motion, own or imported: rope position, knee angle (none: locked) and START, END beside it.  A rig of another
     kind (a seal, a turning axis, a motor) has its own terms fitted.
 
     Example: bowden fit good.mcap -o model.toml
@@ -44,10 +42,10 @@ def fit(
     from parameters.files import write_whole
 
     session.refuse_no_logbook(logbook)
-    output_files.refuse([output], overwrite=overwrite, inputs=[*trials, calibration])
+    output_files.refuse([output], overwrite=overwrite, inputs=trials)
     output_files.refuse_ending(output, ".toml", what="a bench model")
     with terminal.waiting("fitting", shown=not json):
-        found = bench_fit.fit(trials, calibration, lowpass)
+        found = bench_fit.fit(trials, lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
         from bowden.models import logbook_entries
