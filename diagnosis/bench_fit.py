@@ -151,7 +151,8 @@ def _constant(row: Any, model: BenchModel, name: str) -> Constant:
 def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> FittedBench:
     """Fit the constants of a bench to trials of any motion in the reference condition.
 
-    `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes (None: no filter).  Trials of another rig than a rope over a knee are fitted by `rig_fit`.
+    `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes (None: no filter).  Trials of
+    another rig than a rope over a knee are fitted by `rig_fit`.
     Raises `InputError` for contradictory trials, and for columns that allow no prediction equation.
     """
     if not trials:

@@ -186,8 +186,9 @@ def fit(
 ) -> BenchModel:
     """Fit the simulation's constants to reference trials of one bench, as `bowden fit` does.
 
-    `trials`: any motion, own or imported, with rope position and START, END where recorded; `lowpass_hz`: cut-off of a zero-phase low-pass on every signal, Hz. Errors on held-out trials are in
-    `BenchModel.fitted`; the constants of a rig of another kind are in `BenchModel.rig`. Raises `InputError`.
+    `trials`: any motion, own or imported, with rope position and START, END where recorded; `lowpass_hz`: cut-off of a
+    zero-phase low-pass on every signal, Hz. Errors on held-out trials are in `BenchModel.fitted`; the constants of a
+    rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
     import tomllib
 

@@ -21,7 +21,7 @@ NAMED_NATS: Final = 12.0
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 IMITATED: Final = {"stiffness": 2.0, "end_filter": 2.0, "drive_presliding": 2.0}
-"""Factor on `NAMED_NATS` for effects that are confounded with model error; reference trials reach 18, 22 and 11 nats."""
+"""Factor on `NAMED_NATS` for effects confounded with model error; reference trials reach 18, 22 and 11 nats."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_NATS: Final = 20.0
