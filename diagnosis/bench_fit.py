@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from diagnosis import rig_fit, simulation, simulation_fit
 from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
+from diagnosis.evidence.evidence_finder import can_be_of_bench
 from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.simulation_fit import IdentifiedBench, identified
 from parameters import InputError, declarations, read_toml
@@ -169,11 +170,15 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     usable = [integrity.usable(t) for t in given]
     usable = [t if lowpass is None else table.low_passed(t, lowpass) for t in usable]
     tables, pulls = oriented([table.with_locked_knee(t) for t in usable])
-    if any(PATH_MODEL.lacking(t) for t in tables):
+    if not can_be_of_bench(tables):
         return _rig(usable, given, findings)
     first, rest = _parts(tables)
-    early = identified(first)
-    if early.unlike:
+    lacking = [t.source for t in tables if PATH_MODEL.lacking(t)]
+    early = None if lacking else identified(first)
+    unlike = f"{lacking[0]}: no rope position, or no START." if early is None else early.unlike
+    if early is None or unlike:
+        if any("gait_percent" in t for t in tables):
+            raise InputError(f"a gait, but no rope that a tension stretches over a knee: {unlike}")
         return _rig(usable, given, findings)
     unseen = _unseen(rest, simulation_fit.fitted(first, early, SECONDS))
     whole = identified(tables)
@@ -241,12 +246,15 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
 
 
 def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
-    """Return each constant with its 95 % interval, within the bounds of its row of the parameter table."""
+    """Return each constant with its 95 % interval, within the bounds of its row of the parameter table.
+
+    The difference between the two models' estimates counts as 1σ of model error.
+    """
     constants = {}
     for name, sigma in found.sigma.items():
         stated = RELATION_PARAMETERS[name]
-        value, low, high = (min(max(values[name] + side * 1.96 * sigma, stated.low), stated.high)
-                            for side in (0.0, -1.0, 1.0))
+        half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
+        value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
         constants[name] = Constant(value, low, high, stated.unit, sigma < DETERMINED * found.prior_sigma[name])
     return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
                         for n in FIXED}

@@ -55,6 +55,7 @@ class Finder:
                  session_sd: Mapping[str, float] | None = None) -> None:
         self.calibration, self.lowpass, self.session_sd = _calibration(calibration), lowpass, session_sd
         self._evidence: EvidenceFinder | None = None
+        self._locked = False
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
         self._plain: list[Table] = []
@@ -80,7 +81,8 @@ class Finder:
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [self._usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
-        self._evidence = EvidenceFinder([table.with_locked_knee(t) for t in self._healthy],
+        self._locked = all("knee_angle_rad" not in t for t in self._healthy)
+        self._evidence = EvidenceFinder([self._simulable(t) for t in self._healthy],
                                         self.session_sd) if self._healthy else None
         return self
 
@@ -119,7 +121,7 @@ class Finder:
             return self._judged(groups[0], groups[1], carried, warnings)
         if carried.told:
             return replace(_of_wire(carried, warnings), part="wire", evidence={})
-        groups = [[table.with_locked_knee(t) for t in group] for group in groups]
+        groups = [[self._simulable(t) for t in group] for group in groups]
         short = _short(groups[0])
         if short:
             return Findings("refused", warnings=[short, *warnings])
@@ -135,6 +137,10 @@ class Finder:
     def _usable(self, given: Table) -> Table:
         """Return a trial without its constant or empty signals; in a gait, constant motion columns are kept."""
         return integrity.usable(given, MOTION if "gait_percent" in given else ())
+
+    def _simulable(self, given: Table) -> Table:
+        """Return a trial with a locked knee if no reference trial has the knee's angle."""
+        return table.with_locked_knee(given) if self._locked else given
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
         """Return the diagnosis by evidence if it applies to these trials, else None.

@@ -33,7 +33,7 @@ MOVED: Final = (
     "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
     "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
 """Parameters of the second fit: those in which the force path and the simulation differ."""
-DIFFERENCE: Final = 0.1
+DIFFERENCE: Final = 0.6
 """1σ of a parameter's difference between force path and simulation, relative to its size (`SIZE`, else nominal)."""
 SIZE: Final = {"load_slope": 0.3, "viscous": 10.0, "stiffness_shape": 1.0, "timestamp_skew": 5e-3, "end_delay": 5e-3,
                "rope_zero": 5e-3}
@@ -48,7 +48,7 @@ CENTRE, STEP = 10.0, 0.03
 """Value of each variable of the fit at the prior mean, and its finite-difference step, both in prior σ.
 
 `CENTRE` is not 0 since SciPy's finite-difference step is relative to the variable."""
-EVALUATIONS: Final = 6
+EVALUATIONS: Final = 10
 """Largest number of steps of the fit; each step simulates every trial once per parameter."""
 
 

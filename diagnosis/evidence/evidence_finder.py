@@ -39,18 +39,20 @@ COMPRESSED: Final = 0.1
 
 
 def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardModel:
-    """Return the forward model for reference trials and trials of one rig: the bench's, if they can be of a bench.
+    """Return the forward model for reference trials and trials of one rig: the bench's, if they can be of a bench."""
+    return PATH_MODEL if can_be_of_bench([*reference, *trials]) else rig_model_of(reference, trials)
+
+
+def can_be_of_bench(trials: Sequence[Table]) -> bool:
+    """Return whether trials can be of a rope over a knee.
 
     A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, START
     has no compression beyond `COMPRESSED`, and no axis turns.
     """
-    every = [*reference, *trials]
-    if any("gait_percent" in t for t in every):
-        return PATH_MODEL
-    if not any(t.turning or PATH_MODEL.lacking(t) for t in every) and all(
-            t["tension_start_n"].min() > -COMPRESSED * t["tension_start_n"].max() for t in every):
-        return PATH_MODEL
-    return rig_model_of(reference, trials)
+    if any("gait_percent" in t for t in trials):
+        return True
+    return not any(t.turning or PATH_MODEL.lacking(t) for t in trials) and all(
+        t["tension_start_n"].min() > -COMPRESSED * t["tension_start_n"].max() for t in trials)
 
 
 def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:

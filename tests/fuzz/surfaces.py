@@ -221,6 +221,7 @@ def _import(name: str, data: bytes) -> None:
 @functools.cache
 def _tables() -> list[tuple[bytes, Callable[[Path], Any]]]:
     from bowden.bench import configuration
+    from eds.declaration import PathNodes
     from physics import calibration
     from virtual_bus.machine import plant_model
     from virtual_bus.wire import faults
@@ -231,7 +232,8 @@ def _tables() -> list[tuple[bytes, Callable[[Path], Any]]]:
     return [
         (configuration.as_text(configuration.read(None)).encode(), configuration.read),
         ("\n".join(lines).encode(), calibration.read),
-        (b"[plant]\nmu1 = 0.1\n[effects.end_offset]\noffset_n = 2.0\n[bus]\nlate_s = 0.001\n", plant_model.read),
+        (b"[plant]\nmu1 = 0.1\n[effects.end_offset]\noffset_n = 2.0\n[bus]\nlate_s = 0.001\n",
+         functools.partial(plant_model.read, nodes=PathNodes(1, 2, 3, 4))),
         (b'[[fault]]\nkind = "drop"\ncob_id = 0x183\nstart_s = 1.0\nprobability = 0.5\n', faults.declared),
     ]
 

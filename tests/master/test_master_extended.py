@@ -223,7 +223,7 @@ def evidence_of(
         position, start, *_, slip = inverse.inverse(true, slip, force, angle + side * play_m / true.swing_k)
         _, would, *exponents, believed = inverse.inverse(believed_law, believed, force, leg)
         drag = would - force * math.exp(exponents[0] + exponents[1])
-        if abs(believed[0]) > extended.SETTLED and abs(believed[1]) > extended.SETTLED and force > 12.0:
+        if abs(believed[0]) > extended.SLIDING and abs(believed[1]) > extended.SLIDING and force > 12.0:
             noisy = start + float(rng.normal(0.0, 0.15))
             one = friction_following.friction_evidence(
                 believed_law, followed, position + offset_m, leg, noisy, drag, tuple(exponents), side, 12.0)

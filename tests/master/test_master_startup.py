@@ -70,8 +70,12 @@ def test_a_drive_that_an_aborted_run_left_in_fault_comes_up(composer: Composer) 
     assert acknowledge(link, wire(Network()))[1].became == "released"
     assert State.FAULT in states(link)
     seen: list[State | None] = []
-    outcome = run_safely(link, tap, None, Network(), Limits(),
-                      lambda exchange: seen.append(state_of(drives.enable(exchange).knee_status)))
+
+    def enabled(exchange: Exchange) -> None:
+        drives.enable(exchange)
+        seen.append(state_of(exchange.inputs.knee_status))
+
+    outcome = run_safely(link, tap, None, Network(), Limits(), enabled)
     assert outcome.reason is None
     assert seen == [State.OPERATION_ENABLED]
 

@@ -22,5 +22,5 @@ def test_the_example_makes_a_page_that_is_drawn(tmp_path: Path, monkeypatch: pyt
 
 
 def test_files_that_the_page_names_are_there() -> None:
-    for name in re.findall(r"\]\(([^):]+)\)", (DOCS / "reports.md").read_text()):
+    for name in re.findall(r"\]\(([^):#]+)(?:#[^)]*)?\)", (DOCS / "reports.md").read_text()):
         assert (DOCS / name).is_file(), name

@@ -79,7 +79,8 @@ def _scripted(case: Case) -> Callable[[Exchange], None]:
     script = case.script or {}
 
     def perform(exchange: Exchange) -> None:
-        inputs = drives.enable(exchange)
+        drives.enable(exchange)
+        inputs = exchange.inputs
         servo, knee = inputs.servo_position_m, inputs.knee_angle_rad
         for cycle in range(case.cycles):
             exchange.advance(servo - 2e-6 * cycle, knee + 1e-4 * (cycle % 50))

@@ -230,8 +230,6 @@ def test_faults_from_a_file(tmp_path: Path) -> None:
     ('[[fault]]\nkind = "melt"\n', r"faults.toml \[\[fault\]\] 1: kind = 'melt'"),
     ('[[fault]]\nkind = "cut"\n', "give node"),
     ('[[fault]]\nkind = "babble"\n', "give cob_id"),
-    ('[[fault]]\nkind = "overload"\nnode = 1\n', r"overload at node = 1; expected one of \[3, 4\]"),
-    ('[[fault]]\nkind = "emergency_stop"\nnode = 3\n', r"expected one of \[1, 2\]"),
     ('[[fault]]\nkind = "drop"\nstart_s = 2.0\nstop_s = 1.0\n', "stop_s"),
     ('[[fault]]\nkind = "drop"\nprobability = 2.0\n', "probability"),
     ('[[fault]]\nkind = "drop"\ncob = 3\n', "did you mean cob_id"),
@@ -241,6 +239,15 @@ def test_a_fault_that_cannot_be_is_one_sentence(tmp_path: Path, text: str, says:
     file.write_text(text)
     with pytest.raises(InputError, match=says):
         declared(file)
+
+
+@pytest.mark.parametrize(("fault", "says"), [
+    (Fault("overload", node=SERVO), r"overload at node = 1, which is no load cell .* expected one of \[3, 4\]"),
+    (Fault("emergency_stop", node=START), r"which is no drive of the declared bench; expected one of \[1, 2\]"),
+])
+def test_a_fault_at_a_node_of_another_kind_is_one_sentence(fault: Fault, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        BowdenBus("misplaced", faults=[fault])
 
 
 def test_every_kind_is_tested_here() -> None:
