@@ -23,6 +23,7 @@ from diagnosis.findings import Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
+from physics.effects.separating_experiments import EXPERIMENTS
 from physics.laws import Array
 
 SURROGATE: Final = 0.1
@@ -147,8 +148,7 @@ class EvidenceFinder:
         error = {"reference": reference.rmse_n, "before": before, "after": after}
         evidence = {"log_bayes_factors": decided.gains, "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
-        experiment = (CATALOGUE[decided.chosen[0]].experiment
-                      if decided.chosen and decided.verdict == "ambiguous" else None)
+        experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
             decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
             experiment, figures.figures(reference, kept), said, _limits(found, bench), reference="healthy",
@@ -213,6 +213,15 @@ class EvidenceFinder:
         gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
                 "gain_percent": max(gain, 0.0)}
+
+
+def _experiment(names: Sequence[str]) -> str:
+    """Return the catalogue's experiment of the best effect of a set whose experiment the bench runs by itself.
+
+    If every effect of the set needs an experiment by hand, it is that of the best one.
+    """
+    wanted = [CATALOGUE[name].experiment for name in names]
+    return next((name for name in wanted if not EXPERIMENTS[name].by_hand), wanted[0])
 
 
 def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
