@@ -25,7 +25,7 @@ from trial.convert.python_can import flags_of, payload_of, time_ns_of
 from trial.decode import events
 from trial.follow import Follower
 from trial.record import Recorder
-from trial.signals import SIGNALS
+from trial.signals import of_bench
 
 RARE = frozenset((0x000, *range(0x081, 0x100), *range(0x701, 0x780)))
 """COB-IDs of NMT, EMCY and boot-up, which can be events."""
@@ -48,7 +48,7 @@ class BusRecording:
         self._wire = wire
         self._follower = Follower(wire)
         names = set(self._follower.names)
-        self._signals = [signal for signal in SIGNALS if signal.name in names]
+        self._signals = [signal for signal in of_bench(wire.network.bench) if signal.name in names]
         order = {name: place for place, name in enumerate(self._follower.names)}
         self._order = [order[signal.name] for signal in self._signals]
         self._channels = ChannelNumbers()

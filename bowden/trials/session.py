@@ -238,6 +238,9 @@ def perform(
     from trial.record import Recorder
 
     network, simulated = prepared.experiment.network, prepared.chosen.simulated
+    if prepared.paths and (picture is not None or watch):
+        raise InputError("--picture, --web and --watch show one force path, and the declared bench has several; leave "
+                         "them out, and say bowden report or diagnose with --path.")
     truth = output.with_name(f"{output.stem}.truth.mcap") if simulated else None
     output_files.refuse([output, truth, picture], overwrite=overwrite)
     compile_laws(simulated=simulated, progress=progress)
