@@ -55,7 +55,10 @@ def test_the_diagnosis_after_the_last_cycle_is_that_of_the_file(place: Path, bow
                                                                 offline["causes"])
     _, out, _ = bowden("watch", place / "whole.mcap", "--healthy", place / "good.mcap", "--json")
     again = json.loads(out)
-    assert (again["cycles"], again["diagnosis"]) == (cycles, told)  # by the file, as while it was written
+    # by the file as while it was written; how much of it a cycle finds depends on the two processes' pace
+    assert [one["cycle"] for one in again["cycles"]] == [0, 1, 2, 3]
+    assert again["cycles"][-1]["best"] == cycles[-1]["best"]
+    assert again["diagnosis"] == told
 
 
 @pytest.mark.exhaustive
