@@ -135,8 +135,9 @@ class Finder:
                        undecided=undecided, experiment=None if again else found.experiment)
 
     def _usable(self, given: Table) -> Table:
-        """Return a trial without its constant or empty signals; in a gait, constant motion columns are kept."""
-        return integrity.usable(given, MOTION if "gait_percent" in given else ())
+        """Return a table without the signals that hold no information; a bench's knee may be locked."""
+        walked = any("gait_percent" in t for t in (given, *self._read))
+        return integrity.usable(given, MOTION if walked else ())
 
     def _simulable(self, given: Table) -> Table:
         """Return a trial with a locked knee if no reference trial has the knee's angle."""
