@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from diagnosis import simulation_fit
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
-from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.evidence_finder import EvidenceFinder, can_be_of_bench
 from diagnosis.evidence.held_out import BLOCK_S
 from diagnosis.evidence.likelihood_data import MOTION
 from diagnosis.findings import Findings
@@ -151,7 +151,9 @@ class Finder:
         core, every = self._evidence, [*trials, *holdout]
         if core is None or any("gait_percent" in t for t in [*every, *self._healthy]):
             return core
-        return None if core.lacking(every) or core.unlike(every) else core
+        if not can_be_of_bench([*every, *self._healthy]) or core.lacking(every) or core.unlike(every):
+            return None
+        return core
 
     def _judged(self, trials: Sequence[Table], holdout: Sequence[Table], carried: WireFindings, warnings: list[str]
                 ) -> Findings:
