@@ -37,6 +37,8 @@ IDENTIFY = "identify this bench"
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
 NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
 COMPARED = ("desired", "first cycle", "second cycle", "rope, first cycle", "rope, second cycle")
+LEAST_TAIL = 20
+"""Healthy trials from which the tail of their shares is fitted: two lie in its largest tenth."""
 
 
 class Job(NamedTuple):
@@ -234,6 +236,8 @@ def show(told: list[Ended]) -> None:
     most = most_alarms(len(stopped))
     print(f"{hours:.2f} trial hours, {gait:.2f} of them gait; by count at most one false alarm in {hours / most:.2g} "
           f"trial hours, one in {len(told) / most:.3g} trials (95 %)")
+    if len(shares) < LEAST_TAIL:
+        return
     share, exponent, high = tail(shares.max(axis=1))
     print(f"by the tail of the comparisons of gait cycles: one in {1.0 / share:.3g} trials, at most one in "
           f"{1.0 / high:.3g} (95 %; exponent {exponent:.1f})")
