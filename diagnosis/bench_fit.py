@@ -192,13 +192,14 @@ def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
 
     The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.
     """
-    if any("servo_position_m" not in t or "tension_start_n" not in t for t in tables) or all(
+    if not can_be_of_bench(tables) or any(PATH_MODEL.lacking(t) for t in tables) or all(
             PATH_MODEL.pulls(t) for t in tables):
         return list(tables), 1
-    return [_turned(t) for t in tables], -1
+    return [turned(t) for t in tables], -1
 
 
-def _turned(given: Table) -> Table:
+def turned(given: Table) -> Table:
+    """Return a trial with the rope's position, target and velocity negated."""
     return dataclasses.replace(given, columns={n: -v if n in ROPE else v for n, v in given.columns.items()})
 
 
@@ -264,4 +265,4 @@ def as_fitted(given: Table, model: FittedBench) -> Table:
     """Return a trial whose rope position has the sign of the model's trials."""
     if model.pulls > 0:
         return given
-    return _turned(given)
+    return turned(given)

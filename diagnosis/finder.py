@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diagnosis import simulation_fit
+from diagnosis.bench_fit import oriented, turned
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder, can_be_of_bench
@@ -55,7 +56,7 @@ class Finder:
                  session_sd: Mapping[str, float] | None = None) -> None:
         self.calibration, self.lowpass, self.session_sd = _calibration(calibration), lowpass, session_sd
         self._evidence: EvidenceFinder | None = None
-        self._locked = False
+        self._locked = self._reversed = False
         self._read: list[Table] = []
         self._findings: list[integrity.Finding] = []
         self._plain: list[Table] = []
@@ -70,8 +71,11 @@ class Finder:
         self.examine(healthy)
         with threadpool_limits(1, user_api="blas"):
             if self._healthy and not any(f.refuses for f in self._findings):
-                tables = self._healthy.tables
-                problem.build_problem(tables, self._healthy, self._known(tables))
+                core, tables = self._by_evidence((), ()), self._healthy.tables
+                if core is None:
+                    problem.build_problem(tables, self._healthy, self._known(tables))
+                elif not core.lacking(()):
+                    core.reference(())
         return self
 
     def examine(self, healthy: Sequence[Given]) -> Finder:
@@ -81,9 +85,10 @@ class Finder:
         self._findings = [f for t in self._read for f in (*integrity.examine(t), *scales.contradictions(t))]
         self._plain = [] if any(f.refuses for f in self._findings) else [self._usable(t) for t in self._read]
         self._healthy = HealthyTrials([_filtered(t, self.lowpass) for t in self._plain])
-        self._locked = all("knee_angle_rad" not in t for t in self._healthy)
-        self._evidence = EvidenceFinder([self._simulable(t) for t in self._healthy],
-                                        self.session_sd) if self._healthy else None
+        self._locked, self._reversed = all("knee_angle_rad" not in t for t in self._healthy), False
+        simulable, sign = oriented([self._simulable(t) for t in self._healthy])
+        self._reversed = sign < 0
+        self._evidence = EvidenceFinder(simulable, self.session_sd) if simulable else None
         return self
 
     def diagnose(self, trials: Sequence[Given], holdout: Sequence[Given] = ()) -> Findings:
@@ -140,8 +145,9 @@ class Finder:
         return integrity.usable(given, MOTION if walked else ())
 
     def _simulable(self, given: Table) -> Table:
-        """Return a trial with a locked knee if no reference trial has the knee's angle."""
-        return table.with_locked_knee(given) if self._locked else given
+        """Return a trial with a locked knee if no reference trial has the knee's angle, its rope counted as theirs."""
+        locked = table.with_locked_knee(given) if self._locked else given
+        return turned(locked) if self._reversed else locked
 
     def _by_evidence(self, trials: Sequence[Table], holdout: Sequence[Table]) -> EvidenceFinder | None:
         """Return the diagnosis by evidence if it applies to these trials, else None.

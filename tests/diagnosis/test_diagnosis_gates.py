@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from diagnosis.bench_fit import turned
 from diagnosis.data.table import Table, table
 from diagnosis.finder import diagnose
 from tests.hidden.bench import Bench
@@ -64,3 +65,10 @@ def test_the_top_line_is_what_the_simulation_of_this_bench_misses() -> None:
     assert told["before_rms_n"] < 1.0
     assert told["after_rms_n"] == told["before_rms_n"]
     assert 0.0 < told["healthy_rms_n"] < 1.5 * told["before_rms_n"]
+
+
+@pytest.mark.exhaustive
+def test_a_rope_that_is_counted_the_other_way_is_diagnosed_alike() -> None:
+    trial, good = walked(1), walked(2)
+    other_way = diagnose([turned(trial)], healthy=[turned(good)])
+    assert other_way.verdict == diagnose([trial], healthy=[good]).verdict != "refused"
