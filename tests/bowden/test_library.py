@@ -267,11 +267,11 @@ def test_what_hides_a_package_is_named_in_one_sentence(name: str, tmp_path: Path
 
 def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkeypatch: pytest.MonkeyPatch) -> None:
     from diagnosis.finder import diagnose
-    from diagnosis.problem import healthy_trials
+    from diagnosis.evidence import evidence_finder
 
     fits: list[Any] = []
-    fit = healthy_trials.learn
-    monkeypatch.setattr(healthy_trials, "learn", lambda *given, **more: fits.append(given) or fit(*given, **more))
+    fit = evidence_finder.fit_reference
+    monkeypatch.setattr(evidence_finder, "fit_reference", lambda *given, **more: fits.append(given) or fit(*given, **more))
     walk = bowden.Experiment(period_s=1.1, cycles=3, settle=0)
     trials = [bowden.run(walk, bus=bowden.simulated(serial=2, seed=seed)) for seed in range(3)]
     finder = bowden.Diagnosis().fit(trials[0])
