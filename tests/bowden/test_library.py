@@ -266,8 +266,8 @@ def test_what_hides_a_package_is_named_in_one_sentence(name: str, tmp_path: Path
 
 
 def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    from diagnosis.finder import diagnose
     from diagnosis.evidence import evidence_finder
+    from diagnosis.finder import diagnose
 
     fits: list[Any] = []
     fit = evidence_finder.fit_reference
