@@ -271,7 +271,8 @@ def test_a_healthy_fit_is_made_once_and_says_what_a_single_diagnosis_says(monkey
 
     fits: list[Any] = []
     fit = evidence_finder.fit_reference
-    monkeypatch.setattr(evidence_finder, "fit_reference", lambda *given, **more: fits.append(given) or fit(*given, **more))
+    monkeypatch.setattr(evidence_finder, "fit_reference",
+                        lambda *given, **more: fits.append(given) or fit(*given, **more))
     walk = bowden.Experiment(period_s=1.1, cycles=3, settle=0)
     trials = [bowden.run(walk, bus=bowden.simulated(serial=2, seed=seed)) for seed in range(3)]
     finder = bowden.Diagnosis().fit(trials[0])
