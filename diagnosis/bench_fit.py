@@ -190,10 +190,13 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
     """Return the trials with a rope position that grows as the rope is pulled, and the sign of the recorded position.
 
-    The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.
+    The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.  A regression tells
+    the sign of most trials; where it contradicts, the simulation of the first trial with either sign decides.
     """
     if not can_be_of_bench(tables) or any(PATH_MODEL.lacking(t) for t in tables) or all(
             PATH_MODEL.pulls(t) for t in tables):
+        return list(tables), 1
+    if PATH_MODEL.scan_error(tables[0]) <= PATH_MODEL.scan_error(turned(tables[0])):
         return list(tables), 1
     return [turned(t) for t in tables], -1
 

@@ -105,16 +105,25 @@ class PathModel:
 
         A scan is needed since the fit has no gradient at a rope zero at which the simulated rope is slack.
         """
+        q, errors = self._scan(middle, trial)
+        chosen: dict[tuple[float, float], int] = {}
+        for k in np.argsort(errors):
+            chosen.setdefault((q[INDEX["stiffness"], k], q[INDEX["cable"], k]), int(k))
+        return [q[:, k] for k in list(chosen.values())[:STARTS]]
+
+    def scan_error(self, table: Table) -> float:
+        """Return the smallest mean absolute error, N, of a trial on the grid of start points."""
+        trial = self.record(table)
+        return float(self._scan(self.origin(trial), trial)[1].min())
+
+    def _scan(self, middle: Array, trial: PathRecording) -> tuple[Array, Array]:
+        """Return the grid's coordinates about `middle`, shape (constants, points), and the mean absolute errors, N."""
         zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
         q = np.repeat(middle[:, None], zero.size, axis=1)
         q[INDEX["zero"]] += zero
         q[INDEX["stiffness"]] = stiffness
         q[INDEX["cable"]] = q[INDEX["fabric"]] = friction
-        misses = np.abs(self.predict(q, trial) - trial.data).mean(axis=1)
-        chosen: dict[tuple[float, float], int] = {}
-        for k in np.argsort(misses):
-            chosen.setdefault((stiffness[k], friction[k]), int(k))
-        return [q[:, k] for k in list(chosen.values())[:STARTS]]
+        return q, np.abs(self.predict(q, trial) - trial.data).mean(axis=1)
 
     def session_at(self, q: Array) -> Array:
         """Return the published 1σ between sessions of each constant, in coordinates; `q` has no influence."""
