@@ -7,9 +7,9 @@ file.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from parameters import parameter
+from parameters import apart, parameter
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,17 @@ class Impedance:
     stiffness_n_m: float = parameter(300.0, "N/m", "K", low=1e-3, high=1e6, source="paper: 0.3 N/mm")
 
 
+class OwnLimit(NamedTuple):
+    """Limit of one device, joint or force path, `[limits.<of>]` of a configuration, in place of the bench's."""
+
+    of: str
+    name: str
+    value: float
+
+
 @dataclass(frozen=True)
 class Limits:
-    """Limits at which the master stops the bench."""
+    """Limits at which the master stops the bench; `own` are those of single devices, joints and force paths."""
 
     start_n: float = parameter(120.0, "N", "START tension above which the trial stops", low=1.0, high=300.0,
                                source="assumed: 60 N at END at an exponent of 0.4, and a third")
@@ -69,12 +77,16 @@ class Limits:
                                 high=5.0, source="the servo's 0x6080: 480 per minute of a 40 mm drum")
     raised: str = parameter("", "", "why limits stand above the packaged ones; --raise-limits says it",
                             source="said by the operator")
+    own: tuple[OwnLimit, ...] = apart(())
 
     def above_packaged(self) -> list[str]:
         """Return, as texts with both values, the limits of force, angle and speed that the packaged ones forbid."""
-        packaged = Limits()
-        return [f"limits.{name} = {getattr(self, name):g} {unit} (packaged {getattr(packaged, name):g})"
-                for name, unit, sense in WIDER if sense * (getattr(self, name) - getattr(packaged, name)) > 0.0]
+        packaged, given = Limits(), [(name, name, getattr(self, name)) for name, _, _ in WIDER]
+        given += [(f"{own.of}.{own.name}", own.name, own.value) for own in self.own]
+        wider = {name: (unit, sense) for name, unit, sense in WIDER}
+        return [f"limits.{shown} = {value:g} {wider[name][0]} (packaged {getattr(packaged, name):g})"
+                for shown, name, value in given
+                if name in wider and wider[name][1] * (value - getattr(packaged, name)) > 0.0]
 
 
 WIDER: Final = (

@@ -58,10 +58,28 @@ def read(path: Path | None, *, any_shape: bool = False) -> dict[str, Any]:
                 f"{path}: unknown table [{name}]; expected one of {', '.join((*TABLES, *ARRAYS))}.")
         if not isinstance(content, dict):
             raise InputError(f"{path}: {name} = {content!r} is not a table; write it as [{name}].")
+    given["limits"], own = _apart(given.get("limits", {}))
     read = {name: from_table(declaration(name), given.get(name, {}), where=f"{path} [{name}]")
             for name in TABLES if name in SECTIONS or name in given}
     mappings = {name: _beside(path, read.pop(name)) for name in DEVICES if name in read}
-    return read | {"network": dataclasses.replace(read["network"], bench=_bench(mappings, arrays, path, any_shape))}
+    bench = _bench(mappings, arrays, path, any_shape)
+    return read | {"network": dataclasses.replace(read["network"], bench=bench),
+                   "limits": _with_own(read["limits"], own, bench, path)}
+
+
+def _apart(limits: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the limits of the whole bench, and the tables of single devices, joints and force paths."""
+    own = {name: content for name, content in limits.items() if isinstance(content, dict)}
+    return {name: value for name, value in limits.items() if name not in own}, own
+
+
+def _with_own(limits: Any, own: Mapping[str, Any], bench: Any, path: Path | None) -> Any:
+    """Return the limits with those of single devices, joints and force paths; one path has them as the bench's."""
+    from master.own_limits import checked as checked_own
+    from master.own_limits import of_path
+
+    found = dataclasses.replace(limits, own=checked_own(own, bench, where=str(path)))
+    return found if len(bench.force_paths) > 1 else of_path(found, bench, bench.force_paths[0])
 
 
 def _bench(mappings: Mapping[str, Any], arrays: Mapping[str, Any], path: Path | None, any_shape: bool) -> Any:
@@ -119,7 +137,15 @@ def as_text(sections: Mapping[str, Any]) -> str:
     same = bench.shape == packaged().shape
     tables = {**sections, **(bench.other_devices if same else {})}
     return "\n".join((*(f"[{name}]\n{_lines(section)}" for name, section in tables.items()),
+                      *_own_lines(sections.get("limits")),
                       *(() if same else _arrays(as_tables(bench)))))
+
+
+def _own_lines(limits: Any) -> list[str]:
+    found: dict[str, str] = {}
+    for own in () if limits is None else limits.own:
+        found[own.of] = found.get(own.of, f"[limits.{own.of}]\n") + f"{own.name} = {_shown(own.value)}\n"
+    return list(found.values())
 
 
 def _arrays(tables: Mapping[str, Any]) -> list[str]:

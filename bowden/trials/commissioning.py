@@ -10,6 +10,7 @@ from bowden.trials import session
 from parameters import InputError
 
 if TYPE_CHECKING:
+    from eds.declaration import DeclaredBench, ForcePath
     from master.cycle.run_safely import Outcome
     from master.motion.commission import Procedure
 
@@ -26,13 +27,20 @@ def perform(
     from master.network.link import Link
 
     network = sections["network"]
-    names = [one.name for one in network.bench.force_paths]
-    if path not in (names if len(names) > 1 else [None, *names]):
-        raise InputError(f"--path {path or 'is missing'}: the bench has the force paths {', '.join(names)}; name one.")
-    place = names.index(path or names[0])
+    place = network.bench.force_paths.index(named(network.bench, path))
     found: dict[str, Any] = {}
     session.compile_laws(simulated=chosen.simulated)
     with opened(chosen, network) as bus, bus.host():
         outcome = run_safely(Link(bus.bus, bus.clock), bus.tap, None, network, sections["limits"],
                              lambda exchange: found.update(procedure(exchange.paths[place])))
     return outcome, found
+
+
+def named(bench: DeclaredBench, path: str | None) -> ForcePath:
+    """Return the force path of a name, or without a name the only one; raises `InputError`."""
+    paths = {one.name: one for one in bench.force_paths}
+    if path is None and len(paths) == 1:
+        return bench.force_paths[0]
+    if path not in paths:
+        raise InputError(f"--path {path or 'is missing'}: the bench has the force paths {', '.join(paths)}; name one.")
+    return paths[path]

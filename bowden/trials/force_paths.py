@@ -44,9 +44,12 @@ def reference_of(reference: Reference, acts: str, co_contraction: float) -> Refe
 
 def setup_of(whole: ExperimentSetup, path: ForcePath, **changed: Any) -> ExperimentSetup:
     """Return the experiment of one path."""
+    from master.own_limits import counted
+
     network = dataclasses.replace(whole.network, bench=whole.network.bench.path(path.name))
     reference = reference_of(whole.reference, path.acts, whole.gait.co_contraction)
-    return dataclasses.replace(whole, network=network, reference=reference, **changed)
+    limits = counted(whole.limits, whole.network.bench, path)
+    return dataclasses.replace(whole, network=network, reference=reference, limits=limits, **changed)
 
 
 def metadata(setups: Mapping[str, ExperimentSetup], network: Network) -> dict[str, str]:
@@ -66,11 +69,14 @@ def metadata(setups: Mapping[str, ExperimentSetup], network: Network) -> dict[st
 
 def attachments(setups: Mapping[str, ExperimentSetup], sections: Mapping[str, Any]) -> dict[str, bytes]:
     """Return configuration and calibration of each path, as files of a trial of a single one."""
+    from master.own_limits import of_path
     from physics.calibration import write
 
     found: dict[str, bytes] = {}
+    bench = sections["network"].bench
     for name, setup in setups.items():
-        found[f"{name}.bench.toml"] = as_text({**sections, "network": setup.network}).encode()
+        limits = of_path(sections["limits"], bench, next(path for path in bench.force_paths if path.name == name))
+        found[f"{name}.bench.toml"] = as_text({**sections, "network": setup.network, "limits": limits}).encode()
         found[f"{name}.calibration.toml"] = write(setup.calibration).encode()
     return found
 

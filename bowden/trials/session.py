@@ -79,7 +79,7 @@ class Prepared:
         if self.paths:
             from master.motion.paths_run import PlannedPaths
 
-            return PlannedPaths(self.paths, self.experiment.network)
+            return PlannedPaths(self.paths, self.experiment)
         return Scripted(self.experiment, self.script) if self.script else Planned(self.experiment)
 
 

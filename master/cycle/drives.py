@@ -12,7 +12,7 @@ from eds.cia402 import Control, HomingMethod, Mode, State, Status, next_controlw
 from eds.dictionary import key
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs
-from master.cycle.shared_exchange import Running
+from master.cycle.shared_exchange import Answer, Running, Work, together
 from master.network.bringup import BringUpError
 from master.network.sdo import SdoError
 
@@ -41,35 +41,44 @@ def enable_alone(exchange: Exchange, node_id: int) -> Inputs:
 
 
 def disable(exchange: Running, patience_ns: int = PATIENCE_NS) -> None:
-    """Take every drive to SWITCH ON DISABLED; raises `BringUpError` where one does not follow."""
+    """Take every drive to SWITCH ON DISABLED, those of all force paths in the same cycles.
+
+    Raises `BringUpError` where a drive does not follow, after all others have had their patience.
+    """
     for guard in exchange.guards:
         guard.enabled = False
-    failed: BringUpError | None = None
-    for path in exchange.paths:
-        try:
-            _drive_to(path, (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED), patience_ns)
-        except BringUpError as error:
-            failed = failed or error
-    if failed is not None:
-        raise failed
+    off = (State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED)
+    reached = together(exchange, [_driving(path, off, patience_ns) for path in exchange.paths])
+    for path, there in zip(exchange.paths, reached, strict=True):
+        if not there:
+            raise BringUpError(_not_there(path, path.inputs, off))
 
 
 def _drive_to(exchange: Exchange, goals: tuple[State, State], patience_ns: int = PATIENCE_NS) -> Inputs:
-    """Walk the drives along CiA 402's table, resending a word that has no effect for a while."""
+    """Take the drives of one path to their goals; raises `BringUpError` where one does not follow."""
+    if not together(exchange, [_driving(exchange, goals, patience_ns)])[0]:
+        raise BringUpError(_not_there(exchange, exchange.inputs, goals))
+    return exchange.inputs
+
+
+def _driving(exchange: Exchange, goals: tuple[State, State], patience_ns: int) -> Work[bool]:
+    """Walk the drives along CiA 402's table, resending a word that has no effect for a while; return whether they
+    arrived."""
     inputs = exchange.inputs
     deadline = inputs.sync_ns + patience_ns
     sent, resend_ns = (-1, -1), 0
     while True:
         states = _states(exchange, inputs)
         if states[0] is goals[0] and (states[1] is goals[1] or not exchange.knee_driven):
-            return inputs
+            return True
         if inputs.sync_ns >= deadline:
-            raise BringUpError(_not_there(exchange, inputs, goals))
+            return False
         words = _word(states[0], goals[0], sent[0]), _word(states[1], goals[1], sent[1])
         if words != sent or inputs.sync_ns >= resend_ns:
             exchange.command(*words)
             sent, resend_ns = words, inputs.sync_ns + RESEND_NS
-        inputs = exchange.advance(*_where(exchange, states))
+        yield Answer(*_where(exchange, states))
+        inputs = exchange.inputs
 
 
 def _states(exchange: Exchange, inputs: Inputs) -> tuple[State | None, State | None]:

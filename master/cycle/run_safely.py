@@ -18,6 +18,7 @@ import can
 
 from eds.bench import bus_load
 from eds.bench.bench_network import Network, WireLayout, wire
+from eds.declaration import ForcePath
 from master.cycle import drives, plausibility, repetition
 from master.cycle.exchange import Exchange
 from master.cycle.guard import Guard
@@ -31,6 +32,7 @@ from master.network.bus_watch import BusWatch
 from master.network.host_computer import collector_frozen
 from master.network.link import Link, LinkError
 from master.network.sdo import SdoError
+from master.own_limits import counted
 from master.settings import Limits
 from parameters import InputError
 
@@ -63,7 +65,8 @@ def run_safely(
 ) -> Outcome:
     """Bring the bench up, run `perform` inside the cycle, end safely; the recorder hears the bus through `tap`.
 
-    `perform` gets the running cycle: an `Exchange`, or on a bench of several force paths a `SharedExchange`.
+    `perform` gets the running cycle: an `Exchange`, or on a bench of several force paths a `SharedExchange`. `limits`
+    are the bench's; every path is held to those that it has as its own.
 
     Raises `InputError` for a network that cannot keep its deadline; what happens on the bus ends in the outcome.
     """
@@ -73,11 +76,12 @@ def run_safely(
     plausibility.prepare()
     repetition.prepare()
     with interruption() as interrupted, collector_frozen():
-        def guard(of: WireLayout) -> Guard:
-            return Guard(link, of, log, limits, network.heartbeat_timeout_ms * 1_000_000, interrupted,
+        def guard(of: WireLayout, path: ForcePath) -> Guard:
+            return Guard(link, of, log, counted(limits, network.bench, path),
+                         network.heartbeat_timeout_ms * 1_000_000, interrupted,
                          described.nodes.keys() - of.nodes.keys())
 
-        exchange: Running = (Exchange(link, described, log, guard(described), budget_ns)
+        exchange: Running = (Exchange(link, described, log, guard(described, network.bench.force_paths[0]), budget_ns)
                              if len(described.paths) == 1 else SharedExchange(link, described, log, guard, budget_ns))
         started_ns = link.clock()
         stop = _prepare(exchange, described)

@@ -63,6 +63,26 @@ class PathExchange(Exchange):
         self._shared.advance({self.name: Answer(servo_m, knee_rad, annotations)})
         return self.inputs
 
+    def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
+        """Take the targets that answer `inputs`; nothing is sent."""
+        try:
+            super().answer(servo_m, knee_rad, annotations)
+        except StopError as stop:
+            raise self._located(stop) from stop
+
+    def checked(self) -> Inputs:
+        """Check the inputs of this cycle against safety's table, and return them."""
+        try:
+            return super().checked()
+        except StopError as stop:
+            raise self._located(stop) from stop
+
+    def _located(self, stop: StopError) -> StopError:
+        """Return a stop that names this path, where it names a device of this path."""
+        if stop.node_id not in self.path or not stop.node_id:
+            return stop
+        return StopError(stop.condition, f"{stop.detail} (force path {self.name})", stop.node_id)
+
     def command(self, servo_word: int, knee_word: int) -> None:
         """Send the controlwords of this path's drives; those of the others stay."""
         self._shared.command({self.path.servo: servo_word, self.path.knee: knee_word})
@@ -74,11 +94,11 @@ class SharedExchange:
     Counters, `begin` and `end` are as in `Exchange`.  The first path of a joint leads its drive.
     """
 
-    def __init__(self, link: Link, wire: WireLayout, log: Log, guard_of: Callable[[WireLayout], Guard],
+    def __init__(self, link: Link, wire: WireLayout, log: Log, guard_of: Callable[[WireLayout, ForcePath], Guard],
                  budget_ns: int) -> None:
         self.link, self.wire, self.log = link, wire, log
         self._budget_ns = budget_ns
-        self.paths = tuple(PathExchange(self, path, guard_of(wire.of_path(path.name)), budget_ns)
+        self.paths = tuple(PathExchange(self, path, guard_of(wire.of_path(path.name), path), budget_ns)
                            for path in wire.network.bench.force_paths)
         self._hearing: dict[int, list[PathExchange]] = {}
         for path in self.paths:

@@ -41,9 +41,10 @@ from master.identification import calibration_fit, discrepancy_fit, gait_trials
 from master.identification.calibration_fit import Segment
 from master.identification.jackknife import LineFit
 from master.motion import moves
-from master.motion.home import home, swing_held, swing_to
+from master.motion.home import home, reached_n, swing_held, swing_to
 from master.motion.paths_run import rest
 from master.network.link import Link
+from master.own_limits import by_path
 from master.settings import Homing, Limits
 from parameters import InputError
 from physics import inverse, laws
@@ -103,9 +104,11 @@ def run(
     """
     procedure(identification.what)
     inverse.prepare()
-    names = [path.name for path in identification.network.bench.force_paths]
+    bench = identification.network.bench
+    names = [path.name for path in bench.force_paths]
+    limits = by_path(identification.limits, bench)
     paths = {name: _Experiments(
-        replace(identification, guess=identification.guesses.get(name, identification.guess)),
+        replace(identification, guess=identification.guesses.get(name, identification.guess), limits=limits[name]),
         functools.partial(_shared, progress, place / len(names), 1.0 / len(names)))
         for place, name in enumerate(names)}
 
@@ -121,6 +124,20 @@ def run(
 
     outcome = run_safely(link, tap, recorder, identification.network, identification.limits, perform)
     return outcome, {name: path.segments for name, path in paths.items()}
+
+
+def pulls(identification: Identification, *, gait: bool) -> str:
+    """Return the largest forces that an identification pulls, as a sentence; `gait`: with its gait trials."""
+    bench, found = identification.network.bench, []
+    for name, limits in by_path(identification.limits, bench).items():
+        top_n = TOP_SHARE * limits.start_n
+        most = {"stiffness": HIGH_N, "swing": LOW_N, "ramp": top_n, "pull": top_n}
+        start_n = max(most.get(kind, 0.0) for kind in PROCEDURES[identification.what])
+        start_n = max(start_n, top_n) if gait else start_n
+        then = f", then to at most {reached_n(start_n):.0f} N" if start_n else ""
+        found.append(f"{f'{name}: ' if len(bench.force_paths) > 1 else ''}Pulls START to at most "
+                     f"{reached_n(identification.homing.top_n):.0f} N while homing{then}.")
+    return " ".join(found)
 
 
 def _shared(progress: Progress, done: float, part: float, what: str, share: float) -> None:

@@ -21,11 +21,11 @@ from master.cycle.exchange import Exchange
 from master.cycle.inputs import END, KNEE, SERVO, START, Inputs
 from master.motion import moves
 from master.motion.home import home as find_home
-from master.motion.home import within
+from master.motion.home import reached_n, within
 from master.network.bringup import BringUpError
 from master.settings import Homing, Limits
 from parameters import InputError
-from physics.calibration import Calibration
+from physics.calibration import Calibration, nominal
 
 Procedure = Callable[[Exchange], Mapping[str, float]]
 """Runs inside the cycle; returns its results, by name with their unit."""
@@ -53,6 +53,11 @@ def home(calibration: Calibration, homing: Homing, slack_m: float) -> Procedure:
     return procedure
 
 
+def home_pulls(homing: Homing) -> str:
+    """Return the largest force that `home` pulls, as a sentence."""
+    return f"Pulls START to at most {reached_n(within(homing, nominal(), 0.0)[0].top_n):.0f} N."
+
+
 def tare(sensor: str) -> Procedure:
     """Zero one sensor where it stands; no drive is enabled.  Raises `InputError` for an unknown sensor."""
     place = _one_of(sensor, SENSORS, "sensor")
@@ -76,6 +81,8 @@ FURTHEST: Final = {SERVO: 0.15, KNEE: math.radians(110.0)}
 """The longest way that one jog may go."""
 JOG_START_N: Final = 20.0
 """START tension at which a jog stops: a rope that is being tightened unseen."""
+JOG_SHARE: Final = 0.5
+"""START tension at which a jog stops, by its limit in the configuration."""
 TOLERANCE_RAD: Final = math.radians(0.1)
 """Passing of a knee limit that counts as none: resolution of the drive and its following error at rest."""
 BEHIND: Final = {SERVO: 2e-3, KNEE: math.radians(2.0)}
@@ -87,8 +94,8 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
 
     It stops, and reports the place, when START reaches its limit, when the drive refuses to go on, or when the knee
     passes its limits further than at the beginning. START's limit is the lesser of `JOG_START_N` above its first
-    value and half of that in `limits`. No drive is enabled for a target beyond the knee's limits. Raises `InputError`
-    for an unknown axis, a speed of zero or above the limit, and a distance that no axis has.
+    value and `JOG_SHARE` of that in `limits`. No drive is enabled for a target beyond the knee's limits. Raises
+    `InputError` for an unknown axis, a speed of zero or above the limit, and a distance that no axis has.
     """
     place = _one_of(axis, AXES, "axis")
     limits = limits or Limits()
@@ -112,7 +119,7 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
         begun_n = exchange.inputs.start_n
         drives.enable_alone(exchange, exchange.path[place])
         start = exchange.targets[place]
-        stop_n = min(begun_n + JOG_START_N, 0.5 * limits.start_n)
+        stop_n = min(begun_n + JOG_START_N, JOG_SHARE * limits.start_n)
         steps = max(1, round(moves.PEAK_TO_MEAN * abs(distance) / speed * 1e9 / exchange.wire.period_ns))
         for step in range(1, steps + 1):
             _lead(exchange, place, start + distance * moves.smooth(step / steps))
@@ -132,6 +139,12 @@ def jog(axis: str, distance: float, speed: float, limits: Limits | None = None) 
                 "tension_start_n": inputs.start_n, "tension_end_n": inputs.end_n}
 
     return procedure
+
+
+def jog_pulls(limits: Limits) -> str:
+    """Return the largest force that `jog` pulls, as a sentence."""
+    return (f"Stops where START reads {JOG_START_N:g} N more than at the beginning, and at "
+            f"{JOG_SHARE * limits.start_n:g} N.")
 
 
 def _position(inputs: Inputs, place: int) -> float:

@@ -160,7 +160,7 @@ class Planned:
         """The largest forces that it will pull, as a sentence."""
         if self.experiment.dry_run:
             return "The drives stay off: nothing is pulled."
-        return (f"Pulls START to at most {reached_n(self.homing):.0f} N while homing, then to about "
+        return (f"Pulls START to at most {reached_n(self.homing.top_n):.0f} N while homing, then to about "
                 f"{self.start_n:.0f} N, END to {self.experiment.reference.peak_n:g} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:

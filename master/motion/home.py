@@ -58,12 +58,12 @@ def within(homing: Homing, calibration: Calibration, peak_n: float) -> tuple[Hom
             dataclasses.replace(calibration, home_preload=min(calibration.home_preload, top / LOOP)))
 
 
-def reached_n(homing: Homing) -> float:
-    """Return the most that START reads while homing, N: the rope goes on for a cycle or two after it is stopped.
+def reached_n(top_n: float) -> float:
+    """Return the most that START reads, N, of a rope that is stopped at `top_n`: it goes on for a cycle or two.
 
     Of the family's serials none reads more: 13.7 N of 12, 51.1 N of 45.
     """
-    return 1.5 + 1.1 * homing.top_n
+    return 1.5 + 1.1 * top_n
 
 
 class Homed(NamedTuple):

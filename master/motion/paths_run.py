@@ -14,7 +14,6 @@ from typing import Final
 
 import can
 
-from eds.bench.bench_network import Network
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
@@ -53,12 +52,12 @@ class PlannedPaths:
     Raises `InputError` for a dry run, which shows nothing that one path's does not.
     """
 
-    def __init__(self, setups: Mapping[str, ExperimentSetup], network: Network) -> None:
+    def __init__(self, setups: Mapping[str, ExperimentSetup], whole: ExperimentSetup) -> None:
         self.planned = {name: Planned(setup) for name, setup in setups.items()}
-        self.experiment, self._network = next(iter(setups.values())), network
+        self.experiment, self._whole = next(iter(setups.values())), whole
         if self.experiment.dry_run:
             raise InputError("--dry-run: on a bench of several force paths nothing is run dry; leave it out.")
-        bench = network.bench
+        bench = whole.network.bench
         leads: dict[str, Planned] = {}
         for path in bench.force_paths:
             lead = leads.setdefault(path.joint, self.planned[path.name])
@@ -73,12 +72,11 @@ class PlannedPaths:
     @property
     def homing_n(self) -> float:
         """Return the most that a START reads while homing, N."""
-        return max(reached_n(planned.homing) for planned in self.planned.values())
+        return max(reached_n(planned.homing.top_n) for planned in self.planned.values())
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> PathsResult:
         """Run it on the bus of `link`."""
-        experiment = self.experiment
-        outcome = run_safely(link, tap, recorder, self._network, experiment.limits, self.perform)
+        outcome = run_safely(link, tap, recorder, self._whole.network, self._whole.limits, self.perform)
         first = next(iter(self.planned.values()))
         warning = " ".join(f"{name}: {planned.warning}" for name, planned in self.planned.items() if planned.warning)
         found = {name: {"friction_half_width_m": planned.homed.half_width_m, "day": planned.homed.day}

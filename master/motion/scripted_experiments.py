@@ -65,7 +65,7 @@ class Scripted:
         """The largest forces that it will pull, as a sentence."""
         planned = self.planned
         walks = any(isinstance(part, ScriptedWalk) for part in self.script)
-        return (f"Pulls START to at most {reached_n(planned.homing):.0f} N while homing, then to about "
+        return (f"Pulls START to at most {reached_n(planned.homing.top_n):.0f} N while homing, then to about "
                 f"{max(self.pull_n, planned.start_n if walks else 0.0):.0f} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:

@@ -110,3 +110,40 @@ def test_homing_n_lets_homing_pull_harder(bowden: Callable[..., Any], tmp_path: 
     status, out, err = bowden("trial", *walk, "--homing-n", "30", "-o", str(file))
     assert status == 0, out + err
     assert float(opened(file).columns["tension_start_n"].max()) > 30.0
+
+
+@pytest.mark.parametrize(("command", "pattern"), [
+    (("home",), r"Pulls START to at most 15 N\."),
+    (("home", "--homing-n", "20"), r"Pulls START to at most 24 N\."),
+    (("jog", "servo", "--by", "-1"), r"Stops where START reads 20 N more than at the beginning, and at 60 N\."),
+])
+def test_what_moves_says_first_how_hard_it_pulls(
+    bowden: Callable[..., Any], command: tuple[str, ...], pattern: str
+) -> None:
+    channel = " ".join(command)
+    status, _, err = bowden(*command, "--interface", "bowden", "--channel", channel, "--json")
+    assert (status, err) == (0, "")
+    status, _, err = bowden(*command, "--interface", "bowden", "--channel", channel)
+    assert status == 0
+    assert re.search(pattern, err)
+    if command[0] == "home":
+        most = re.search(r"at most (\d+) N", err)
+        assert most is not None
+        assert float(json.loads(bowden(*command, "--interface", "bowden", "--channel", channel, "--json")[1])[
+            "tension_start_n"]) < float(most[1])
+
+
+@pytest.mark.parametrize(("what", "sentence"), [
+    ("sensors", "Pulls START to at most 51 N while homing."),
+    ("stiffness", "Pulls START to at most 51 N while homing, then to at most 68 N."),
+    ("friction", "Pulls START to at most 51 N while homing, then to at most 94 N."),
+])
+def test_an_identification_says_first_how_hard_it_pulls(
+    bowden: Callable[..., Any], tmp_path: Path, what: str, sentence: str
+) -> None:
+    status, out, err = bowden("identify", what, "-o", str(tmp_path / "own.toml"))
+    assert status == 0, out
+    assert sentence in err
+    pulled = float(opened(tmp_path / "own.mcap").columns["tension_start_n"].max())
+    told = max(float(found) for found in re.findall(r"([0-9]+) N", sentence))
+    assert 0.8 * told < pulled < told

@@ -14,6 +14,7 @@ from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
     from master.motion.commission import Procedure
+    from master.settings import Limits
 
 Sensor = Annotated[str, typer.Argument(metavar="SENSOR", help="start or end.", show_default=False)]
 Axis = Annotated[str, typer.Argument(metavar="AXIS", help="servo or knee.", show_default=False)]
@@ -48,7 +49,8 @@ def home(
     bench = _Bench(reached, rate, config, path)
     measured = nominal() if calibration is None else read(calibration)
     homing = configuration.homing(bench.sections["homing"], homing_n)
-    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json)
+    return bench.perform("home", commission.home(measured, homing, bench.sections["gait"].idle_slack_m), json=json,
+                         pulls=commission.home_pulls(homing))
 
 
 @app.command()
@@ -95,8 +97,9 @@ def jog(
 
     unit = math.radians(1.0) if axis == "knee" else 1e-3
     bench = _Bench(reached, rate, config, path)
-    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, bench.sections["limits"])
-    return bench.perform(f"jog {axis}", procedure, json=json)
+    limits = bench.limits()
+    procedure = commission.jog(axis, by * unit, (SPEED if speed is None else speed) * unit, limits)
+    return bench.perform(f"jog {axis}", procedure, json=json, pulls=commission.jog_pulls(limits))
 
 
 @app.command()
@@ -118,7 +121,7 @@ def release(
     from master.motion import commission
 
     bench = _Bench(reached, rate, config, path)
-    return bench.perform("release", commission.release(bench.sections["homing"], bench.sections["limits"]), json=json)
+    return bench.perform("release", commission.release(bench.sections["homing"], bench.limits()), json=json)
 
 
 class _Bench:
@@ -128,10 +131,20 @@ class _Bench:
         self.sections = reached.sections(config, rate)
         self.chosen, self.path = reached.chosen(), path
 
-    def perform(self, what: str, procedure: Procedure, *, json: bool) -> int:
-        """Run one procedure and print its result."""
+    def limits(self) -> Limits:
+        """Return the limits of the force path; raises `InputError` for a path that is missing or not declared."""
+        from bowden.trials import commissioning
+        from master.own_limits import of_path
+
+        bench = self.sections["network"].bench
+        return of_path(self.sections["limits"], bench, commissioning.named(bench, self.path))
+
+    def perform(self, what: str, procedure: Procedure, *, json: bool, pulls: str = "") -> int:
+        """Run one procedure and print its result; `pulls` is the largest force that it may pull, as a sentence."""
         from bowden.trials import commissioning
 
+        if pulls and not json:
+            terminal.remark(pulls)
         with terminal.waiting(what, shown=not json):
             outcome, found = commissioning.perform(self.chosen, self.sections, procedure, self.path)
         result = {"procedure": what, "outcome": "completed" if outcome.reason is None else "stopped",

@@ -66,6 +66,7 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     from bowden.bench import configuration
     from eds.bench.bench_network import lacks, wire
     from eds.bench.bus_load import LOAD_GOAL_PERCENT, rate_that_fits, refuse
+    from master.own_limits import by_path
 
     sections = configuration.read(file, any_shape=True)
     network, limits = sections["network"], sections["limits"]
@@ -73,13 +74,15 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
     if missing:
         terminal.emit({"lacks": missing}) if json else print("\n".join(missing))
         return 1
-    above = limits.above_packaged()
+    above, of_paths = limits.above_packaged(), by_path(limits, network.bench)
     built = wire(network)
     found = refuse(built)
     fits = rate_that_fits(built)
     if json:
         terminal.emit({
             "limits_above_packaged": above, "limits_raised": limits.raised,
+            "limits": {path: {name: getattr(found, name) for name, _ in _numbers(found)}
+                       for path, found in of_paths.items()},
             "load_percent": found.load_percent, "goal_percent": LOAD_GOAL_PERCENT, "rate_that_fits_hz": fits,
             "inputs_ns": found.inputs_ns,
             "deadline_ns": found.deadline_ns, "streams": [
@@ -96,10 +99,20 @@ def check_config(file: ConfigFile, json: options.Json = False) -> int:
                 (stream.name, f"{stream.can_id:03X}h", str(stream.bits()), f"{stream.period_ns / 1e3:.0f}",
                  terminal.number(None if response is None else response / 1e3, 0))
                 for stream, response in found.responses])
+        terminal.table(f"{file}: limits of each force path", ("limit", *of_paths), [
+            (f"{name} ({unit})" if unit else name, *(f"{getattr(found, name):g}" for found in of_paths.values()))
+            for name, unit in _numbers(limits)])
         if fits != network.rate_hz:
             print(f"{file}: rate_hz = {network.rate_hz} is beyond the goal; " + (
                 f"{fits} Hz would fit." if fits else "no rate would fit."))
     return 0 if found.load_percent <= LOAD_GOAL_PERCENT and (limits.raised or not above) else 1
+
+
+def _numbers(section: Any) -> list[tuple[str, str]]:
+    """Return name and unit of each number of a section."""
+    from parameters import declarations
+
+    return [(name, told.unit) for name, default, told in declarations(type(section)) if not isinstance(default, str)]
 
 
 @check.command("eds")
