@@ -49,7 +49,8 @@ class Guard:
     `active` False disables all checks: during bring-up, and once a stop is under way. `beginning`: the exchange is
     not established yet, drives off, and EMCYs about missed cycles are logged and waited through. `interrupted` gives
     the number of the signal that requested an end, 0 for none. `others` are nodes that the guard of another force
-    path watches.
+    path watches. `joint_held`: another path that leads the joint lacks inputs and holds it, so that signals are not
+    compared.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Guard:
     ) -> None:
         self.limits = limits
         self.active = True
-        self.beginning = self.enabled = False
+        self.beginning = self.enabled = self.joint_held = False
         self.plausibility: Plausibility | None = None
         self.repetition: Repetition | None = None
         self._link, self._wire, self._log = link, wire, log
@@ -128,7 +129,7 @@ class Guard:
         plausibility = self.plausibility
         if plausibility is None or rehoming:
             return
-        if inputs.missing:
+        if inputs.missing or self.joint_held:
             plausibility.coast(targets)
             return
         limited = YIELDED_M if self._limited_ns[0] else 0.0

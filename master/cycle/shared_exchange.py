@@ -100,6 +100,8 @@ class SharedExchange:
         self._budget_ns = budget_ns
         self.paths = tuple(PathExchange(self, path, guard_of(wire.of_path(path.name), path), budget_ns)
                            for path in wire.network.bench.force_paths)
+        self._of_joint = {path.name: [other for other in self.paths if other.joint == path.joint and other is not path]
+                          for path in self.paths}
         self._hearing: dict[int, list[PathExchange]] = {}
         for path in self.paths:
             for can_id in path.heard:
@@ -243,6 +245,8 @@ class SharedExchange:
         missing = self._collect(sync_ns)
         for path in self.paths:
             path.latched(sync_ns, missing[path.name])
+        for path in self.paths:
+            path.guard.joint_held = any(other.inputs.missing for other in self._of_joint[path.name])
         for path in self.paths:
             path.checked()
 
