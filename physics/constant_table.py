@@ -13,8 +13,12 @@ import numpy as np
 
 from physics.laws import Array
 
-LARGEST: Final = 4.0
-"""Largest departure of a logarithmic coordinate: beyond, a force balance is badly conditioned."""
+LARGEST: Final = {"log": 4.0, "logit": 2.0}
+"""Largest departure of a coordinate by form: beyond, a force balance is badly conditioned."""
+SOFTENED: Final = 4.0
+"""Range before a bound, in session σ and at most a tenth of the bounds' distance, in which a value approaches it.
+
+A value cut off at its bound would be flat beyond it, and a difference across the bound would give a wrong slope."""
 
 
 class ModelConstant(NamedTuple):
@@ -39,7 +43,7 @@ class ConstantTable:
     """Rows of constants with what follows from them; `bounds`: of the values of linear constants, by name.
 
     `free`: rows of the constants that differ between benches in the reference condition.  `step`: finite-difference
-    step of each coordinate, 0.3 session σ, well inside the range where a model is linear.
+    step of each coordinate, 0.1 session σ, well inside the range where a model is linear.
     """
 
     def __init__(self, rows: Sequence[ModelConstant], bounds: Mapping[str, tuple[float, float]] | None = None) -> None:
@@ -49,7 +53,7 @@ class ConstantTable:
         self.index = {name: i for i, name in enumerate(self.names)}
         self.bench_sd: Array = np.array([row.bench_sd for row in rows])
         self.session_sd: Array = np.array([row.session_sd for row in rows])
-        self.step: Array = np.array([0.3 * row.session_sd if row.session_sd else row.step for row in rows])
+        self.step: Array = np.array([0.1 * row.session_sd if row.session_sd else row.step for row in rows])
         self.free = tuple(i for i, row in enumerate(rows) if row.bench_sd)
 
     def __len__(self) -> int:
@@ -61,15 +65,36 @@ class ConstantTable:
         for i, row in enumerate(self.rows):
             at = row.middle + q[i]
             if row.form == "log":
-                out[i] = row.middle * np.exp(np.clip(q[i], -LARGEST, LARGEST))
+                out[i] = row.middle * np.exp(self._within(row, q[i]))
             elif row.form == "logit":
-                out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-np.clip(q[i], -2.0, 2.0)))
+                out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-self._within(row, q[i])))
             elif row.form == "positive":
                 out[i] = 0.5 * (at + np.sqrt(at**2 + row.rounding**2))
             else:
-                low, high = self.bounds.get(row.name, (-np.inf, np.inf))
-                out[i] = np.clip(at, low, high)
+                out[i] = self._within(row, at)
         return out
+
+    def _limits(self, row: ModelConstant) -> tuple[float, float, float]:
+        """Return the bounds of a coordinate, or of a linear value, and the range before them in which it bends."""
+        most = LARGEST.get(row.form, np.inf)
+        low, high = self.bounds.get(row.name, (-most, most))
+        return low, high, min(SOFTENED * row.session_sd, 0.1 * (high - low)) if row.session_sd else 0.0
+
+    def _within(self, row: ModelConstant, at: Array) -> Array:
+        """Return values that stay inside the bounds and approach them exponentially."""
+        low, high, width = self._limits(row)
+        if width == 0.0 or not np.isfinite(width):
+            return np.clip(at, low, high)
+        above, below = np.maximum(at - (high - width), 0.0), np.maximum(low + width - at, 0.0)
+        return np.clip(at, low + width, high - width) - width * np.expm1(-above / width) + width * np.expm1(-below / width)
+
+    def _before(self, row: ModelConstant, value: float) -> float:
+        """Return the inverse of `_within`."""
+        low, high, width = self._limits(row)
+        if width == 0.0 or not np.isfinite(width) or low + width <= value <= high - width:
+            return value
+        sign, edge = (1.0, high - width) if value > high - width else (-1.0, low + width)
+        return edge - sign * width * float(np.log1p(-min(sign * (value - edge) / width, 0.999)))
 
     def lifted(self, q: Array) -> Array:
         """Return coordinates with those of "positive" constants raised to the range in which the value follows them.
@@ -94,13 +119,13 @@ class ConstantTable:
         for i, row in enumerate(self.rows):
             v = constants[i]
             if row.form == "log":
-                out[i] = np.log(v / row.middle)
+                out[i] = self._before(row, float(np.log(v / row.middle)))
             elif row.form == "logit":
-                out[i] = np.log(v / (1.0 - v)) - np.log(row.middle / (1.0 - row.middle))
+                out[i] = self._before(row, float(np.log(v / (1.0 - v)) - np.log(row.middle / (1.0 - row.middle))))
             elif row.form == "positive":
                 out[i] = v - row.rounding**2 / (4.0 * v) - row.middle
             else:
-                out[i] = v - row.middle
+                out[i] = self._before(row, v) - row.middle
         return out
 
     def coordinate(self, name: str, value: float) -> float:

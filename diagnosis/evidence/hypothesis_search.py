@@ -18,6 +18,10 @@ from physics.laws import Array
 FOREMOST: Final = 7
 """Number of effects fitted after each screen; in the development population the true one is in the first five in 97 %.
 """
+ADDED: Final = 4
+"""Number of effects fitted after a screen at the reference constants, where no constant has taken up an effect."""
+FOREMOST_STARTS: Final = 3
+"""Number of best effects that are refitted from the best mode of all, and from whose modes the null is refitted."""
 PAIRED: Final = 4
 """Number of second effects fitted together with the best one."""
 RESTART: Final = 2.0
@@ -68,8 +72,9 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
     found = Searched(observed, prior, max((mode(observed, prior, start=at) for at in (None, *starts)),
                                           key=lambda m: m.log_evidence))
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
+    _screen(found, offered, mode(observed, prior, rounds=0), ADDED)
     for _ in range(RESTARTS):
-        _screen(found, offered)
+        _screen(found, offered, found.null, FOREMOST)
         if not found.single or not _restarted(found):
             break
     _cross(found)
@@ -103,17 +108,17 @@ def _same_shape(first: Variant, second: Variant) -> bool:
     return any(second.at.get(name, value) != value for name, value in first.at.items())
 
 
-def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]]) -> None:
-    """Fit the `FOREMOST` effects that a linear screen at the null's mode ranks first."""
+def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: PosteriorMode, most: int) -> None:
+    """Fit the `most` effects that a linear screen at `base` ranks first: the null's mode or the reference constants."""
     rated = []
     for name, variants in offered.items():
-        gain, sizes, variant = max(((*screened(found.null, found.observed, v), v) for v in variants),
+        gain, sizes, variant = max(((*screened(base, found.observed, v), v) for v in variants),
                                    key=lambda r: float(r[0]))
         rated.append((gain, name, variant, sizes))
-    for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:FOREMOST]:
-        fitted = _fit(found, [variant], begun(found.null, variant, sizes))
+    for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:most]:
+        fitted = _fit(found, [variant], begun(base, variant, sizes))
         if fitted is None or fitted.log_evidence < found.null.log_evidence - RESTART:
-            again = _fit(found, [variant], begun(found.null, variant, np.zeros(len(variant.directions))))
+            again = _fit(found, [variant], begun(base, variant, np.zeros(len(variant.directions))))
             if again is not None and (fitted is None or again.log_evidence > fitted.log_evidence):
                 fitted = again
         _keep(found, name, variant, fitted)
@@ -137,20 +142,20 @@ def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | 
 
 
 def _restarted(found: Searched) -> bool:
-    """Refit the null from the best effect's mode; return whether its log evidence rose by `RESTART` or more."""
-    best = max(found.single.values(), key=lambda at: at.log_evidence)
-    again = _fit(found, [], begun(best, None))
-    if again is None or again.log_evidence < found.null.log_evidence + RESTART:
-        return False
-    found.null = again
-    return True
+    """Refit the null from the modes of the best effects; return whether its log evidence rose by `RESTART` or more."""
+    before = found.null.log_evidence
+    for name in [name for name, gain in found.gains().items() if gain >= RESTART][:FOREMOST_STARTS]:
+        again = _fit(found, [], begun(found.single[name], None))
+        if again is not None and again.log_evidence > found.null.log_evidence:
+            found.null = again
+    return found.null.log_evidence >= before + RESTART
 
 
 def _cross(found: Searched) -> None:
-    """Refit the three best effects from the best mode of all, if that is not the null's, and the null once more."""
+    """Refit the best effects from the best mode of all, if that is not the null's, and the null once more."""
     if not found.single:
         return
-    order = list(found.gains())[:3]
+    order = list(found.gains())[:FOREMOST_STARTS]
     best = max([found.null, *found.single.values()], key=lambda at: at.log_evidence)
     for name in order:
         if found.single[name] is not best and best is not found.null:

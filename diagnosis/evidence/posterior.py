@@ -172,7 +172,8 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
          rounds: int = ROUNDS) -> PosteriorMode:
     """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
-    `start`: departures at which the descent begins (None: the prior's mean).  `rounds`: largest number of steps.
+    `start`: departures at which the descent begins (None: the prior's mean).  `rounds`: largest number of steps; with 0
+    the linearisation at `start` is returned.
     Raises `numpy.linalg.LinAlgError` if the problem is numerically singular.
     """
     table = observed.model.constants
@@ -190,19 +191,23 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         off = solve_triangular(factor, x - mean, lower=True)
         return loss(measured - observed.predicted(at(x)) - features @ x[count:], root) + float(off @ off)
 
+    def linearised(x: Array) -> tuple[Array, Array, Array]:
+        data, slopes = observed.jacobian(at(x), active)
+        residual = measured - data - features @ x[count:]
+        return np.concatenate([slopes, features], axis=1), residual, bounded(residual, weight)
+
     x = mean.copy() if start is None else start.copy()
     now, damping = cost(x), 0.0
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
-    for turn in range(rounds):
-        data, slopes = observed.jacobian(at(x), active)
-        design = np.concatenate([slopes, features], axis=1)
-        residual = measured - data - features @ x[count:]
-        weights = bounded(residual, weight)
+    for turn in range(max(rounds, 1)):
+        design, residual, weights = linearised(x)
         inward = design @ factor
         square = eye + inward.T @ (inward * weights[:, None])
-        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
         inner = cho_factor(square)
+        if rounds == 0:
+            break
+        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
         accepted = False
         for _ in range(7):
             step = factor @ cho_solve(inner if damping == 0.0 else cho_factor(square + damping * eye), pull)
@@ -216,7 +221,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
             break
         fall, now, x = now - then, then, x + step
         damping = damping / 4.0 if damping > 0.3 else 0.0
-        if fall < CLOSE or turn == rounds - 1:
+        if fall < CLOSE:
             break
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
     residual = measured - observed.predicted(at(x)) - features @ x[count:]

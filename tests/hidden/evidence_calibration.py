@@ -1,9 +1,10 @@
 """Quantiles of the development family that the threshold and ambiguity set are calibrated on.
 
-    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--workers N]
+    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--workers N]
 
 Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval; over trials with one
-hidden effect that is named, the share of the best log Bayes factor that the truth has.
+hidden effect that is named, the share of the best log Bayes factor that the truth has; over benches with several
+reference trials, the scatter of each constant between sessions, in the session σ of the table of constants.
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ import numpy as np
 from scipy.stats import beta
 
 from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.finder import diagnose
 from physics.effects.hypotheses import HYPOTHESES
+from physics.laws import Array
+from physics.path_constants import FREE, NAMES, SESSION_SD
 from tests.hidden.family import Job, case
 from tests.hidden.family_jobs import KINDS, jobs, serials
 
@@ -47,6 +51,17 @@ def gains(job: Job) -> dict[str, float]:
     return dict((said.evidence or {}).get("log_bayes_factors", {}))
 
 
+def scatter(job: Job) -> Array | None:
+    """Return the constants of each session of a bench less their mean, in session σ; None for a single session."""
+    made = case(job)
+    fitted = EvidenceFinder(list(made.healthy)).reference(())
+    if fitted.trials < 2:
+        return None
+    q = np.array([at for at, _ in fitted.identified])
+    free = list(FREE)
+    return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(fitted.trials / (fitted.trials - 1)))
+
+
 def quantiles(largest: Sequence[float]) -> list[str]:
     """Return a line for each error rate: the threshold that keeps it, and its interval (Clopper–Pearson)."""
     told = []
@@ -63,8 +78,15 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--reference", type=int, default=200)
     parser.add_argument("--hidden", type=int, default=120)
+    parser.add_argument("--scatter", type=int, default=40)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
+        several = [rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None]
+    if several:
+        rms = np.sqrt(np.mean(np.concatenate(several) ** 2, axis=0))
+        print("scatter between sessions, session σ:", ", ".join(
+            f"{NAMES[i]} {v:.2f}" for i, v in zip(FREE, rms, strict=True)))
     asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
     found: dict[Job, dict[str, float]] = {}
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
