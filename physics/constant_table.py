@@ -86,7 +86,8 @@ class ConstantTable:
         if width == 0.0 or not np.isfinite(width):
             return np.clip(at, low, high)
         above, below = np.maximum(at - (high - width), 0.0), np.maximum(low + width - at, 0.0)
-        return np.clip(at, low + width, high - width) - width * np.expm1(-above / width) + width * np.expm1(-below / width)
+        inside = np.clip(at, low + width, high - width)
+        return np.asarray(inside + width * (np.expm1(-below / width) - np.expm1(-above / width)))
 
     def _before(self, row: ModelConstant, value: float) -> float:
         """Return the inverse of `_within`."""

@@ -200,7 +200,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     now, damping = cost(x), 0.0
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
-    for turn in range(max(rounds, 1)):
+    for _ in range(max(rounds, 1)):
         design, residual, weights = linearised(x)
         inward = design @ factor
         square = eye + inward.T @ (inward * weights[:, None])
