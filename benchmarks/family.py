@@ -583,7 +583,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--own", help="serials of the own plant, with commas")
     parser.add_argument("--count", type=int, help="only so many of them")
     parser.add_argument("--again", action="store_true", help=(
-        "walk benches of the table without a discrepancy again: gait trials anew, scalars as they were identified"))
+        "walk benches of the table again: gait trials anew, scalars as they were identified"))
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--page", action="store_true", help="only print the tables of what has been run")
     options = parser.parse_args(arguments)
@@ -592,7 +592,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.page:
         chosen = _serials(options.serials, SET_ASIDE if options.set_aside else DEVELOPMENT)[:options.count]
         wanted = [("family", s) for s in chosen] + [("own", s) for s in _serials(options.own, OWN)]
-        lacking = [each for each in wanted if each not in done or (options.again and "discrepancy" not in done[each])]
+        lacking = [each for each in wanted if options.again or each not in done]
         _run([(*each, done.get(each)) for each in lacking], path, options.workers)
         done = read(path)
     text = page(list(done.values()))

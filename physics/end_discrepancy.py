@@ -37,8 +37,6 @@ UNTURNED: Final[Slips] = (0.0,) * (2 * len(SCALES))
 LEAST_TRAVEL_M: Final = 5e-5
 KNEE_RAD: Final = 0.45
 """Knee flexion at which `fabric_knee` is 0: about the one at the peak of the desired force."""
-END_KNOWN: Final = 0.003
-"""Standard deviation of END's own gain, a tolerance of 0.5 % evenly spread: a discrepancy below it may be END's."""
 BEYOND: Final = 0.15
 """Share of a seen range over which the discrepancy falls to zero outside of it."""
 
@@ -98,8 +96,8 @@ def evaluate(packed: Any, slips: Any, force: float, knee: float, before: Any, af
     """Return (discrepancy of ln(START/END), its standard deviation, further slip states) in one control cycle.
 
     `before` and `after`: the model's memory, an `inverse.Slip`, around this control cycle.  The posterior mean m is
-    shrunk by its standard deviation σ and END's, σe, to m·m²/(m² + σ² + σe²); m and σ fall to zero outside of the
-    ranges that the gait trials saw.
+    shrunk by its standard deviation σ to m·m²/(m² + σ²); m and σ fall to zero outside of the ranges that the gait
+    trials saw.
     """
     ranges = packed[COUNT * (COUNT + 1):]
     moved = 0.0 if math.isnan(before[2]) else after[2] - before[2]
@@ -116,7 +114,7 @@ def evaluate(packed: Any, slips: Any, force: float, knee: float, before: Any, af
     inside = (_outside(force, ranges[0], ranges[1]) * _outside(abs(knee), ranges[2], ranges[3])
               * _outside(abs(moved), 0.0, ranges[4]))
     square = mean * mean
-    shrunk = mean * square / (square + variance + END_KNOWN * END_KNOWN)
+    shrunk = mean * square / (square + variance) if square > 0.0 else 0.0
     return inside * shrunk, inside * math.sqrt(max(variance, 0.0)), slips
 
 

@@ -4,6 +4,10 @@ Each control cycle gives y = ln(estimated END / measured END): the controller's 
 The features are those that the controller computes again in its cycle, from the desired force and the knee's angle.
 Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: residual of y, which
 is systematic, so that the effective sample size of a gait trial is `WORTH` control cycles.
+
+Not all of y holds in later sessions: END's gain and zero are the load cell's, friction and START's zero are measured
+anew by each homing.  These are nuisance parameters of the same fit, with the session deviations of
+`physics.path_constants`, and no part of the discrepancy.
 """
 
 from __future__ import annotations
@@ -14,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from scipy.linalg import block_diag
 from scipy.signal import butter, sosfiltfilt
 
 from master.control.homing_fit import lag_compensated
@@ -22,6 +27,7 @@ from physics import end_discrepancy, inverse
 from physics.calibration import Calibration
 from physics.end_discrepancy import EndDiscrepancy
 from physics.laws import Array
+from physics.path_constants import INDEX, SESSION_SD
 
 LOWPASS_HZ: Final = 25.0
 """Zero-phase low-pass of both estimates of END: above it END's noise is larger than what friction changes."""
@@ -33,6 +39,9 @@ WORTH: Final = 60.0
 LEAST: Final = 2e-3
 """Least standard deviation of the noise: START's gain is not known better."""
 ROUNDS: Final = 4
+OF_A_TRIAL: Final = ("cable", "fabric", "start_offset")
+OF_END: Final = ("end_gain", "end_offset")
+"""Nuisance parameters, by constants of a session: of each gait trial, which homes anew, and of the load cell END."""
 TURN: Final = 21
 """Control cycles at 1 kHz over which the speed of the friction's turning is averaged."""
 
@@ -47,44 +56,62 @@ def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> E
         return None
     lag_s = _end_lag(segments, calibration, still)
     parts = [_rows(segment, calibration, still, lag_s) for segment in gaits]
-    at, y, weight = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    features, y, weight = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    nuisance, nuisance_sd = _nuisance([part[3] for part in parts])
+    at = np.concatenate([features, nuisance], axis=1)
     prior = max(LEAST, math.sqrt(float(np.average(y**2, weights=weight))))
+    narrow = np.diag(np.concatenate([np.full(end_discrepancy.COUNT, prior), nuisance_sd]) ** -2.0)
     noise = prior
     for _ in range(ROUNDS):
-        precision = (at * (weight / noise**2)[:, None]).T @ at + np.eye(end_discrepancy.COUNT) / prior**2
+        precision = (at * (weight / noise**2)[:, None]).T @ at + narrow
         mean = np.linalg.solve(precision, at.T @ (weight * y) / noise**2)
         noise = max(LEAST, math.sqrt(float(np.average((y - at @ mean) ** 2, weights=weight))))
-    covariance = np.linalg.inv(precision)
-    ranges = np.array([part[3] for part in parts])
+    kept = end_discrepancy.COUNT
+    covariance = np.linalg.inv(precision)[:kept, :kept]
+    ranges = np.array([part[4] for part in parts])
     return EndDiscrepancy(
-        tuple(mean.tolist()), tuple(tuple(row) for row in covariance.tolist()),
+        tuple(mean[:kept].tolist()), tuple(tuple(row) for row in covariance.tolist()),
         (float(ranges[:, 0].min()), float(ranges[:, 1].max())), (float(ranges[:, 2].min()), float(ranges[:, 3].max())),
         float(ranges[:, 4].max()), prior, noise)
 
 
-def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float) -> tuple[Array, Array, Array, Any]:
-    """Return features, y and weights of the loaded control cycles of one gait trial, and the ranges seen."""
+def _nuisance(trials: Sequence[Array]) -> tuple[Array, Array]:
+    """Return dy/d(nuisance parameter), shape (rows, nuisance parameters), and the parameters' 1σ between sessions.
+
+    `trials`: of each gait trial the columns of `OF_A_TRIAL` and `OF_END`.
+    """
+    own = block_diag(*(columns[:, :len(OF_A_TRIAL)] for columns in trials))
+    whole = np.concatenate([own, np.concatenate(trials)[:, len(OF_A_TRIAL):]], axis=1)
+    return whole, SESSION_SD[[INDEX[name] for name in (*OF_A_TRIAL * len(trials), *OF_END)]]
+
+
+def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float
+          ) -> tuple[Array, Array, Array, Array, Any]:
+    """Return features, y, weights and columns of the nuisance parameters of the loaded control cycles of one gait
+    trial, and the ranges seen."""
     period_s = segment.period_s
     desired, estimated = np.nan_to_num(segment.desired), np.nan_to_num(segment.estimated)
-    state = np.zeros((desired.size, end_discrepancy.COUNT + 2))
+    state = np.zeros((desired.size, end_discrepancy.COUNT + 3))
     _along(inverse.law(calibration, period_s), tuple(inverse.Slip()), desired, segment.knee, state)
     smooth = butter(2, 2.0 * LOWPASS_HZ * period_s, output="sos")
     end = lag_compensated(sosfiltfilt(smooth, segment.end - still.end_offset), period_s, lag_s)
     y = np.log(np.maximum(sosfiltfilt(smooth, estimated), 0.1) / np.maximum(end, 0.1))
     loaded = desired > LOADED * desired.max()
-    turning = np.gradient(state[:, -1], period_s) ** 2
+    exponents = state[:, -2:]
+    turning = np.gradient(exponents.sum(axis=1), period_s) ** 2
     points = max(1, round(TURN * 1e-3 / period_s))
     speed = np.sqrt(np.convolve(turning, np.full(points, 1.0 / points), "same"))
     weight = 1.0 / (1.0 + (TURNING_S * speed) ** 2)
-    force, flexion = desired[loaded], np.abs(segment.knee[loaded])
+    force, flexion, exponents = desired[loaded], np.abs(segment.knee[loaded]), exponents[loaded]
+    nuisance = np.column_stack([exponents, np.exp(-exponents.sum(axis=1)) / force, np.ones_like(force), 1.0 / force])
     return (state[loaded, :end_discrepancy.COUNT], y[loaded], weight[loaded] * WORTH / np.count_nonzero(loaded),
-            (force.min(), force.max(), flexion.min(), flexion.max(),
-             np.abs(state[loaded, -2]).max() / period_s))
+            nuisance, (force.min(), force.max(), flexion.min(), flexion.max(),
+                       np.abs(state[loaded, -3]).max() / period_s))
 
 
 @njit(cache=True)
 def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
-    """Write features, travel in the sheath and the sum of the exponents by control cycle."""
+    """Write features, travel in the sheath and the exponents of sheath and knee by control cycle."""
     slips = end_discrepancy.UNTURNED
     for i in range(force.size):
         before = slip
@@ -96,7 +123,7 @@ def _along(law: Any, slip: Any, force: Any, knee: Any, out: Any) -> None:
         for j in range(len(at)):
             out[i, j] = at[j]
         out[i, len(at)] = moved
-        out[i, len(at) + 1] = by_sheath + by_knee
+        out[i, len(at) + 1], out[i, len(at) + 2] = by_sheath, by_knee
 
 
 def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> float:

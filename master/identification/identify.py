@@ -148,7 +148,11 @@ def walk(
     link: Link, tap: can.BusABC | None, recorder: CycleSink | None, identification: Identification,
     calibration: Calibration, progress: Progress = lambda what, share: None,
 ) -> tuple[str | None, list[Segment]]:
-    """Run the gait trials with the identified calibration; return the cause of a stop, if any, and their segments."""
+    """Run the gait trials with the identified calibration; return the cause of a stop, if any, and their segments.
+
+    The controller has no discrepancy of an earlier identification: the new one replaces it, and is not added to it.
+    """
+    calibration = dataclasses.replace(calibration, discrepancy=None)
     top_n = TOP_SHARE * identification.limits.start_n
     segments: list[Segment] = []
     trials = gait_trials.run(link, tap, recorder, identification.network, identification.limits,

@@ -199,7 +199,7 @@ def test_the_discrepancy_of_gait_trials_is_recovered_beside_the_ends_lag() -> No
         value, sigma, _ = end_discrepancy.evaluate(
             told.packed(1e-3, BENCH.presliding, BENCH.fabric_presliding), slid, 30.0, -0.45, still, still, 0.0, 0.0)
         assert value == pytest.approx(0.01 + way * 0.03, abs=0.01)
-        assert sigma < 0.005
+        assert sigma < 0.01  # friction and gain of one session are nuisance parameters
 
 
 def test_gait_trials_are_run_on_a_calibration_and_end_in_its_file(composer: Composer) -> None:
