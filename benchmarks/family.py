@@ -266,7 +266,7 @@ def loaded(walk: Mapping[str, Any], of: str = TRUE) -> float:
 
 
 def _no_farther(walk: Mapping[str, Any]) -> bool:
-    """Whether END by friction as followed is no farther from the truth than as homed, or nothing slid to tell it."""
+    """Whether END by the friction followed in the gait is no farther from the truth than by that of homing."""
     homed, followed = walk["homed_away"], walk["followed_away"]
     return homed is None or followed is None or followed <= homed + AS_FAR
 

@@ -68,7 +68,7 @@ class Watch:
         return call
 
     def restarted(self) -> float:
-        """Forget what was spent before it is asked first; a `spent_s` of `socketcan_masters.ours`."""
+        """Reset the times at the first call, so that start-up is not counted; return 0."""
         if not self._asked:
             self._asked = True
             self._spent.clear()

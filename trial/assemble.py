@@ -25,7 +25,7 @@ Progress = Callable[[float], None]
 
 
 def silent(share: float) -> None:
-    """Tell nobody how far it is."""
+    """Report no progress."""
 
 
 def _no_frames() -> NDArray[np.void]:

@@ -47,9 +47,9 @@ class Diagnosis:
     def diagnose(self, trials: Given | Iterable[Given], holdout: Given | Iterable[Given] = ()) -> DiagnosisResult:
         """Return the causes of faults in `trials`; nothing is fitted on `holdout`.
 
-        Without a model or reference trials, trials that ran on the packaged calibration get no cause named: see
-        `on_its_footing`. Raises `InputError` for files that cannot be used; inconsistent data give the verdict
-        `refused`.
+        Without a model and reference trials, no cause is named in trials of the packaged calibration, since its values
+        are assumed and not measured (`on_its_footing`).  Raises `InputError` for files that cannot be used; inconsistent
+        data give the verdict `refused`.
         """
         given = _several(trials)
         asked, unseen = [_table(trial) for trial in given], [_table(trial) for trial in _several(holdout)]

@@ -68,7 +68,7 @@ def limit(data_type: DataType, text: str | None, node_id: int | None = None) -> 
 
 
 def _wrapped(data_type: DataType, given: int | None) -> int | None:
-    """Bring two's complement (0xFFFF for -1, sign-extended or not; -1 for 0xFFFF) into the type; None if too wide."""
+    """Return a limit in its type's range, also if written as two's complement or as -1; None if it does not fit."""
     if given is None or data_type.low <= given <= data_type.high:
         return given
     if not data_type.signed:

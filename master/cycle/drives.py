@@ -141,7 +141,7 @@ def release(exchange: Exchange, knee_too: bool = False) -> None:
 
 
 def set_home(exchange: Exchange, position_um: int) -> Inputs:
-    """Return the servo's present place the position `position_um` by homing method 37; the rope must be slack.
+    """Set the servo's position to `position_um` where it stands, by homing method 37; the rope must be slack.
 
     Raises `BringUpError` where the drive does not report homing attained.
     """

@@ -28,7 +28,7 @@ NEW: Final = [0, 0, 0, 0]
 
 
 class Bounds(NamedTuple):
-    """Of one input: column, unit, range, and greatest step of a cycle, `step` + `rate` for each cycle since."""
+    """Bounds of one input: range, and largest change since the last value, `step` + `rate` for each cycle since."""
 
     column: int
     unit: str

@@ -217,7 +217,7 @@ def _mean(exchange: Exchange, place: int) -> float:
 
 
 def _lead(exchange: Exchange, place: int, target: float) -> Inputs:
-    """One cycle with one axis led; the other one's target stays.  Raises `BringUpError` where its drive went off."""
+    """Run one cycle that moves one axis and holds the other; raises `BringUpError` if the moved axis' drive is off."""
     servo, knee = exchange.targets
     inputs = exchange.advance(*((target, knee) if place == SERVO else (servo, target)))
     status = inputs.servo_status if place == SERVO else inputs.knee_status

@@ -43,7 +43,7 @@ class Emergency(Part):
 
     @property
     def silent(self) -> bool:
-        """Nothing is held back."""
+        """Whether no EMCY message waits for its inhibit time."""
         return not self._pending
 
     def reset(self, now_ns: int) -> None:

@@ -113,11 +113,11 @@ class Consumer(Part):
 
     @property
     def due(self) -> tuple[int, int]:
-        """When the one node that is watched will be missed (`FAR_NS`: not awaited), after how long; 0 for nobody."""
+        """Time when the first watched node is overdue (`FAR_NS`: not awaited) and its timeout, ns; 0 for none."""
         return (self._watched[0].due_ns, self._watched[0].timeout_ns) if self._watched else (FAR_NS, 0)
 
     def watched_until(self, due_ns: int) -> None:
-        """Hear when the one node that is watched will be missed: its heartbeats were heard elsewhere."""
+        """Set the time when the first watched node is overdue: a compiled cycle has received its heartbeats."""
         if self._watched:
             self._watched[0].due_ns = due_ns
 

@@ -129,7 +129,7 @@ class Profile(Protocol):
 
 
 class HasProfile(Protocol):
-    """The device's application, and bringing its process values up to date."""
+    """A device with an application whose process values `refresh` updates."""
 
     @property
     def application(self) -> Profile: ...

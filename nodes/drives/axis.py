@@ -119,7 +119,7 @@ class Axis:
         return float((self.position(raw) - self.state[law.TARGET]) / self.units.position)
 
     def target_velocity(self, raw: int) -> None:
-        """Take over a velocity."""
+        """Set the target velocity from its object's raw value."""
         self.settings[law.TARGET_VELOCITY] = self._velocity(raw)
 
     def target_torque(self, raw: int) -> None:

@@ -70,7 +70,7 @@ class Gathered:
             self._loose.clear()
 
     def rows(self) -> NDArray[np.void]:
-        """Return all of them."""
+        """Return all rows, in the order of the file."""
         return np.concatenate([*self._blocks, rows_of(self._loose)])
 
 

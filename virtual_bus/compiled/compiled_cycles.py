@@ -1,4 +1,4 @@
-"""Complete control cycles at once: when they may be, and when the bench's objects hear of them.
+"""Complete control cycles in one compiled call: conditions for it, and when the bench's objects are updated.
 
 The rule of this file: a cycle is computed by `cycle_code.cycle` only if all that happens up to its end is known
 beforehand; anything else runs event by event, as ever.  Between two such cycles the numbers live in the arrays alone
