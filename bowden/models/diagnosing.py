@@ -48,7 +48,7 @@ class Diagnosis:
         """Return the causes of faults in `trials`; nothing is fitted on `holdout`.
 
         Without a model and reference trials, no cause is named in trials of the packaged calibration, since its values
-        are assumed and not measured (`on_its_footing`).  Raises `InputError` for files that cannot be used; inconsistent
+        are assumed and not measured (`on_its_footing`).  Raises `InputError` for unusable files; inconsistent
         data give the verdict `refused`.
         """
         given = _several(trials)
