@@ -57,3 +57,13 @@ def test_every_name_on_the_page_can_be_imported() -> None:
 def test_every_decision_has_a_number_of_its_own() -> None:
     numbers = [path.name[:4] for path in (ROOT / "docs" / "decisions").glob("*.md")]
     assert len(set(numbers)) == len(numbers)
+
+
+def test_the_walk_of_one_signal_names_what_is_there() -> None:
+    walk = PAGE.split("## 5. One signal")[1]
+    rows = re.findall(r"(?m)^\| .* \| `(\w+)` \| (`.*`) \|$", walk)
+    assert len(rows) == len(re.findall(r"(?m)^\| ", walk)) - 1
+    for name, files in rows:
+        for file in re.findall(r"`([\w/.]+)`", files):
+            assert re.search(rf"\b{name}\b", (ROOT / file).read_text(encoding="utf-8")), (name, file)
+    assert {name for name, _ in rows} == {"start_n", "sample", "value", "tension_start_n"}

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tarfile
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -15,35 +14,66 @@ from bowden.testing import CanBus, CanopenNode
 from bowden.testing.conversation import SdoStep, converse
 from eds.cia301 import Abort
 from eds.datatype import encode
+from eds.files.check import findings
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.exhaustive
 
 
+SOURCES = {
+    "canopen 2.4.1": "20a84bc498b34dadd79cece467d3bbe19591c1c02a8f39331bcc6065c4d8b2eb",
+    "canopen 1.1.0": "b4f114542fae4390f9930a8adfccaa10fef888113dac38bd03009d87c7250a3b",
+    "canopen-lens 0.5.1": "5939652e09f0441de7241f7e01c6772fc61e598fc2bd91e3b9c732a61ac5341f",
+}
+"""Source distributions that carry EDS files, and their SHA-256."""
+FILES = {
+    ("canopen 2.4.1", "sample.eds"): (54, "SubNumber says 5; write SubNumber=4"),
+    ("canopen 2.4.1", "datatypes.eds"): (2, "CiA 301 demands 1000, which is missing"),
+    ("canopen 2.4.1", "e35.eds"): (9, "104 objects are listed, the count says 105"),
+    ("canopen 1.1.0", "sample.eds"): (46, "6040:00 is mapped, but no such object is described"),
+    ("canopen-lens 0.5.1", "sample_drive.eds"): (26, "CiA 402 demands 6041, which is missing"),
+    ("npm canopen", "example.eds"): (0, ""),
+}
+"""Every EDS file of the packages that docs/testing.md lists: number of findings, and words of one of them."""
+
+
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """EDS and DCF files by name: from canopen's source distribution, and from npm's canopen where it is installed."""
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return the folder of a package; a source distribution is downloaded once, and refused by another hash."""
     place = tmp_path_factory.mktemp("registry")
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", "canopen",
-               f"canopen=={version('canopen')}", "--dest", str(place)]
-    told = subprocess.run(command, capture_output=True, text=True, check=False)
-    for packed in place.glob("*.tar.gz"):
-        with tarfile.open(packed) as archive:
-            archive.extractall(place, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
-    found = [*place.rglob("*"), *(ROOT / "build" / "foreign").rglob("*")]
-    named = {path.name: path for path in found if path.suffix.lower() in (".eds", ".dcf")}
-    if not named:
-        pytest.skip(f"no package with EDS files could be had: {told.stderr.strip().splitlines()[-1:]}")
-    return named
+
+    def folder(package: str) -> Path:
+        if package not in SOURCES:
+            return ROOT / "build" / "foreign"
+        name, version = package.split()
+        target = place / package
+        if not target.exists():
+            target.mkdir()
+            wanted = place / f"{package}.txt"
+            wanted.write_text(f"{name}=={version} --hash=sha256:{SOURCES[package]}\n")
+            command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", name, "-r",
+                       str(wanted), "--dest", str(target)]
+            told = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert "DO NOT MATCH" not in told.stderr
+            for packed in target.glob("*.tar.gz"):
+                with tarfile.open(packed) as archive:
+                    archive.extractall(target, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
+        return target
+
+    return folder
 
 
-@pytest.mark.parametrize("name", ["sample.eds", "datatypes.eds", "e35.eds", "example.eds"])
+@pytest.mark.parametrize(("package", "name"), FILES)
 def test_a_foreign_eds_boots_and_answers_its_own_dictionary(
-    can_bus: CanBus, canopen_node: Callable[..., CanopenNode], files: dict[str, Path], name: str,
+    can_bus: CanBus, canopen_node: Callable[..., CanopenNode], packages: Callable[[str], Path], package: str, name: str,
 ) -> None:
-    if name not in files:
-        pytest.skip(f"{name} is in none of the packages that could be had")
-    node = canopen_node(files[name], 5)
+    file = next(packages(package).rglob(name), None)
+    if file is None:
+        pytest.skip(f"{package} could not be had")
+    count, words = FILES[package, name]
+    found = [str(finding) for finding in findings(file)]
+    assert (len(found), any(words in each for each in found) or not count) == (count, True)
+    node = canopen_node(file, 5)
     can_bus.run(0.001)
     assert can_bus.frames(0x705)[0].data == b"\x00"
     entries = list(node.dictionary.entries.values())
