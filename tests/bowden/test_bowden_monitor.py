@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import re
 from collections.abc import Callable
@@ -79,6 +81,36 @@ def test_a_live_bus_is_told_too(bowden: Run, can_bus: CanBus, here: Path) -> Non
     assert any(line.startswith("tpdo1: Statusword ") for line in told)
     full = can_bus.open()
     assert full.lost == 0
+
+
+class SlowTerminal(io.StringIO):
+    """A terminal on which each line takes 10 ms of bus time."""
+
+    def __init__(self, bus: CanBus) -> None:
+        super().__init__()
+        self.bus = bus
+
+    def write(self, text: str) -> int:
+        """Write, and let bus time pass at the end of a line."""
+        if text.endswith("\n"):
+            self.bus.run(0.01)
+        return super().write(text)
+
+
+def test_every_frame_is_shown_or_counted_as_lost(bowden: Run, can_bus: CanBus) -> None:
+    """A frame each millisecond, ten times as fast as the terminal, into a receive queue of eight."""
+    can_bus.open()
+    for number in range(100):
+        can_bus.after(1e-3 * (number + 1), lambda: can_bus.send(0x123, b"\x01"))
+    with contextlib.redirect_stdout(SlowTerminal(can_bus)) as slow:
+        told = bowden("monitor", "--interface", "bowden", "--channel", can_bus.channel, "--option", "rx_queue=8",
+                      "--for", "0.5", "--json")
+    shown = [json.loads(line)["can_id"] for line in slow.getvalue().splitlines()]
+    assert shown == [0x123] * len(shown)
+    lost = re.search(r"(\d+) frames were lost, because they came faster than they were read", told.stderr)
+    assert told.status == 0
+    assert lost is not None
+    assert (len(shown) + int(lost[1]), int(lost[1]) > 50) == (100, True)
 
 
 @pytest.mark.parametrize("more", [
