@@ -1,7 +1,9 @@
 """Logbook of 100,000 trials: cost of add, list and report, SQLite beside DuckDB; and alarms on drawn benches.
 
     python -m benchmarks.logbook            performance; DuckDB only where it is installed
-    python -m benchmarks.logbook --alarms   false alarms on 500 drawn healthy benches, time to detection of drifts
+    python -m benchmarks.logbook --alarms DIR     false alarms on 500 drawn healthy benches, time to detection of drifts
+    python -m benchmarks.logbook --shuffled DIR   false alarms on recorded sessions of a healthy bench in random orders
+    python -m benchmarks.logbook --limits DIR     detection limit of each effect: ten sessions against two trials
 """
 
 from __future__ import annotations
@@ -10,18 +12,19 @@ import argparse
 import sqlite3
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import beta
 
 from logbook import bench_page, database
-from logbook.bench_state import state_of
-from logbook.change_search import ALARM_NATS, search_changes
+from logbook.bench_state import NEWEST, state_of
+from logbook.change_search import ALARM_NATS, candidates, search_changes
 from logbook.database import Estimate, NewTrial, open_logbook
-from logbook.session_model import CONSTANTS, SessionData, fit_sessions
-from physics.path_constants import FREE, SESSION_SD, TABLE
+from logbook.session_model import CONSTANTS, SessionData, fit_sessions, measured_sd, sessions_of
+from physics.path_constants import BENCH_SD, FREE, SESSION_SD, TABLE
 
 TRIALS, PER_SESSION = 100_000, 10
 SESSIONS, BENCHES = 60, 500
@@ -43,10 +46,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--alarms", type=Path, metavar="LOGBOOK",
                         help="logbook whose newest estimate gives the accuracy of a session")
+    parser.add_argument("--shuffled", type=Path, metavar="LOGBOOK", help="logbook of a bench without a change")
+    parser.add_argument("--limits", type=Path, metavar="LOGBOOK", help="logbook with at least ten sessions")
     parser.add_argument("--benches", type=int, default=BENCHES)
     given = parser.parse_args()
     if given.alarms:
         alarms(given.alarms, given.benches)
+    elif given.shuffled:
+        shuffled(given.shuffled, given.benches)
+    elif given.limits:
+        print(limits(given.limits))
     else:
         performance()
 
@@ -191,9 +200,7 @@ def alarms(folder: Path, benches: int) -> None:
                     for n in range(references + 10, SESSIONS + 1, 10)), default=0.0)
         worst.append(best)
         raised += best >= ALARM_NATS
-    hours = benches * (SESSIONS - references)
-    print(f"healthy: {raised} of {benches} benches alarm in {hours} sessions (goal 1 in 1,000); largest evidence "
-          f"{max(worst):.1f} nats, 99 % {np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}")
+    _print_rate(raised, benches, benches * (SESSIONS - references), worst)
     for name, course in DRIFTS.items():
         delays, size = [], 20
         for seed in range(size):
@@ -203,6 +210,82 @@ def alarms(folder: Path, benches: int) -> None:
             delays.append(np.inf if first is None else first - (10 if "50" in name else 20))
         seen = [d for d in delays if np.isfinite(d)]
         print(f"{name:34} detected {len(seen)} of {size}, median {np.median(delays):.0f} sessions after its begin")
+
+
+def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]) -> None:
+    """Print the share of benches that alarm and the alarms by session, each with its 95 % interval."""
+    low, high = interval(raised, benches)
+    print(f"healthy: {raised} of {benches} benches alarm ({100.0 * low:.1f} … {100.0 * high:.1f} %), "
+          f"{1000.0 * raised / sessions:.2f} in 1,000 sessions ({1000.0 * low * benches / sessions:.2f} … "
+          f"{1000.0 * high * benches / sessions:.2f}, goal 1); largest evidence {max(worst):.1f} nats, 99 % "
+          f"{np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}")
+
+
+def interval(count: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share (Clopper–Pearson)."""
+    return (float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0,
+            float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0)
+
+
+def shuffled(folder: Path, benches: int) -> None:
+    """Print false alarms of recorded sessions without a change, in `benches` random orders.
+
+    The order of such sessions means nothing, so that each order is a bench without a change whose sessions were
+    recorded and fitted, not drawn from the linear model.  A session counts as one bench hour.
+    """
+    with open_logbook(folder) as book:
+        kept = book.reference()
+        assert kept is not None
+        sessions, references = sessions_of(book.estimates(kept.id, NEWEST)), book.references
+    random, worst = np.random.default_rng(0), []
+    for _ in range(benches):
+        order = random.permutation(len(sessions))
+        bench = [sessions[at]._replace(id=k + 1) for k, at in enumerate(order)]
+        worst.append(max(search_changes(fit_sessions(bench[:n], [], references), kept.bench)[0].nats
+                         for n in range(references + 10, len(bench) + 1, 20)))
+    _print_rate(sum(v >= ALARM_NATS for v in worst), benches, benches * (len(sessions) - references), worst)
+
+
+def limits(folder: Path) -> str:
+    """Return the table of detection limits: sizes of one session's departure whose expected evidence is `ALARM_NATS`.
+
+    By two reference trials under the published session deviations, and by the first ten sessions under the deviations
+    that they measure; accuracy of a session: median of the logbook's.  A bench is known by n sessions with the
+    precision P = P0 + n·M, M = (Λ⁻¹ + diag σ²)⁻¹; a size of a·σ_a has g = a·G, G = eᵀ(M − M(P + M)⁻¹M)e.
+    """
+    with open_logbook(folder) as book:
+        kept = book.reference()
+        assert kept is not None
+        sessions = sessions_of(book.estimates(kept.id, NEWEST))
+    few = _limits(sessions, PUBLISHED, 2, kept.bench)
+    many = _limits(sessions, measured_sd(sessions[:10]), 10, kept.bench)
+    rows = ["| effect | constant | two reference trials | ten sessions | ratio |", "| --- | --- | --- | --- | --- |"]
+    for (name, constant, size), (_, _, less) in zip(few, many, strict=True):
+        unit = TABLE[FREE[CONSTANTS.index(constant)]]
+        by = "ln " if unit.form == "log" else ""
+        rows.append(f"| {name} | {by}{constant} ({unit.unit or '1'}) | {size:.3g} | {less:.3g} | {less / size:.2f} |")
+    ratios = [less / size for (_, _, size), (_, _, less) in zip(few, many, strict=True)]
+    return "\n".join([*rows, "", f"Median ratio {np.median(ratios):.2f}; {sum(r < 1.0 for r in ratios)} of "
+                      f"{len(ratios)} limits fall."])
+
+
+def _limits(sessions: Sequence[SessionData], sd: Any, known: int, bench: Any) -> list[tuple[str, str, float]]:
+    """Return effect, its largest constant in published deviations and the limit in it, by effects of the catalogue."""
+    information = np.median([one.information for one in sessions], axis=0)
+    lengths, axes = np.linalg.eigh(information)
+    root = axes * np.sqrt(np.maximum(lengths, 0.0))
+    information = root @ root.T
+    one = np.linalg.solve(np.eye(sd.size) + information * sd**2, information)
+    bench_precision = np.diag(BENCH_SD[list(FREE)] ** -2.0) + known * one
+    seen = one - one @ np.linalg.solve(bench_precision + one, one)
+    found = {}
+    for candidate in (c for c in candidates(bench) if c.known):
+        e = candidate.columns[:, 0]
+        g = float(e @ seen @ e)
+        at = int(np.argmax(np.abs(e) / PUBLISHED))
+        size = np.sqrt((2.0 * ALARM_NATS + np.log1p(g)) * (1.0 + g)) / g
+        found.setdefault(candidate.name, (candidate.name, CONSTANTS[at], float(size * abs(e[at]))))
+    return list(found.values())
 
 
 def _drawn(seed: int, information: Any, root: Any, course: Callable[[int], dict[str, float]]) -> list[SessionData]:

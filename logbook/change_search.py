@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
 from logbook.session_model import CONSTANTS, SessionModel
 from physics.effects.hypotheses import HYPOTHESES
@@ -101,12 +102,13 @@ def search_changes(model: SessionModel, bench_q: Array) -> list[Change]:
     """Return the candidates by falling evidence; an empty list with fewer than `LEAST_SESSIONS` sessions."""
     if len(model.sessions) < LEAST_SESSIONS:
         return []
-    search = _Search(model)
     best: dict[str, Change] = {}
-    for direction in candidates(bench_q):
-        change = search.of(direction)
-        if direction.name not in best or change.nats > best[direction.name].nats:
-            best[direction.name] = change
+    with threadpool_limits(1, user_api="blas"):
+        search = _Search(model)
+        for direction in candidates(bench_q):
+            change = search.of(direction)
+            if direction.name not in best or change.nats > best[direction.name].nats:
+                best[direction.name] = change
     return sorted(best.values(), key=lambda change: -change.nats)
 
 

@@ -6,7 +6,8 @@ Equations, with s a session, all coordinates relative to the reference model:
     b ~ N(0, bench_sd²)      r: offset of constants that maintenance reset, R_s = 1 after it, r ~ N(0, bench_sd²)
 
 σ is estimated from the reference sessions by expectation maximisation under an inverse-gamma prior about the published
-session deviations, which weighs as much as `PRIOR_SESSIONS` sessions.
+session deviations, which weighs as much as `PRIOR_SESSIONS` sessions.  A session that agrees with neither the session
+before it nor the one after it weighs less (`agreeing`): the fit of a trial can end at a poor local minimum.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
 
 from logbook.database import Note, StoredEstimate
 from physics.laws import Array
@@ -30,7 +32,7 @@ ROUNDS: Final = 40
 """Steps of expectation maximisation: the deviations change by less than 1 % afterwards."""
 PARTS: Final[Mapping[str, tuple[str, ...]]] = {
     "cable": ("cable", "bend", "load", "viscous", "dry", "cable_travel", "cable_rest", "rest_speed", "memory", "lead",
-              "zero"),
+              "before", "zero"),
     "fabric": ("fabric", "wrap", "fabric_travel", "fabric_rest", "stiffness", "curve2", "curve3", "before", "prompt",
                "slow", "creep", "creep_time", "zero"),
     "knee": ("play", "gap", "arm", "arm2", "arm3", "zero"),
@@ -146,12 +148,42 @@ def fit_sessions(sessions: Sequence[SessionData], notes: Sequence[Note], referen
     first = sessions[0].id if sessions else 0
     reset = tuple(sorted({(CONSTANTS.index(name), note.after) for note in notes for name in note.resets
                           if name in CONSTANTS and note.after >= first}))
-    sd = measured_sd(sessions[:references])
-    spread = [_with_deviation(one, sd) for one in sessions]
+    with threadpool_limits(1, user_api="blas"):
+        sessions = agreeing(sessions, measured_sd(sessions[:references]))
+        sd = measured_sd(sessions[:references])
+        spread = [_with_deviation(one, sd) for one in sessions]
     size = len(CONSTANTS)
     return SessionModel(
         tuple(one.id for one in sessions), np.array([m for m, _ in spread]).reshape(-1, size, size),
         np.array([h for _, h in spread]).reshape(-1, size), sd, reset, tuple(sessions))
+
+
+def agreeing(sessions: Sequence[SessionData], sd: Array) -> list[SessionData]:
+    """Return the sessions with the information of each multiplied by its weight, at most 1.
+
+    The weight is 1 over the Birge ratio, χ² by its degrees of freedom, of a session against the neighbour that it
+    agrees with better.  Sessions after a change agree with each other; a session with a poor fit agrees with none.
+    """
+    if len(sessions) < 2:
+        return list(sessions)
+    prior = np.diag(BENCH_SD[list(FREE)] ** -2.0)
+    spread = [_with_deviation(one, sd) for one in sessions]
+    known = [np.asarray(np.linalg.inv(information + prior), np.float64) for information, _ in spread]
+    ratios = np.full((2, len(sessions)), np.inf)
+    for k in range(1, len(sessions)):
+        ratios[0, k] = _birge_ratio(known[k - 1], spread[k - 1][1], *spread[k])
+        ratios[1, k - 1] = _birge_ratio(known[k], spread[k][1], *spread[k - 1])
+    weights = 1.0 / np.maximum(ratios.min(axis=0), 1.0)
+    return [one._replace(information=w * one.information, pull=w * one.pull)
+            for one, w in zip(sessions, weights, strict=True)]
+
+
+def _birge_ratio(covariance: Array, pull: Array, information: Array, other: Array) -> float:
+    """Return χ² by degrees of freedom of a session's pull `other`, predicted from another session's."""
+    residual = other - information @ (covariance @ pull)
+    lengths, axes = np.linalg.eigh(information + information @ covariance @ information)
+    kept = lengths > 1e-9 * lengths[-1]
+    return float(np.mean((axes[:, kept].T @ residual) ** 2 / lengths[kept]))
 
 
 def measured_sd(sessions: Sequence[SessionData]) -> Array:
