@@ -318,7 +318,7 @@ def _again(benches: Sequence[Mapping[str, Any]]) -> str:
             "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)): scalars as identified before, gait "
             "trials by `identify gait`, which has two pulls in place of 15 ramps to measure END's lag. The other rows "
             "of this page are by calibrations without one; `python -m benchmarks.family --again` walks them again. "
-            "Without → with:")
+            "Walks without one are of the commit that identified the bench. Without → with:")
     heads = ("bench", "period (s)", "RMSE (%)", "loaded part (%)", "jump (% of peak)", "RMSE above cycle 0's (points)")
     return f"{text}\n\n{table(heads, rows)}"
 
