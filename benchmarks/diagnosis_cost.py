@@ -38,16 +38,12 @@ PAIR_S: Final = 15.0
 MEMORY: Final = 5.0
 """Bars: CPU of ten gait cycles, s, and the peak of memory in sizes of the columns."""
 PARTS: Final = (
-    ("healthy trials learnt", "learnt_bands.py", "learn"),
-    ("simulation fitted to them", "simulated_blocks.py", "fitted"),
-    ("candidates screened", "screen.py", "promises"),
-    ("candidates fitted", "search.py", "_grown"),
-    ("models carried on", "search.py", "polished"),
-    ("models less one effect", "search.py", "without"),
-    ("refits on the other cycles", "cross_validation.py", "unseen"),
-    ("experiment chosen", "experiment_choice.py", "choose"),
+    ("reference trials fitted", "reference_fit.py", "fit_reference"),
+    ("null and effects fitted", "hypothesis_search.py", "search"),
+    ("pairs fitted", "hypothesis_search.py", "search_pairs"),
+    ("held-out errors", "held_out.py", "held_out"),
+    ("detection limits", "detection_limits.py", "detection_limits"),
 )
-COMPILED: Final = ("tension_chain.py", "drive_relations.py", "memory_laws.py", "zero_phase.py", "imposed.py")
 
 
 class Asked(NamedTuple):
@@ -121,7 +117,7 @@ def kinds() -> list[str]:
 
 
 def profile() -> list[str]:
-    """Return where the CPU of one trial goes, by part of the diagnosis and by what is compiled."""
+    """Return where the CPU of one trial goes, by part of the diagnosis."""
     given = asked(Job("one", SEED + 1, SINGLE[:1]), 10)
     given.diagnosed()
     profiler = cProfile.Profile(time.process_time)
@@ -131,17 +127,11 @@ def profile() -> list[str]:
     whole = stats.total_tt  # type: ignore[attr-defined]
     parts = [(word, rows[file, name][3] / whole) for word, file, name in PARTS if (file, name) in rows]
     parts.append(("the rest", 1.0 - sum(share for _, share in parts)))
-    compiled = sum(times[2] for (file, name), times in rows.items() if file in COMPILED and name in _COMPILED_NAMES)
-    count = rows["relation.py", "predict"][1]
+    calls, simulated = rows["force_path.py", "simulate"][1], rows["force_path.py", "_run"][2]
     return ["| part | share of a profiled run (%) |", "|---|---|",
             *(f"| {word} | {100.0 * share:.0f} |" for word, share in parts), "",
-            f"The compiled laws themselves take {100.0 * compiled / whole:.0f} % of it; the profile weighs calls more "
-            f"than they cost.  The laws are evaluated {count} times."]
-
-
-_COMPILED_NAMES: Final = frozenset({
-    "from_motion", "along_cable", "over_fabric", "read_at_start", "toed", "tracked", "slipped", "crept", "lag", "play",
-    "_filtered", "run"})
+            f"The compiled simulation of the force path takes {100.0 * simulated / whole:.0f} % of it, in {calls} "
+            "batches."]
 
 
 def main(arguments: list[str]) -> None:

@@ -22,21 +22,12 @@ from typing import Any
 import can
 import numpy as np
 import pandas
-from scipy.optimize import least_squares
-from scipy.signal import butter, sosfiltfilt
 
 from bowden.live import feeds
 from bowden.live.relay import Relay
 from bowden.live.viewer import Viewer
-from diagnosis.data.table import table
-from diagnosis.problem.fit import Space, solve
-from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.problem import build_problem
-from diagnosis.problem.zero_phase import ORDER, SHARE, thinning
 from eds.bench.bench_network import Network, wire
 from tests.bowden.test_bowden_live import Client
-from tests.hidden.bench import Bench
-from tests.hidden.walk import trial
 from trial.convert import csv_file
 from trial.follow import Follower
 from trial.mcap_file import cdr
@@ -63,41 +54,6 @@ def least_s(work: Callable[[], object], times: int) -> float:
         work()
         taken.append(time.process_time() - before)
     return min(taken)
-
-
-def filtering() -> Iterator[Row]:
-    """Yield the time of a zero-phase low-pass, thinned to every eighth sample."""
-    for size in (2_000, 20_000):
-        values = np.random.default_rng(0).normal(size=size)
-        own, sections = thinning(8), butter(ORDER, SHARE / 8, output="sos")
-        apart = np.abs(own(values) - sosfiltfilt(sections, values)[::8]).max()
-        mine = least_s(lambda: own(values), 200)  # noqa: B023
-        theirs = least_s(lambda: sosfiltfilt(sections, values)[::8], 200)  # noqa: B023
-        yield (f"zero-phase low-pass of {size} samples, µs", f"{1e6 * mine:.0f}", f"{1e6 * theirs:.0f}",
-               f"scipy.signal.sosfiltfilt; largest difference {apart:.1g}")
-
-
-def fitting() -> Iterator[Row]:
-    """Yield the time of the reference fit of one bench, by its relations, and the cost that it reaches."""
-    healthy = HealthyTrials([table("good.csv", trial(Bench(), seed=2, cycles=4))])
-    setting = build_problem([table("walk.csv", trial(Bench(end_offset=2.0), seed=1, cycles=4))], healthy, None)
-    problem, free, start = setting.problem, setting.reference.nuisance, setting.reference.values
-    space = Space(free, problem.prior)
-    root = np.linalg.cholesky(space.precision + 1e-12 * np.eye(len(free))).T
-    first = np.clip(space.of(start), space.low, space.high)
-
-    def residuals(at: np.ndarray) -> np.ndarray:
-        return np.concatenate([*problem.residuals(space.put(start, at)), root @ (at - space.mean)])
-
-    def theirs() -> float:
-        found = least_squares(residuals, first, bounds=(space.low, space.high), x_scale=space.scale, method="trf",
-                              diff_step=1e-3, ftol=1e-3)
-        return float(found.cost)
-
-    own, peer = solve(problem, start, free).cost, theirs()
-    yield (f"fit of {len(free)} bounded parameters, ms", f"{1e3 * least_s(lambda: solve(problem, start, free), 3):.0f}",
-           f"{1e3 * least_s(theirs, 3):.0f}",
-           f"scipy.optimize.least_squares, trf; cost {own:.6g} here, {peer:.6g} there")
 
 
 def _right(values: list[np.ndarray]) -> bool:
@@ -212,7 +168,7 @@ def showing() -> Iterator[Row]:
 def main() -> None:
     """Print the table."""
     print("| what | here | library | which |\n|---|---|---|---|")
-    for rows in (filtering, fitting, reading, showing):
+    for rows in (reading, showing):
         for row in rows():
             print(f"| {' | '.join(row)} |", flush=True)
 

@@ -38,8 +38,6 @@ BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
-DETERMINED: Final = 0.7
-"""Posterior 1σ over prior 1σ below which a constant counts as determined by the data."""
 SEEN: Final = 0.6
 """Share of each trial to which the tested model is fitted; the rest of the trial is held out."""
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
@@ -65,7 +63,7 @@ class Constant:
 class FittedBench:
     """Bench or rig as fitted.
 
-    `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: RMSE by prediction equation,
+    `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output,
     in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  The field `told`: parameters of the
     prediction equations converted from another form, such as that of `bowden identify`.  `rig`: terms of a rig of
     another kind; None for a bench, which is a rope over a knee.
@@ -209,17 +207,11 @@ def turned(given: Table) -> Table:
 def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[integrity.Finding]) -> FittedBench:
     first, rest = _parts(usable)
     found = rig_fit.fit(first, rest, usable)
-    units = table.TURNED_UNITS if all(t.turning for t in given) else {}
-    constants = {}
-    for name, constant in found.constants.items():
-        unit = PARAMETERS[name].unit
-        constants[name] = Constant(*constant, units.get(unit, unit), True)
-    relations = {name: {**row, "unit": units.get(row["unit"], row["unit"])} for name, row in found.relations.items()}
+    constants = {name: Constant(*constant, True) for name, constant in found.constants.items()}
     blind = (f"{name}: the last part of each trial is predicted no better than by a constant; record longer trials, "
-             "or more kinds of motion." for name, row in relations.items()
-             if row["unseen"] is not None and row["unseen"] > row["spread"])
-    return FittedBench(constants, {}, relations, tuple(Path(t.source).name for t in given),
-                       warnings=(*(f.text for f in findings), *found.on_bounds, *blind), rig=found.effects)
+             "or more kinds of motion." for name, row in found.signals.items() if row["unseen"] > row["spread"])
+    return FittedBench(constants, {}, found.signals, tuple(Path(t.source).name for t in given),
+                       warnings=(*(f.text for f in findings), *blind), rig=found.effects)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -259,7 +251,7 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
         stated = RELATION_PARAMETERS[name]
         half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
         value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
-        constants[name] = Constant(value, low, high, stated.unit, sigma < DETERMINED * found.prior_sigma[name])
+        constants[name] = Constant(value, low, high, stated.unit, sigma < rig_fit.DETERMINED * found.prior_sigma[name])
     return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
                         for n in FIXED}
 

@@ -7,23 +7,37 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from diagnosis.data.compared_signals import Compared
-from diagnosis.judgement.verdict import Figures
-from diagnosis.search.search import SearchResult
 from physics.bench_model import BenchModel
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of one output, in its unit: RMSE on held-out cycles and on held-out trials; gain, %, with 95 % interval.
+
+    `floor`: what reference trials miss.
+    """
+
+    unit: str
+    floor: float | None = None
+    rmse_before: float | None = None
+    rmse_after: float | None = None
+    holdout_before: float | None = None
+    holdout_after: float | None = None
+    gain_percent: float | None = None
+    low: float | None = None
+    high: float | None = None
 
 
 @dataclass(frozen=True)
 class Findings:
     """Verdict of a diagnosis with its figures; `as_json` returns exactly the published keys.
 
-    `rivals`: ambiguity set.  `seconds`: run time, which the caller measures.  `split`: an experiment recorded with the
-    gait has reduced the ambiguity set.  `rate_hz`: sampling rate of the comparison.  `bench`: the bench as a model,
-    from its reference trials or its calibration; None for another rig.  `session`: on a rig of another kind, the
-    difference from the reference trials' sessions.  `undecided`: one sentence on an experiment among the trials that
-    did not reduce the ambiguity set.
-
-    A diagnosis by evidence also sets `part`, the part of the bench that changed; `evidence`, its Bayes factors and
-    errors; `traces`, by output and trial; and `held_traces`, by output and held-out trial.
+    `rivals`: ambiguity set.  `relations`: figures by output.  `seconds`: run time, which the caller measures.
+    `reference`: kind of the reference condition: healthy (reference trials), calibration or nominal.  `part`: the part
+    of the bench that changed.  `evidence`: Bayes factors, errors and shifts of constants; {} if the wire is at fault,
+    None if the trials were refused.  `bench`: the bench as a model, from its reference trials or its calibration; None
+    for another rig.  `traces`, `held_traces`: measured signals with both errors by output, one entry per trial and
+    held-out trial.  `undecided`: one sentence on an experiment among the trials that did not reduce the ambiguity set.
     """
 
     verdict: str
@@ -36,17 +50,13 @@ class Findings:
     seconds: float | None = None
     lowpass_hz: float | None = None
     reference: str = "none"
-    found: SearchResult | None = field(default=None, repr=False)
-    split: bool = False
     simulation: dict[str, Any] | None = None
-    rate_hz: float | None = None
     candidates: list[dict[str, Any]] = field(default_factory=list)
     bench: BenchModel | None = field(default=None, repr=False)
     part: str | None = None
     evidence: dict[str, Any] | None = None
     traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
-    session: dict[str, Any] | None = None
     undecided: str | None = None
 
     def unnamed(self) -> Findings:
@@ -67,7 +77,6 @@ class Findings:
             "relations": {name: asdict(figures) for name, figures in self.relations.items()},
             "warnings": self.warnings, "detection_limit": self.detection_limit, "seconds": self.seconds,
             "lowpass_hz": self.lowpass_hz, "simulation": self.simulation,
-            **({"session": self.session} if self.session is not None else {}),
             **({"undecided": self.undecided} if self.undecided is not None else {}),
             **({"candidates": self.candidates} if self.candidates else {}),
             **({"part": self.part, "evidence": self.evidence} if self.evidence is not None else {})}

@@ -1,6 +1,6 @@
 """Identification of a rig other than the bench (seal, turning axis, cable drive, motor) from its reference trials.
 
-The search of the diagnosis selects the terms of the rig (Coulomb friction, inertia, unbalance …).  A second search, on
+The constants are those of the forward model of rigs, stated as parameters of `physics.parameters`.  A second fit, to
 the first part of each trial alone, measures how well such a model predicts the last part.
 """
 
@@ -9,104 +9,103 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from diagnosis.data.table import Table
-from diagnosis.judgement import verdict
-from diagnosis.judgement.judge import Judge
-from diagnosis.problem import blocks
-from diagnosis.problem.healthy_trials import HealthyTrials
-from diagnosis.problem.problem import ProblemSetting, build_problem
-from diagnosis.search.search import FittedEffects
+from diagnosis.evidence.evidence_finder import rig_model_of
+from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
+from diagnosis.evidence.rig_model import RigModel
 from parameters import InputError
+from physics.effects.hypotheses import Read
+from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 
-TOLD: Final = 0.7
-"""Largest 1σ of a determined constant, relative to its value or to its search scale, whichever is larger."""
-
-PROMISING: Final = 3
-"""Number of further terms fitted in full in each round: those that a linear screen ranks first."""
-LOWERED: Final = 0.02
-"""Least share by which a further term must lower the squared error on held-out cycles: about 1 % of the RMSE."""
-NO_TERMS: Final = ("START sensor", "END sensor", "converter", "supply", "bus")
-"""Sites of effects that are faults and therefore no terms of a rig.
-
-`_completed` excludes `demand_gain`, too: a gain of the force is confounded with free friction."""
+DETERMINED: Final = 0.7
+"""Posterior 1σ over prior 1σ below which a constant counts as determined by the trials."""
 
 
 class RigConstant(NamedTuple):
-    """Constant of a rig in its SI unit: value, and 95 % interval from the curvature of the fit."""
+    """Constant of a rig in its SI unit: value, and 95 % interval from the posterior of the fit."""
 
     value: float
     low: float
     high: float
+    unit: str
 
 
 class FittedRig(NamedTuple):
     """Rig as identified from its reference trials.
 
-    `effects`: terms that an ideal transmission lacks.  `on_bounds`: sentences on terms that reached a bound of the
-    search.  `constants`: by name of `physics.parameters`.  `relations`: by prediction equation its `unit`; `left`, the
-    RMSE of the fit; `unseen`, the RMSE on the last part of each trial, predicted by a fit to the first part; and
-    `spread`, the RMS variation of the measured output in the last part.
+    `effects`: terms that an ideal transmission lacks.  `constants`: by name of `physics.parameters`.  `signals`: by
+    output its `unit`; `left`, what reference trials miss of each other; `unseen`, the RMSE on the last part of each
+    trial, predicted by a fit to the first part; and `spread`, the RMS variation of the output in the last part.
     """
 
     effects: tuple[str, ...]
-    on_bounds: tuple[str, ...]
     constants: dict[str, RigConstant]
-    relations: dict[str, dict[str, Any]]
+    signals: dict[str, dict[str, Any]]
 
 
 def fit(first: Sequence[Table], rest: Sequence[Table], whole: Sequence[Table]) -> FittedRig:
     """Fit a rig to `whole` trials, and test a second fit, to their `first` parts, on the `rest`.
 
-    Raises `InputError` if the columns allow no prediction equation.
+    Raises `InputError` if the columns have no output of the forward model.
     """
-    setting, found = _searched(whole)
-    model, judged = _completed(found), _completed(_searched(first)[1])
-    ahead = [b for b in blocks.blocks_of(rest, setting.checked, None, setting.rate_hz) if b.keep.size]
-    relations: dict[str, dict[str, Any]] = {}
-    for name in setting.checked:
-        mine = [b for b in ahead if b.relation.name == name]
-        relations[name] = {
-            "unit": next(b.relation.unit for b in setting.blocks if b.relation.name == name),
-            "left": blocks.rmse(b.residual(model.fit.values) for b in setting.blocks if b.relation.name == name),
-            "unseen": blocks.rmse(b.residual(judged.fit.values) for b in mine) if mine else None,
-            "spread": blocks.rmse(v - v.mean() for b in mine
-                                  for v in (b.signals[b.relation.output][b.keep],)) if mine else None}
-    return FittedRig(tuple(model.names), tuple(found.on_bounds()), _constants(model), relations)
+    model, fitted = _fitted(whole)
+    early, judged = _fitted(first)
+    ahead = judged.observe(*(early.record(t) for t in rest))
+    signals: dict[str, dict[str, Any]] = {}
+    for k, name in enumerate(judged.outputs):
+        measured = np.concatenate([v - v.mean() for trial in ahead.trials for v in (trial.part(trial.data, k),)])
+        signals[name] = {"unit": model.signals[name], "left": fitted.scatter_n[name],
+                         "unseen": _rms(ahead.part(judged.missed(ahead), k)), "spread": _rms(measured)}
+    constants = _constants(model, fitted)
+    terms = [name for name, hypothesis in model.hypotheses.items() for first_of in (next(iter(hypothesis.reads)),)
+             if first_of in constants and not constants[first_of].low <= RELATION_PARAMETERS[
+                 first_of].in_ideal <= constants[first_of].high]
+    return FittedRig(tuple(terms), constants, signals)
 
 
-def _searched(tables: Sequence[Table]) -> tuple[ProblemSetting, Judge]:
-    """Return the problem that the trials define, and the search of the diagnosis over that problem."""
-    setting = build_problem(tables, HealthyTrials(), None)
-    if not setting.checked:
-        lacks = "; ".join(f"{n} lacks {', '.join(c)}" for n, c in setting.missing.items() if c)
-        raise InputError(f"{', '.join(t.source for t in tables)}: no relation can be fitted ({lacks}); give trials "
-                         "with the columns of one.")
-    return setting, Judge(setting, ())
+def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:
+    model = rig_model_of(tables, tables)
+    if not model.outputs:
+        raise InputError(f"{', '.join(t.source for t in tables)}: no signal can be predicted; record servo_force_n, or "
+                         "tension_start_n with tension_end_n or knee_angle_rad, beside servo_position_m.")
+    sessions: Any = model.sessions([model.record(t) for t in tables])
+    return model, fit_reference(model, sessions)
 
 
-def _completed(found: Judge) -> FittedEffects:
-    """Return the model of the search with every further term that lowers the held-out error by `LOWERED` or more.
-
-    The verdict of a diagnosis needs certainty of each term; a prediction only needs a lower held-out error.
-    """
-    model = found.found.best
-    terms = [c for c in found.search.offered if c.site not in NO_TERMS and c.name != "demand_gain"]
-    while True:
-        more = min(found.search.grow(model, PROMISING, terms), key=lambda m: m.score, default=model)
-        if more.score >= (1.0 - LOWERED) * model.score:
-            return model
-        model = more
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
-def _constants(model: FittedEffects) -> dict[str, RigConstant]:
+def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, RigConstant]:
     """Return the constants that the trials determine, each with an interval inside the bounds of its table."""
+    free = list(model.constants.free)
+    q = fitted.bench_coordinates()
+    posterior = fitted.bench.covariance[:len(free), :len(free)]
     found = {}
-    for free in model.fit.free:
-        sigma, at = verdict.curvature_sigma(model, free.name), model.fit.values[free.name]
-        if not 0.0 < sigma < TOLD * max(free.scale, abs(at)):
+    for name, read in model.stated().items():
+        value, slopes = _linearised(model, read, q)
+        sd, before = (float(np.sqrt(slopes @ c @ slopes)) for c in (
+            posterior, np.diag(model.constants.bench_sd[free] ** 2)))
+        if not 0.0 < sd < DETERMINED * before:
             continue
-        low, high = RELATION_PARAMETERS[free.name].rig_bounds if free.name in RELATION_PARAMETERS else (
-            free.low, free.high)
-        found[free.name] = RigConstant(at, max(at - 1.96 * sigma, low), min(at + 1.96 * sigma, high))
+        (low, high), unit = RELATION_PARAMETERS[name].rig_bounds, model.unit(RELATION_PARAMETERS[name].unit)
+        value, least, most = (min(max(each, low), high) for each in (value, value - 1.96 * sd, value + 1.96 * sd))
+        found[name] = RigConstant(value, least, most, unit)
     return found
+
+
+def _linearised(model: RigModel, read: Read, q: Array) -> tuple[float, Array]:
+    """Return a parameter's value at coordinates `q` and its slopes by the free constants."""
+    def at(coordinates: Array) -> float:
+        named = model.constants.named(coordinates)
+        return read(named, named)
+
+    steps = []
+    for i in model.constants.free:
+        moved = q.copy()
+        moved[i] += model.constants.step[i]
+        steps.append((at(moved) - at(q)) / model.constants.step[i])
+    return at(q), np.array(steps)

@@ -20,10 +20,10 @@ from diagnosis.data.table import Table
 from parameters import InputError
 from physics import memory_laws
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS
+from physics.path_parameters import STRETCH_BEND, STRETCH_LINEAR
 from physics.plant import PlantParameters, imposed
 from physics.plant.imposed import ImposedMotion, Tensions
 from physics.plant.leg import KNEE_AT_FIT
-from physics.relations.transmission import STRETCH_BEND, STRETCH_LINEAR
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]

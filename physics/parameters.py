@@ -46,13 +46,9 @@ class Parameter:
     simulation. `plant`: "table.key" of a plant model; `calibration`: its name among a calibration's scalars,
     `assumed` its value there before identification.
 
-    For the diagnosis: `like_benches`: 1σ of the bench population after identification; `law`: 1σ of the part that is
-    common to the population, so that only reference trials estimate it; `ideal`: value in a rigid, frictionless
-    transmission with true sensors (None: nominal); `search`: bounds of a fit on such a bench; `any_rig`: bounds on
-    rigs of any size, given for each input of a prediction equation; `free`: unbounded prior on an unknown rig;
-    `nameless`: free there, without a corresponding effect in the catalogue; `bench_only`: valid for this bench's
-    geometry alone; `turning`: valid for an axis recorded in rad alone; `likely`: range under a fault; `neutral`: the
-    value at which a fault is absent (None: only a calibration gives it).
+    For the diagnosis: `ideal`: value in a rigid, frictionless transmission with true sensors (None: nominal); `search`:
+    bounds of a fit on such a bench; `any_rig`: bounds on rigs of any size, given for each parameter of an effect;
+    `likely`: range under a fault; `neutral`: the value at which a fault is absent (None: only a calibration gives it).
 
     For simulated benches: `made`: tolerance of manufacture, `daily`: change from session to session.
     """
@@ -67,23 +63,17 @@ class Parameter:
     plant: str = ""
     calibration: str = ""
     assumed: Assumed | None = None
-    like_benches: float = 0.0
-    law: float = 0.0
     ideal: float | None = None
     search: Range | None = None
     any_rig: Range | None = None
     likely: Range | None = None
     neutral: float | None = None
-    free: bool = False
-    bench_only: bool = False
-    turning: bool = False
     made: Tolerance | None = None
     daily: Tolerance | None = None
-    nameless: bool = False
 
     @property
     def in_relations(self) -> bool:
-        """Whether a relation between measured signals reads it."""
+        """Whether the diagnosis states a value of it."""
         return self.any_rig is not None
 
     @property
@@ -108,7 +98,7 @@ _T = Tolerance
 _FRICTION: Final = (
     _P("mu1", "", "friction coefficient μ1 of rope and sheath", 0.08, 0.0, 0.5,
        "assumed: lubricated steel in a lined sheath; with theta1 an exponent of 0.126", plant="plant.mu1",
-       like_benches=0.03 * 0.08, ideal=0.0, any_rig=(0.0, 2.0), likely=(0.03, 0.25),
+       ideal=0.0, any_rig=(0.0, 2.0), likely=(0.03, 0.25),
        made=_T("factor", 0.25, "assumed: lubrication, sheath"),
        daily=_T("factor", 0.10, "assumed: temperature, humidity")),
     _P("mu2", "", "friction coefficient μ2 of fabric on the knee", 0.15, 0.0, 1.0,
@@ -116,7 +106,7 @@ _FRICTION: Final = (
        calibration="fabric_friction",
        assumed=Assumed(0.12, 0.0, 1.0, "assumed: equation (7) gives the law, the paper no number",
                        "friction coefficient of the fabric on the knee, μ2"),
-       like_benches=0.05 * 0.15, ideal=0.0, any_rig=(0.0, 2.0), likely=(0.05, 0.6), bench_only=True,
+       ideal=0.0, any_rig=(0.0, 2.0), likely=(0.05, 0.6),
        made=_T("factor", 0.25, "assumed: weave, finish of the knee"),
        daily=_T("factor", 0.10, "assumed: temperature, humidity")),
     _P("theta1", "rad", "total bend θ1 of the sheath", math.pi / 2, 0.0, 4 * math.pi, "assumed: a quarter turn",
@@ -128,24 +118,24 @@ _FRICTION: Final = (
     _P("fabric_wrap", "1/rad", "κ: φ = φ0 + κ·|θk|", 1.0, 0.0, 4.0, "assumed: the wrap grows with the flexion",
        plant="plant.fabric_wrap", calibration="wrap_slope",
        assumed=Assumed(1.0, 0.0, 3.0, "assumed: φ = φ0 + κ·|θk|", "wrap gained per radian of flexion, κ"),
-       ideal=0.0, any_rig=(0.0, 4.0), likely=(0.3, 1.7), bench_only=True,
+       ideal=0.0, any_rig=(0.0, 4.0), likely=(0.3, 1.7),
        made=_T("factor", 0.10, "assumed: fit of the strap")),
     _P("cable_bend", "1/rad", "κb: θ1 = θ10·(1 + κb·|θk|)", 0.0, -0.7, 2.0, "assumed: the sheath is clamped",
-       plant="plant.cable_bend", like_benches=0.05, search=(-0.7, 1.5), any_rig=(-0.7, 1.5), likely=(-0.5, 0.5),
-       neutral=0.0, bench_only=True),
+       plant="plant.cable_bend", search=(-0.7, 1.5), any_rig=(-0.7, 1.5), likely=(-0.5, 0.5),
+       neutral=0.0),
     _P("load_slope", "", "λ: μ1 and μ2 times 1 + λ·(T/40 N − 1)", 0.0, -0.9, 2.0, "assumed: Amontons' law",
        plant="plant.load_slope", calibration="load_slope",
        assumed=Assumed(0.0, -0.9, 2.0, "assumed: Amontons' law", "λ: both exponents times 1 + λ·(T/40 N − 1)"),
-       like_benches=0.03, search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
+       search=(-0.8, 0.8), any_rig=(-0.8, 0.8), likely=(-0.4, 0.4),
        neutral=0.0),
     _P("viscous", "N·s/m", "viscous friction of rope in sheath, whole length", 0.0, 0.0, 60.0,
        "paper, 3.1: Coulomb friction only", plant="plant.viscous", calibration="viscous",
        assumed=Assumed(0.0, 0.0, 200.0, "paper, 3.1: Coulomb friction only",
                        "viscous friction of the rope in its sheath"),
-       like_benches=0.5, any_rig=(-1e4, 1e4),
+       any_rig=(-1e4, 1e4),
        likely=(3.0, 20.0), neutral=0.0),
     _P("stribeck_ratio", "", "static over sliding friction μs/μc, of rope and fabric", 1.0, 0.3, 5.0,
-       "paper, 3.1: Coulomb friction only", plant="plant.stribeck_ratio", like_benches=0.05, search=(1.0, 4.0),
+       "paper, 3.1: Coulomb friction only", plant="plant.stribeck_ratio", search=(1.0, 4.0),
        any_rig=(1.0, 4.0), likely=(1.2, 2.5), neutral=1.0,
        daily=_T("excess", 0.3, "assumed: breakaway after a night's rest; paper, Fig. 15")),
     _P("stribeck_speed", "m/s", "Stribeck speed vs", 0.01, 5e-4, 0.2, "assumed: greased steel",
@@ -156,19 +146,19 @@ _FRICTION: Final = (
        "assumed: Dahl model of tendon sheaths (Palli)", plant="plant.presliding_m", calibration="presliding",
        assumed=Assumed(2e-4, 1e-6, 5e-3, "assumed: 0.05–1 mm",
                        "rope travel over which the sheath's friction turns over"),
-       like_benches=0.3 * 0.1e-3, ideal=1e-6, any_rig=(1e-6, 3e-3), likely=(50e-6, 1e-3),
+       ideal=1e-6, any_rig=(1e-6, 3e-3), likely=(50e-6, 1e-3),
        made=_T("factor", 0.30, "assumed: as friction, and more")),
-    _P("presliding_shape", "", "i in ds/du = (1 − s·sgn u)^i/δ", 1.0, 0.0, 1.5, "Dahl 1968: 1", law=0.3,
+    _P("presliding_shape", "", "i in ds/du = (1 − s·sgn u)^i/δ", 1.0, 0.0, 1.5, "Dahl 1968: 1",
        any_rig=(0.0, 1.5)),
     _P("fabric_presliding_ratio", "", "the fabric's pre-sliding travel over the rope's", 1.0, 0.1, 5.0,
-       "assumed: as the rope's", law=0.5, any_rig=(0.1, 5.0)),
+       "assumed: as the rope's", any_rig=(0.1, 5.0)),
     _P("friction_drift", "", "relative change of μ1 and μ2 over friction_drift_s (wear, heat)", 0.0, -0.95, 5.0,
        "assumed: none", plant="plant.friction_drift", search=(-0.95, 3.0), any_rig=(-0.95, 3.0), likely=(-0.7, 0.7),
        neutral=0.0),
     _P("tension_ratio", "", "START per tension behind the cable without friction", 1.0, -10.0, 10.0,
-       "a rope hands its tension on", any_rig=(-10.0, 10.0), free=True),
+       "a rope hands its tension on", any_rig=(-10.0, 10.0)),
     _P("coulomb", "N", "friction that no load changes", 0.0, -1e3, 1e3, "paper, 3.1: capstan friction only",
-       any_rig=(-1e3, 1e3), free=True, nameless=True),
+       any_rig=(-1e3, 1e3)),
     _P("pull_sign", "", "1 where a growing rope position pulls, −1 where it releases", 1.0, -1.0, 1.0,
        "signal table", any_rig=(-1.0, 1.0)),
     _P("slack_below", "N", "tension below which the rope counts as slack", 0.3, -INFINITE, 10.0,
@@ -190,24 +180,23 @@ _FRICTION: Final = (
 )
 _PATH: Final = (
     _P("stiffness_scale", "", "stiffness of rope and fabric against (10)", 1.0, 0.3, 3.0, "(10)",
-       plant="plant.stiffness_scale", like_benches=0.03, ideal=1e3, any_rig=(0.05, 1e3), likely=(0.75, 1.35),
+       plant="plant.stiffness_scale", ideal=1e3, any_rig=(0.05, 1e3), likely=(0.75, 1.35),
        neutral=1.0, made=_T("factor", 0.10, "assumed: length and weave of the strap"),
        daily=_T("factor", 0.03, "assumed: temperature, humidity, history")),
     _P("stiffness_shape", "", "relative change of the quadratic coefficient", 0.0, -0.9, 1.0, "(10)",
-       plant="plant.stiffness_shape", like_benches=0.05, any_rig=(-4.0, 1.0), likely=(-0.5, 0.5), neutral=0.0),
+       plant="plant.stiffness_shape", any_rig=(-4.0, 1.0), likely=(-0.5, 0.5), neutral=0.0),
     _P("cable_share", "", "share of (10)'s linear coefficient that is the rope's, on the START side of its friction",
        (0.024e-3 + 0.5 * 0.008e-3) / (laws.STIFFNESS_B_MM_N * 1e-3), 0.0, 1.0,
-       "assumed: lead_compliance and half of sheath_compliance", like_benches=0.013, ideal=0.1, any_rig=(0.0, 1.0),
-       free=True),
+       "assumed: lead_compliance and half of sheath_compliance", ideal=0.1, any_rig=(0.0, 1.0)),
     _P("cable_share_before", "", "share of the rope's compliance on the START side of its friction", 1.0, 0.0, 1.0,
-       "assumed: cable_share counts no other", ideal=0.5, any_rig=(0.0, 1.0), free=True),
+       "assumed: cable_share counts no other", ideal=0.5, any_rig=(0.0, 1.0)),
     _P("toe", "m", "what the first newtons stretch the path more than (10)", 0.0, -2e-3, 2e-3,
-       "(10) was fitted from 20 N up", like_benches=2e-4, any_rig=(-2e-3, 2e-3)),
+       "(10) was fitted from 20 N up", any_rig=(-2e-3, 2e-3)),
     _P("home_preload", "N", "START tension at which homing fixes the encoder's zero", 20.0, 0.0, 20.0,
        "equation (10), lower end of its identification", calibration="home_preload",
        assumed=Assumed(20.0, 1.0, 60.0, "equation (10), lower end of its identification",
                        "START tension at which (10) fixes the encoder zero"),
-       like_benches=10.0, ideal=0.0, any_rig=(0.0, 20.0)),
+       ideal=0.0, any_rig=(0.0, 20.0)),
     _P("creep_compliance", "m/N", "J: creep γ̇ = (J·T − γ)/τ", 0.0, 0.0, 0.2e-3, "paper, 3.2: elastic fabric",
        plant="plant.creep_compliance", any_rig=(0.0, 2e-4), likely=(0.01e-3, 0.04e-3), neutral=0.0,
        daily=_T("excess", 0.01e-3, "assumed: woven strap under load")),
@@ -218,29 +207,27 @@ _PATH: Final = (
     _P("rope_zero", "m", "servo position of the taut, unloaded rope at the knee angle of 13 % of gait", 9.7e-3,
        -1.0, 1.0, "(10): ck", plant="plant.encoder_zero_m", calibration="stiffness_c",
        assumed=Assumed(9.7e-3, -1.0, 1.0, "equation (10), ck", "encoder position that (10) gives at no force"),
-       like_benches=2e-4, ideal=0.0, any_rig=(-1.0, 1.0), free=True,
+       ideal=0.0, any_rig=(-1.0, 1.0),
        daily=_T("offset", 0.1e-3, "repeatability of homing to a preload")),
     _P("rope_per_knee", "m/rad", "k2: rope displacement per knee angle", laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE,
        0.005, 0.2, "(11): k2", plant="plant.rope_per_knee", calibration="swing_k",
        assumed=Assumed(0.706e-3 * 180 / math.pi, 0.0, 0.2, "equation (11), k2",
                        "rope that one radian of the knee takes"),
-       like_benches=0.005 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE),
        search=(0.9 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.1 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE)),
        any_rig=(-10.0, 10.0),
-       likely=(0.95 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.05 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE)),
-       free=True),
+       likely=(0.95 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE), 1.05 * (laws.SWING_K_MM_DEG * 1e-3 / laws.DEGREE))),
     _P("rope_per_knee_quadratic", "m/rad²", "k3: quadratic part of the rope displacement k2·θ + k3·θ²", 0.0,
-       -0.02, 0.02, "(11): linear", plant="plant.rope_per_knee_quadratic", like_benches=1.5e-4, search=(-0.01, 0.01),
-       any_rig=(-0.01, 0.01), likely=(-1.97e-3, 1.97e-3), neutral=0.0, bench_only=True),
+       -0.02, 0.02, "(11): linear", plant="plant.rope_per_knee_quadratic", search=(-0.01, 0.01),
+       any_rig=(-0.01, 0.01), likely=(-1.97e-3, 1.97e-3), neutral=0.0),
     _P("knee_backlash", "rad", "whole dead band of the reducer", 0.0, 0.0, 0.2, "assumed: none",
        plant="plant.knee_backlash_rad", any_rig=(0.0, 0.2), likely=(math.radians(0.3), math.radians(2.0)), neutral=0.0,
        daily=_T("set", math.radians(0.3), "maker's class of the reducer, worn in")),
     _P("eccentricity", "m", "amplitude A of the drum's eccentricity A·sin(x/R + φ)", 0.0, -2e-3, 2e-3,
        "assumed: none", plant="plant.eccentricity_m", search=(0.0, 2e-3), any_rig=(0.0, 2e-3),
-       likely=(0.1e-3, 0.5e-3), neutral=0.0, bench_only=True),
+       likely=(0.1e-3, 0.5e-3), neutral=0.0),
     _P("eccentricity_phase", "rad", "phase φ of the drum's eccentricity", 0.0, -6.3, 6.3, "assumed: none",
        plant="plant.eccentricity_rad", search=(-math.pi, math.pi), any_rig=(-math.pi, math.pi),
-       likely=(-math.pi, math.pi), bench_only=True),
+       likely=(-math.pi, math.pi)),
     _P("drum_radius", "m", "radius of the drum", 0.020, 10e-3, 0.1, "assumed: fits a 40 N·m·10 % bench",
        plant="plant.drum_radius_m", any_rig=(1e-3, 0.5)),
     _P("lead_compliance", "m/N", "compliance of drum, START sensor and rope before the sheath", 0.024e-3,
@@ -260,16 +247,16 @@ _PATH: Final = (
 
 
 def _sensor(
-    side: str, free: bool, any_offset: Range, gain: Mapping[str, Any], offset: Mapping[str, Any],
+    side: str, any_offset: Range, gain: Mapping[str, Any], offset: Mapping[str, Any],
 ) -> tuple[Parameter, ...]:
-    """Rows of one tension sensor that a relation reads."""
+    """Rows of one tension sensor that the diagnosis states values of."""
     where = f"{side}_sensor"
     return (
-        _P(f"{side}_gain", "", "gain", 1.0, 0.1, 3.0, "assumed: calibrated", plant=f"{where}.gain", like_benches=0.003,
+        _P(f"{side}_gain", "", "gain", 1.0, 0.1, 3.0, "assumed: calibrated", plant=f"{where}.gain",
            search=(0.5, 1.5), any_rig=(0.5, 1.5), likely=(0.92, 1.08), neutral=1.0,
            made=_T("offset", 0.005, "maker's class 0.5"), **gain),
         _P(f"{side}_offset", "N", "error of the zero", 0.0, -100.0, 100.0, "assumed: tared", plant=f"{where}.offset_n",
-           like_benches=0.1, search=(-20.0, 20.0), any_rig=any_offset, likely=(-3.0, 3.0), neutral=0.0, free=free,
+           search=(-20.0, 20.0), any_rig=any_offset, likely=(-3.0, 3.0), neutral=0.0,
            made=_T("offset", 0.1, "assumed: 0.05 % of full scale"), **offset),
         _P(f"{side}_drift", "N", "change of the zero over drift_s", 0.0, -100.0, 100.0, "assumed: warmed up",
            plant=f"{where}.drift_n", search=(-20.0, 20.0), any_rig=(-20.0, 20.0), likely=(-3.0, 3.0), neutral=0.0),
@@ -277,25 +264,24 @@ def _sensor(
 
 
 _START: Final = _sensor(
-    "start", True, (-1e3, 1e3),
+    "start", (-1e3, 1e3),
     {"calibration": "start_gain",
      "assumed": Assumed(1.0, 0.8, 1.25, "assumed: both true", "START's reading by END's where no friction is between")},
     {"calibration": "start_offset", "assumed": Assumed(0.0, -10.0, 10.0, "assumed", "START reading with a slack rope"),
      "daily": _T("offset", 0.2, "assumed: temperature of the bridge")})
-_END: Final = _sensor("end", False, (-20.0, 20.0), {}, {})
+_END: Final = _sensor("end", (-20.0, 20.0), {}, {})
 _SENSORS: Final = (
     _P("end_mass", "kg", "mass that the END sensor carries on its cantilever", 0.0, 0.0, 0.5,
-       "paper, 5.2: named, not given", plant="plant.end_mass_kg", any_rig=(0.0, 0.5), likely=(0.05, 0.15), neutral=0.0,
-       bench_only=True),
+       "paper, 5.2: named, not given", plant="plant.end_mass_kg", any_rig=(0.0, 0.5), likely=(0.05, 0.15), neutral=0.0),
     _P("end_mass_arm", "m", "lever of the END sensor from the knee", 0.25, 0.0, 1.0, "assumed: geometry",
-       plant="plant.end_mass_arm_m", search=(0.05, 0.6), any_rig=(0.05, 0.6), likely=(0.15, 0.35), bench_only=True),
+       plant="plant.end_mass_arm_m", search=(0.05, 0.6), any_rig=(0.05, 0.6), likely=(0.15, 0.35)),
     *(row for pair in zip(_END, _START, strict=True) for row in pair),
     _P("end_delay", "s", "dead time of the signal", 0.0, 0.0, 0.1, "assumed: none", plant="end_sensor.delay_s",
-       like_benches=3e-4, any_rig=(0.0, 0.1), likely=(5e-3, 20e-3), neutral=0.0),
+       any_rig=(0.0, 0.1), likely=(5e-3, 20e-3), neutral=0.0),
     _P("end_filter", "s", "time constant of a further low-pass", 0.0, 0.0, 1.0, "assumed: none",
        plant="end_sensor.lag_s", search=(0.0, 0.1), any_rig=(0.0, 0.1), likely=(5e-3, 20e-3), neutral=0.0),
     _P("timestamp_skew", "s", "what its time stamps are early by, with those of the other sensor", 0.0, 0.0, 0.1,
-       "assumed: none", plant="start_sensor.skew_s end_sensor.skew_s", like_benches=3e-4, any_rig=(0.0, 0.1),
+       "assumed: none", plant="start_sensor.skew_s end_sensor.skew_s", any_rig=(0.0, 0.1),
        likely=(5e-3, 20e-3), neutral=0.0),
     _P("full_scale", "N", "force at full scale, either way", 200.0, 1.0, 1e4, "assumed: maker's range",
        plant="start_sensor.full_scale_n end_sensor.full_scale_n"),
@@ -311,63 +297,62 @@ _SENSORS: Final = (
 )
 _DRIVES: Final = (
     _P("drive_coulomb", "N", "Coulomb friction of motor and reducer at the rope", 1.0, 0.0, 50.0,
-       "assumed: 1 % of rated torque", plant="plant.servo_coulomb_n", like_benches=0.1 * 1.0, ideal=0.0,
+       "assumed: 1 % of rated torque", plant="plant.servo_coulomb_n", ideal=0.0,
        any_rig=(0.0, 1e4), likely=(2.0, 10.0), made=_T("factor", 0.25, "assumed: bearings, seals")),
     _P("drive_viscous", "N·s/m", "viscous friction of motor and reducer at the rope", 10.0, 0.0, 500.0,
-       "assumed: maker's class", plant="plant.servo_viscous", like_benches=0.1 * 10.0, ideal=0.0, any_rig=(0.0, 1e5),
+       "assumed: maker's class", plant="plant.servo_viscous", ideal=0.0, any_rig=(0.0, 1e5),
        likely=(30.0, 150.0)),
     _P("drive_inertia", "kg", "rotor, reducer and drum as a mass at the rope (J/R²)", 2.5, 0.5, 30.0,
-       "assumed: J = 1.0e-3 kg·m² at the output", plant="plant.servo_inertia_kg", like_benches=0.05 * 2.5, ideal=0.0,
+       "assumed: J = 1.0e-3 kg·m² at the output", plant="plant.servo_inertia_kg", ideal=0.0,
        any_rig=(0.0, 1e4), likely=(3.5, 10.0)),
     _P("drive_offset", "N", "constant force against pulling", 0.0, -50.0, 50.0, "assumed: none",
-       plant="plant.servo_offset_n", like_benches=0.1, ideal=0.0, any_rig=(-1e4, 1e4), likely=(-5.0, 5.0),
+       plant="plant.servo_offset_n", ideal=0.0, any_rig=(-1e4, 1e4), likely=(-5.0, 5.0),
        neutral=0.0),
     _P("unbalance", "N", "force against pulling by a mass off the drum's axis, where it is greatest: m·g·r/R", 0.0,
        0.0, 50.0, "assumed: balanced", plant="plant.servo_unbalance_n", any_rig=(0.0, 1e4), likely=(0.5, 5.0),
-       neutral=0.0, turning=True),
+       neutral=0.0),
     _P("unbalance_phase", "rad", "angle φ of the mass from below the axis at position 0", 0.0, -6.3, 6.3,
        "assumed: below", plant="plant.servo_unbalance_rad", search=(-math.pi, math.pi), any_rig=(-math.pi, math.pi),
-       likely=(-math.pi, math.pi), turning=True),
+       likely=(-math.pi, math.pi)),
     _P("drive_asymmetry", "", "Coulomb friction greater pulling (> 0) than releasing, relative", 0.0, -0.95, 0.95,
-       "assumed: none", plant="plant.servo_asymmetry", like_benches=0.02, ideal=0.0, any_rig=(-0.95, 0.95),
+       "assumed: none", plant="plant.servo_asymmetry", ideal=0.0, any_rig=(-0.95, 0.95),
        likely=(-0.5, 0.5), neutral=0.0),
     _P("drive_viscous_asymmetry", "", "β in b·(v + β·|v|): drag greater pulling (> 0) than releasing, relative", 0.0,
-       -0.95, 0.95, "assumed: none", plant="plant.servo_viscous_asymmetry", like_benches=0.02, ideal=0.0,
+       -0.95, 0.95, "assumed: none", plant="plant.servo_viscous_asymmetry", ideal=0.0,
        any_rig=(-0.95, 0.95), likely=(-0.8, 0.8), neutral=0.0),
     _P("demand_gain", "", "force that the drive gives over the force that it says", 1.0, 0.1, 3.0,
-       "assumed: torque constant as the maker says", plant="plant.demand_gain", like_benches=0.01, search=(0.5, 1.5),
+       "assumed: torque constant as the maker says", plant="plant.demand_gain", search=(0.5, 1.5),
        any_rig=(0.3, 3.0), likely=(0.85, 1.15), neutral=1.0),
     _P("drive_presliding", "m", "rope travel over which motor friction turns over", 20e-6, 2e-6, 2e-3,
-       "assumed: 1 mrad of the drum", plant="plant.servo_presliding_m", like_benches=1.0 * 20e-6, any_rig=(1e-6, 2e-3),
+       "assumed: 1 mrad of the drum", plant="plant.servo_presliding_m", any_rig=(1e-6, 2e-3),
        likely=(0.1e-3, 1.5e-3)),
     _P("drive_stribeck_ratio", "", "static over sliding friction of the drive", 1.0, 0.3, 5.0, "assumed: none",
-       plant="plant.servo_stribeck_ratio", like_benches=0.02, ideal=1.0, search=(1.0, 4.0), any_rig=(1.0, 5.0),
+       plant="plant.servo_stribeck_ratio", ideal=1.0, search=(1.0, 4.0), any_rig=(1.0, 5.0),
        likely=(1.2, 2.5), neutral=1.0),
     _P("drive_stribeck_speed", "m/s", "Stribeck speed of the drive's friction", 0.01, 5e-4, 0.2,
        "assumed: greased steel", plant="plant.servo_stribeck_speed_m_s", search=(1e-3, 0.1), any_rig=(1e-5, 100.0),
        likely=(2e-3, 30e-3)),
     _P("drive_calm", "m/s", "speed below which the drive's friction fades", 5e-4, 0.0, 0.02,
-       "assumed: noise of the encoder's rate", like_benches=1e-3, ideal=0.0, any_rig=(0.0, 0.02)),
+       "assumed: noise of the encoder's rate", ideal=0.0, any_rig=(0.0, 0.02)),
     _P("current_limit", "A", "limit of the motor current", 7.5, 0.0, 30.0, "assumed: 6.75 N·m peak at the output",
-       plant="plant.current_limit_a", ideal=INFINITE, search=(0.1, 30.0), any_rig=(0.1, INFINITE), likely=(0.8, 3.0),
-       bench_only=True),
+       plant="plant.current_limit_a", ideal=INFINITE, search=(0.1, 30.0), any_rig=(0.1, INFINITE), likely=(0.8, 3.0)),
     _P("supply_ohm", "Ω", "internal resistance of the supply (sag)", 0.0, 0.0, 5.0, "assumed: a stiff supply",
-       plant="plant.supply_ohm", any_rig=(0.0, 5.0), likely=(1.0, 5.0), neutral=0.0, bench_only=True),
+       plant="plant.supply_ohm", any_rig=(0.0, 5.0), likely=(1.0, 5.0), neutral=0.0),
     _P("servo_bandwidth", "Hz", "bandwidth of the servo's position loop", 25.0, 1.0, 500.0, "assumed",
-       calibration="drive_bandwidth", assumed=Assumed(25.0, 1.0, 500.0, "assumed"), like_benches=6.0,
-       any_rig=(1.0, 500.0), free=True),
-    _P("servo_damping", "", "damping ratio of the servo's position loop", 0.9, 0.2, 3.0, "assumed", like_benches=0.2,
-       any_rig=(0.2, 3.0), free=True),
+       calibration="drive_bandwidth", assumed=Assumed(25.0, 1.0, 500.0, "assumed"),
+       any_rig=(1.0, 500.0)),
+    _P("servo_damping", "", "damping ratio of the servo's position loop", 0.9, 0.2, 3.0, "assumed",
+       any_rig=(0.2, 3.0)),
     _P("servo_delay", "s", "from a target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
        "control timing: two SYNC periods at 1 kHz", calibration="loop_delay",
-       assumed=Assumed(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"), like_benches=1e-3,
-       any_rig=(-0.01, 0.1), free=True),
-    _P("knee_bandwidth", "Hz", "bandwidth of the knee's position loop", 20.0, 1.0, 500.0, "assumed", like_benches=6.0,
-       any_rig=(1.0, 500.0), free=True),
-    _P("knee_damping", "", "damping ratio of the knee's position loop", 0.9, 0.2, 3.0, "assumed", like_benches=0.2,
-       any_rig=(0.2, 3.0), free=True),
+       assumed=Assumed(2e-3, 0.0, 0.1, "control timing: two SYNC periods at 1 kHz"),
+       any_rig=(-0.01, 0.1)),
+    _P("knee_bandwidth", "Hz", "bandwidth of the knee's position loop", 20.0, 1.0, 500.0, "assumed",
+       any_rig=(1.0, 500.0)),
+    _P("knee_damping", "", "damping ratio of the knee's position loop", 0.9, 0.2, 3.0, "assumed",
+       any_rig=(0.2, 3.0)),
     _P("knee_delay", "s", "from a knee target sent to its first sight in the inputs", 2e-3, -0.01, 0.1,
-       "control timing: two SYNC periods at 1 kHz", like_benches=1e-3, any_rig=(-0.01, 0.1), free=True),
+       "control timing: two SYNC periods at 1 kHz", any_rig=(-0.01, 0.1)),
     _P("supply", "V", "supply voltage", 48.0, 0.0, 60.0, "paper, 5.2", plant="plant.supply_v"),
     _P("torque_constant", "N·m/A", "torque and back-EMF constant at the output", 0.9, 0.05, 2.0,
        "assumed: maker's class of a 1:6 48 V actuator", plant="plant.torque_constant"),
@@ -453,7 +438,7 @@ _MEASURED: Final = (
     _P("viscous_tension", "N", "tension from which the rope's viscous friction acts in full, in proportion below", 10.0,
        1.0, 100.0, "assumed: a slack rope does not press on its sheath", calibration="viscous_tension",
        assumed=Assumed(10.0, 0.1, 100.0, "assumed: a slack rope does not press on its sheath"),
-       like_benches=3.0, ideal=0.0, any_rig=(0.0, 100.0)),
+       ideal=0.0, any_rig=(0.0, 100.0)),
     _P("fabric_share", "", "share of the fabric's stretch on the rope's side of the knee", 0.425, 0.0, 1.0,
        "fabric_share_before and half of what lies on the knee", calibration="fabric_share",
        assumed=Assumed(0.4, 0.0, 1.0, "assumed: geometry")),
@@ -518,6 +503,3 @@ def healthy() -> dict[str, float]:
     return {name: p.nominal for name, p in RELATION_PARAMETERS.items()}
 
 
-def ideal() -> dict[str, float]:
-    """Return the inputs of the prediction equations in a rigid, frictionless transmission with true sensors."""
-    return {name: p.in_ideal for name, p in RELATION_PARAMETERS.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from diagnosis.judgement.plan import Plan
+    from diagnosis.evidence.planned_limits import Plan
 
 GAIT = "gait"
 
@@ -35,20 +34,23 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
          healthy: Sequence[Path] = ()) -> Plan:
     """Simulate the experiment `name` ("gait", or one of the catalogue) and return its expected result.
 
-    `calibration` is that of the bench to be examined (None: the nominal bench, which is the one simulated), `healthy`
-    its reference trials. Raises `InputError`.
+    `healthy`: reference trials of the bench to be examined, `calibration` its calibration. Without both, a gait and the
+    experiment itself, simulated, are the reference trials. Raises `InputError`.
     """
     from diagnosis.data import table as data
-    from diagnosis.judgement.plan import plan as planned
+    from diagnosis.evidence.planned_limits import plan as planned
     from parameters import read_toml
-    from physics.calibration import nominal, write
 
     with TemporaryDirectory(prefix="bowden-") as folder:
-        recorded = Path(folder) / f"{name}.mcap"
-        simulate(name, walk, recorded)
-        table = data.read(recorded)
-    known = tomllib.loads(write(nominal())) if calibration is None else read_toml(calibration)
-    return planned(table, [data.read(path) for path in healthy], known)
+        recorded = {each: Path(folder) / f"{each}.mcap" for each in dict.fromkeys((GAIT, name))}
+        wanted = [name] if healthy or calibration else list(recorded)
+        for each in wanted:
+            simulate(each, walk, recorded[each])
+        tables = [data.read(recorded[each]) for each in wanted]
+    if calibration is not None or healthy:
+        known = None if calibration is None else read_toml(calibration)
+        return planned(tables[0], [data.read(path) for path in healthy], known)
+    return planned(tables[-1], tables)
 
 
 def simulate(name: str, walk: WalkPlan, recorded: Path, *, day: int = 0,

@@ -98,10 +98,10 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
 
     Squares are clipped at 25, so that outliers count little.
     """
-    observed, squares = found.observed, at.residual**2 * found.observed.weight
+    observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
     told = {name: float(np.mean(np.minimum(observed.tau[k] * observed.part(squares, k), 25.0)))
             for k, name in enumerate(observed.outputs)}
-    return told | {"session": at.cost / (observed.data.size * observed.cost)}
+    return told | {"session": at.cost / (observed.data.size * observed.cost * float(observed.growth.mean()))}
 
 
 def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:

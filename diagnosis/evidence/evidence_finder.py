@@ -11,12 +11,14 @@ import numpy as np
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
 from diagnosis.evidence.decision import NAMED_NATS, Decision
-from diagnosis.evidence.forward_model import ForwardModel
+from diagnosis.evidence.detection_limits import detection_limits
+from diagnosis.evidence.forward_model import ForwardModel, predicted
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
-from diagnosis.evidence.hypothesis_search import Searched, hypotheses, search
+from diagnosis.evidence.hypothesis_search import Searched, search
 from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change, projected
+from diagnosis.evidence.population_reference import reference_of_population
+from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Findings
@@ -24,17 +26,16 @@ from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
 from physics.effects.separating_experiments import EXPERIMENTS
-from physics.laws import Array
 
 SURROGATE: Final = 0.1
 """1σ of a parameter by systematic model error, relative to the parameter's change.
 
 The model's friction and stretch equations differ from the bench's.  With this value the 95 % intervals cover 90 to
 98 % on the development population; too small, they would be too narrow."""
-FARTHEST: Final = 6.0
-"""Largest detection limit that is stated, in prior σ of an effect."""
 
-
+NO_REFERENCE: Final = (
+    "{}: is not of a rope over a knee, and a rig of another kind has no population to compare it with: name trials of "
+    "this rig in the reference condition with --healthy, or identify it with bowden fit.")
 COMPRESSED: Final = 0.1
 """Largest compression of a rope, relative to its largest tension; a rig with more compression is no rope."""
 
@@ -66,16 +67,13 @@ class EvidenceFinder:
     """Diagnosis of one bench by evidence; the reference trials are fitted once for each set of outputs."""
 
     def __init__(self, reference: Sequence[Table], session_sd: Mapping[str, float] | None = None,
-                 model: ForwardModel = PATH_MODEL) -> None:
-        """Store the reference trials; raises `InputError` if `reference` is empty.
+                 model: ForwardModel = PATH_MODEL, calibration: Mapping[str, Any] | None = None) -> None:
+        """Store the reference trials.  Without one, bench population and `calibration` are the reference condition.
 
         `session_sd`: 1σ between sessions by constant, in coordinates (None: the published one).
         """
         self.model = model
-        if not reference:
-            raise InputError("a diagnosis by evidence needs reference trials of this bench; name at least one with "
-                             "--healthy.")
-        self._tables = reference
+        self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
 
@@ -90,8 +88,15 @@ class EvidenceFinder:
 
     def unlike(self, trials: Sequence[Table]) -> str:
         """Return a sentence if the reference trials do not fit the model, so that they are of another rig; else ""."""
-        fit = self._reference(self._outputs(trials))
-        name = self.model.judged[0]
+        if not self._tables and "gait_percent" in trials[0]:
+            return ""
+        try:
+            fit, name = self.reference(trials), self.model.judged[0]
+        except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
+            return NO_REFERENCE.format(trials[0].source) if not self._tables else (
+                f"{self._tables[0].source}: the reference trials do not fit: no constants of the model predict them.")
+        if not self._tables:
+            return self._foreign(fit, trials[0])
         left = float(np.sqrt(np.mean(fit.model_error[fit.outputs.index(name)])))
         spread = float(np.std(self.model.record(self._tables[0]).measured(name)))
         if left <= self.model.unlike_share * spread:
@@ -100,6 +105,14 @@ class EvidenceFinder:
         return (f"{self._tables[0].source}: the reference trials do not fit: the model misses {what} by {left:.3g} "
                 f"{unit} of {spread:.3g} {unit}; expected below {100 * self.model.unlike_share:g} %. Give reference "
                 "trials of this bench, recorded as the trial is.")
+
+    def _foreign(self, fit: ReferenceFit, given: Table) -> str:
+        """Return a sentence if a trial does not fit the model of the bench at the origin of `fit`; else ""."""
+        trial, first = self._read(given, fit.outputs), fit.outputs.index(self.model.judged[0])
+        left = trial.part(trial.data - predicted(self.model, fit.origin, trial), first)
+        if np.std(left) <= self.model.unlike_share * np.std(given[self.model.judged[0]]):
+            return ""
+        return NO_REFERENCE.format(given.source)
 
     def diagnose(self, trials: Sequence[Table], holdout: Sequence[Table] = (), warnings: Sequence[str] = ()
                  ) -> Findings:
@@ -114,13 +127,13 @@ class EvidenceFinder:
         if refused:
             raise InputError(refused)
         outputs = self._outputs([*trials, *holdout])
-        reference = self._reference(outputs)
+        reference = self.reference([*trials, *holdout])
         trials, others = self._by_motion(trials)
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
         found = search(observed, reference.prior, reference.starts())
-        decided = decision.decide(found)
-        bench = self.model.constants.named(_bench(reference))
+        decided = self._decided(found)
+        bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
         beyond = _beyond(found, decided, bench)
         if beyond:
@@ -151,33 +164,47 @@ class EvidenceFinder:
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
             decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
-            experiment, figures.figures(reference, kept), said, _limits(found, bench), reference="healthy",
-            simulation={"before_rms_n": before, "after_rms_n": after, "healthy_rms_n": reference.rmse_n, "signals": [
+            experiment, figures.figures(reference, kept), said, _limits(found, bench), reference=self.kind,
+            simulation={"before_rms_n": before, "after_rms_n": after,
+                        "healthy_rms_n": reference.rmse_n if self._tables else None, "signals": [
                 n for n in self.model.judged if n in outputs],
-                "on": "cycles that no fit has seen"},
+                        "on": "cycles that no fit has seen"},
             part=decided.part, evidence=evidence, traces=figures.traces(trials),
             held_traces=kept.traces(holdout) if kept is not None else {})
+
+    @property
+    def kind(self) -> str:
+        """Return the kind of the reference condition: healthy (reference trials), calibration or nominal."""
+        return "healthy" if self._tables else "nominal" if self._calibration is None else "calibration"
 
     def _by_motion(self, trials: Sequence[Table]) -> tuple[Sequence[Table], Sequence[Table]]:
         """Return the gaits among the trials, and apart from them the experiments, if all reference trials are gaits.
 
         Otherwise all trials are in the first part.
         """
-        if any("gait_percent" not in t for t in self._tables):
+        if not self._tables or any("gait_percent" not in t for t in self._tables):
             return trials, ()
         walked = [t for t in trials if "gait_percent" in t]
         return (walked, [t for t in trials if "gait_percent" not in t]) if walked else (trials, ())
 
     def reference(self, trials: Sequence[Table]) -> ReferenceFit:
-        """Return the fit of the reference trials, with the outputs that they and all `trials` have."""
-        return self._reference(self._outputs(trials))
+        """Return the reference condition, with the outputs that all reference trials and `trials` have.
 
-    def _reference(self, outputs: tuple[str, ...]) -> ReferenceFit:
-        """Return the fit of the reference trials with the given outputs, from the cache if it was made before."""
-        if outputs not in self._fits:
-            read = self.model.sessions([self._read(t, outputs) for t in self._tables])
-            self._fits[outputs] = fit_reference(self.model, read, self._session_sd)
-        return self._fits[outputs]
+        The fit of the reference trials is cached.  Without reference trials it is the bench population's.
+        """
+        outputs = self._outputs(trials)
+        key = outputs if self._tables else (*outputs, *(t.digest for t in trials))
+        if key not in self._fits:
+            read = [self._read(t, outputs) for t in self._tables or trials]
+            self._fits[key] = fit_reference(self.model, self.model.sessions(read), self._session_sd) if self._tables \
+                else reference_of_population(self.model, read, self._calibration)
+        return self._fits[key]
+
+    def _decided(self, found: Searched) -> Decision:
+        """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
+        """
+        decided = decision.decide(found)
+        return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
         """Return the outputs that the trials and the reference trials all have."""
@@ -190,13 +217,21 @@ class EvidenceFinder:
         return made
 
     def _untold(self, outputs: Sequence[str]) -> list[str]:
-        """Return a sentence per missing output on the effects that this column would make observable."""
+        """Return a sentence per missing output on the effects that this column would make observable.
+
+        Without reference trials, one more sentence says what they would add.
+        """
         effects = self.model.hypotheses
+        said = [] if self._tables else [
+            "No reference trial: compared with the population of like benches"
+            + ("" if self._calibration is None else " and this bench's calibration")
+            + ". Trials of this bench in the reference condition (--healthy) would show smaller changes, and changes "
+            "that no effect explains."]
         friction = [name for name, h in effects.items() if h.part == FRICTION]
-        return [f"With {column} recorded these could be told, or better: "
-                + ", ".join([name for name, h in effects.items() if column in h.needs]
-                            + (friction if column == "tension_end_n" else [])) + "."
-                for column in self.model.signals if column not in outputs]
+        return said + [f"With {column} recorded these could be told, or better: "
+                       + ", ".join([name for name, h in effects.items() if column in h.needs]
+                                   + (friction if column == "tension_end_n" else [])) + "."
+                       for column in self.model.signals if column not in outputs]
 
     def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]
                ) -> dict[str, Any]:
@@ -296,35 +331,10 @@ def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, table
                     blocks_of(tables, read))
 
 
-def _bench(reference: ReferenceFit) -> Array:
-    """Return the coordinates of the bench at the posterior mean of the reference fit."""
-    q = reference.origin.copy()
-    free = list(reference.model.constants.free)
-    q[free] += reference.bench.mean[:len(free)]
-    return np.asarray(q)
-
-
 def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:
-    """Return the detection limit of each effect: the smallest size with a linear log Bayes factor of `NAMED_NATS`.
-
-    ln B = ½ s²G²/(1 + G) − ½ ln(1 + G) for a size of s prior σ; a limit above `FARTHEST` σ is None.
-    """
-    told: dict[str, Mapping[str, Any]] = {}
-    model, table = found.observed.model, found.null.table
-    for name, variants in hypotheses(found.observed, bench).items():
-        parameter, read = next(iter(model.hypotheses[name].reads.items()))
-        sizes = []
-        for variant in variants:
-            g = float(projected(found.null, found.observed, variant)[1][0, 0])
-            size = np.sqrt((2.0 * NAMED_NATS + np.log1p(g)) * (1.0 + g)) / g if g > 0.0 else np.inf
-            if size <= FARTHEST:
-                q = found.null.q.copy()
-                for constant, share in variant.directions[0].along.items():
-                    q[table.index[constant]] += size * variant.directions[0].sd * share
-                sizes.append(abs(read(table.named(q), bench) - read(table.named(found.null.q), bench)))
-        told[name] = {"parameter": parameter, "value": min(sizes) if sizes else None,
-                      "unit": model.limits(name, parameter)[2]}
-    return told
+    """Return the detection limit of each effect in these trials as published."""
+    return {name: {"parameter": limit.parameter, "value": limit.value, "unit": limit.unit}
+            for name, limit in detection_limits(found.observed, found.null, bench).items()}
 
 
 def _sd(at: PosteriorMode, read: Any) -> float:
@@ -346,7 +356,7 @@ def _shifts(at: PosteriorMode, reference: ReferenceFit, found: Searched) -> dict
     the reference condition does not have.
     """
     change = named_change(at, found.prior)
-    bench, trial = at.table.values(_bench(reference)), at.table.values(at.q)
+    bench, trial = at.table.values(reference.bench_coordinates()), at.table.values(at.q)
     shifts: dict[str, dict[str, Any]] = {}
     for i in at.active:
         row = at.table.rows[i]

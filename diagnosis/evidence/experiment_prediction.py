@@ -118,8 +118,7 @@ def predicted_experiments(found: Searched, among: Sequence[str], reference: Refe
 
 
 def _planned(name: str, found: Searched, effects: Sequence[str], reference: ReferenceFit) -> PlannedExperiment:
-    q = reference.origin.copy()
-    q[list(reference.model.constants.free)] += reference.bench.mean[:len(reference.model.constants.free)]
+    q = reference.bench_coordinates()
     recording = motion_of(name, q, found.observed.trials[0])
     observed = reference.observe(recording)
     slopes = {effect: observed.jacobian(at.q, at.active)

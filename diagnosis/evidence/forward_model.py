@@ -91,9 +91,12 @@ class ForwardModel(Protocol):
     def session_at(self, q: Array) -> Array:
         """Return 1σ between sessions of each constant, in coordinates, of a bench at coordinates `q`."""
 
-    def growth(self, trial: Any, name: str) -> float:
-        """Return the factor, at least 1, on the model error's variance if signals exceed those of the reference trials.
-        """
+    def growth(self, trial: Any, name: str, signal: Array) -> float:
+        """Return the factor, at least 1, on the model error's variance if the `signal` of an output, shape (bins,),
+        exceeds that of the reference trials."""
+
+    def changing(self, trial: Any, name: str, signal: Array) -> float:
+        """Return the variance of the part of an output, shape (bins,), that the model error is proportional to."""
 
     def aliased(self, q: Array, trial: Any, name: str) -> Array | float:
         """Return the variance of an output's data that aliasing causes, by bin or for all bins."""

@@ -18,7 +18,7 @@ from diagnosis.data.table import Table
 from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode
 from diagnosis.evidence.reference_fit import ReferenceFit
-from diagnosis.judgement.verdict import Figures
+from diagnosis.findings import Figures
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -61,7 +61,7 @@ class HeldOut:
         low, high = np.percentile(gains, [2.5, 97.5])
         first, last = self._rms(name, "before"), self._rms(name, "after")
         seen = [None, None] if held is None else [held._rms(name, which) for which in ("before", "after")]
-        return Figures(self.observed.model.signals[name], True, floor, first, last, seen[0], seen[1],
+        return Figures(self.observed.model.signals[name], floor, first, last, seen[0], seen[1],
                        100.0 * (1.0 - last / first), float(low), float(high))
 
     def _rms(self, name: str, which: str) -> float:

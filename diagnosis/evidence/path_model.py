@@ -129,8 +129,12 @@ class PathModel:
         """Return the published 1σ between sessions of each constant, in coordinates; `q` has no influence."""
         return CONSTANTS.session_sd
 
-    def growth(self, trial: PathRecording, name: str) -> float:
+    def growth(self, trial: PathRecording, name: str, signal: Array) -> float:
         """Return 1, since the peak forces of the bench's gaits differ little."""
+        return 1.0
+
+    def changing(self, trial: PathRecording, name: str, signal: Array) -> float:
+        """Return 1, since no change of the bench makes its forces several times as large."""
         return 1.0
 
     def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:

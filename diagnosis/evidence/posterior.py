@@ -40,7 +40,8 @@ class Observed:
 
     `features`: Φ, shape (data, features).  `weight`: 1/σ², shape (data,).  `tau`: by output, the factor by which σ² is
     inflated for the autocorrelation of the residuals.  `cost`: mean cost per datum of the reference trials at their
-    modes.
+    modes.  `growth`: factor, at least 1, on σ² by which a model of the measured signals may miss more than one of the
+    reference condition's, shape (data,); it counts in the lack of fit alone.
     """
 
     model: ForwardModel
@@ -49,6 +50,7 @@ class Observed:
     weight: Array
     tau: Array
     cost: float
+    growth: Array
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -241,7 +243,13 @@ def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple
 
 
 def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[Array, Array]:
-    """Return g = EᵀC⁻¹e and G = EᵀC⁻¹E of a variant at the mode `null`.
+    """Return g = EᵀC⁻¹e and G = EᵀC⁻¹E of a variant at the mode `null`; e: the error of the null."""
+    effect, applied = response(null, observed, variant)
+    return np.asarray(effect.T @ applied[:, 0]), np.asarray(effect.T @ applied[:, 1:])
+
+
+def response(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[Array, Array]:
+    """Return E and C⁻¹[e, E] of a variant at the mode `null`, shapes (data, directions) and (data, directions + 1).
 
     E: the effect's slopes times their σ, e: the error of the null, C: covariance of the data under the null.
     """
@@ -264,8 +272,7 @@ def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tupl
         light = null.weight[:, None] * given
         return np.asarray(light - (null.weight[:, None] * inward) @ cho_solve(null.inner, inward.T @ light))
 
-    applied = solved(np.concatenate([error[:, None], effect], axis=1))
-    return np.asarray(effect.T @ applied[:, 0]), np.asarray(effect.T @ applied[:, 1:])
+    return effect, solved(np.concatenate([error[:, None], effect], axis=1))
 
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()

@@ -92,12 +92,16 @@ class ReferenceFit:
         """
         models = self.identified
         if self.model.pools_sessions:
-            count, mean = len(self.model.constants.free), self.bench.mean
-            q = self.origin.copy()
-            q[list(self.model.constants.free)] += mean[:count]
-            models = ((q, mean[count:]),)
+            models = ((self.bench_coordinates(), self.bench.mean[len(self.model.constants.free):]),)
         return np.asarray(np.mean([observed.data - observed.predicted(q) - observed.features @ c
                                    for q, c in models], axis=0))
+
+    def bench_coordinates(self) -> Array:
+        """Return the coordinates of all constants at the posterior mean of the bench."""
+        q = self.origin.copy()
+        free = list(self.model.constants.free)
+        q[free] += self.bench.mean[:len(free)]
+        return q
 
     @property
     def rmse_n(self) -> float:
@@ -115,13 +119,24 @@ class ReferenceFit:
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         return Observed(self.model, trials, np.concatenate(made),
                         np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
-                        self.tau, self.cost)
+                        self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]))
+
+    def _growth(self, trial: Recording, data: Array) -> list[float]:
+        """Return the growth of the model error's variance with the signals in `data`, by output."""
+        return [self.model.growth(trial, name, trial.part(data, k)) for k, name in enumerate(self.outputs)]
+
+    def _grown(self, trial: Recording) -> Array:
+        """Return, by datum, the growth with the measured signals over that with the reference condition's."""
+        measured, expected = (np.array([
+            self.model.changing(trial, name, trial.part(data, k)) for k, name in enumerate(self.outputs)])
+            for data in (trial.data, predicted(self.model, self.origin, trial)))
+        return np.repeat(np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
     def _variance(self, trial: Recording, states: Array) -> Array:
         quarter = np.searchsorted(self.quarters, states[self.model.load_state])
-        parts = []
+        parts, growth = [], self._growth(trial, predicted(self.model, self.origin, trial))
         for k, name in enumerate(self.outputs):
-            variance = self.model.growth(trial, name) * self.model_error[k][quarter] + trial.noise_n[name] ** 2
+            variance = growth[k] * self.model_error[k][quarter] + trial.noise_n[name] ** 2
             parts.append((variance + self.model.aliased(self.origin, trial, name)) * self.tau[k])
         return np.concatenate(parts)
 
@@ -145,6 +160,17 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
     `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).
     """
     return _Fit(model, trials, session_sd).run()
+
+
+def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian) -> PosteriorMode:
+    """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants."""
+    free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
+    weights = [np.repeat([noise[n] ** -2 for n in trial.outputs], trial.bins) for noise in model.first_noise]
+    even = np.ones(len(trial.outputs))
+    rough, fine = (Observed(model, (trial,), none, w, even, 1.0, np.ones(w.size)) for w in weights)
+    starts = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)]
+    return min((mode(fine, prior, start=mode(rough, prior, start=start, rounds=10).x, rounds=10) for start in starts),
+               key=lambda m: m.cost)
 
 
 class _Linear(NamedTuple):
@@ -187,8 +213,8 @@ class _Fit:
 
         Estimates of noise and discrepancy alternate with descents to the joint mode.
         """
-        best = min((self._first(at) for at in self.model.scanned(self.origin, self.trials[0])), key=lambda m: m.cost)
-        self._recentre(best.q)
+        wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
+        self._recentre(first_mode(self.model, self.trials[0], wide).q)
         for stage in range(STAGES):
             if stage == 1:
                 self._recentre(self._constants(self.bench))
@@ -324,16 +350,6 @@ class _Fit:
         light = inward.T * linear.weight
         inner = cho_factor(np.eye(deviation.size) + light @ inward)
         return np.asarray(bench + deviation * cho_solve(inner, light @ (linear.error - linear.design @ bench)))
-
-    def _first(self, at: Array) -> PosteriorMode:
-        """Fit the first trial alone from coordinates `at`, without a discrepancy."""
-        trial = self.trials[0]
-        none = np.zeros((trial.data.size, 0))
-        wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
-        start = (at - self.origin)[self.free]
-        weights = [np.repeat([noise[n] ** -2 for n in self.outputs], trial.bins) for noise in self.model.first_noise]
-        rough, fine = (Observed(self.model, (trial,), none, weight, self.tau, 1.0) for weight in weights)
-        return mode(fine, wide, start=mode(rough, wide, start=start, rounds=10).x, rounds=10)
 
     def _recentre(self, q: Array) -> None:
         """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""

@@ -12,12 +12,10 @@ from typing import Final
 from diagnosis.data.compared_signals import Compared
 from diagnosis.data.table import Table
 from diagnosis.findings import Findings
-from diagnosis.report import evidence_headline, figure_tables, plots, residual_picture, tracking
-from diagnosis.report.headline import headline
+from diagnosis.report import figure_tables, plots, residual_picture, tracking
+from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.remaining import where
-from diagnosis.report.residuals import compared
-from diagnosis.report.words import interval, paragraph
 from physics.effects.catalogue import CATALOGUE
 from trial.report.page import Page, Tile, number
 
@@ -46,15 +44,15 @@ def build(
     stated = f" · every signal low-passed at {found.lowpass_hz:g} Hz, no phase" if found.lowpass_hz is not None else ""
     page = Page(f"Diagnosis of {names}", f"against {_against(found)}{stated}",
                 badge=(found.verdict, KINDS.get(found.verdict, "plain")))
-    sides = compared(found, trials)
+    sides = found.traces
     _first(page, found)
     if not found.candidates:
-        residual_picture.section(page, found, sides)
+        residual_picture.section(page, found)
     _summary(page, found, sides)
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
     if holdout:
-        plots.measured(page, found.held_traces or compared(found, holdout), "Held-out trials", "held-out time_s")
+        plots.measured(page, found.held_traces, "Held-out trials", "held-out time_s")
     if tracked is not None:
         tracking.section(page, *tracked, (BEFORE, AFTER))
     if not found.candidates:
@@ -65,25 +63,21 @@ def build(
 
 
 def _against(found: Findings) -> str:
-    if found.found is None and found.causes and not found.evidence:
+    if found.part == "wire":
         return "what a sound wire and converter give"
-    return {"calibration": "the bench's own calibration", "nominal": "the nominal bench",
-            "healthy": "what healthy trials of this rig taught",
-            "none": "an ideal transmission: no calibration fits this rig"}.get(found.reference, found.reference)
+    return {"calibration": "the bench population and the bench's own calibration", "nominal": "the bench population",
+            "healthy": "reference trials"}.get(found.reference, found.reference)
 
 
 def _first(page: Page, found: Findings) -> None:
     """Add the first section: the fault, its cost in N and the next step."""
     page.section("What is wrong")
-    for sentence in evidence_headline.told(found) if found.evidence else headline(found):
-        if sentence:
-            page.text(sentence)
+    for sentence in headline(found):
+        page.text(sentence)
 
 
 def _summary(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
     page.section("Figures")
-    if not found.evidence:
-        page.text(paragraph(found))
     if found.verdict == "unexplained" and (left := where(found, sides)):
         page.text(left)
     if found.causes:

@@ -13,15 +13,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from diagnosis.data.table import Table
 from diagnosis.findings import Findings
-from diagnosis.report import evidence_headline, figure_tables, residual_picture
+from diagnosis.report import figure_tables, residual_picture
 from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
-from diagnosis.report.residuals import compared
 from parameters import InputError
 
-RELATION_COLUMNS: Final = ("relation", "unit", "floor", "rmse_before", "rmse_after", "gain_percent", "gain_low_percent",
+RELATION_COLUMNS: Final = ("signal", "unit", "floor", "rmse_before", "rmse_after", "gain_percent", "gain_low_percent",
                            "gain_high_percent", "holdout_before", "holdout_after")
 CAUSE_COLUMNS: Final = ("effect", "site", "parameter", "old", "new", "low", "high", "unit", "gain_percent")
 NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.csv", "residual.png", "loop.csv",
@@ -29,27 +27,24 @@ NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.
 """Names of the exported files; a plot and its CSV are omitted if the diagnosis has no such data."""
 
 
-def write(found: Findings, trials: Sequence[Table], folder: str | Path, *,
-          overwrite: bool = False) -> list[Path]:
-    """Write plots and tables of a diagnosis of `trials` into `folder` and return the paths of the files.
+def write(found: Findings, folder: str | Path, *, overwrite: bool = False) -> list[Path]:
+    """Write plots and tables of a diagnosis into `folder` and return the paths of the files.
 
     Raises `InputError` if the folder cannot be written, or has such files and `overwrite` is false.
     """
     folder = Path(folder)
     refuse(folder, overwrite=overwrite)
     made: dict[str, bytes] = {
-        "headline.txt": "".join(f"{line}\n" for line in (
-            evidence_headline.told(found) if found.evidence else headline(found)) if line).encode(),
+        "headline.txt": "".join(f"{line}\n" for line in headline(found)).encode(),
         "relations.csv": _csv(RELATION_COLUMNS, [
             (name, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high, f.holdout_before,
-             f.holdout_after) for name, f in found.relations.items() if f.checked]),
+             f.holdout_after) for name, f in found.relations.items()]),
         "causes.csv": _csv(CAUSE_COLUMNS, [
             (c["effect"], c["site"], name, healthy_value(c, name), one["value"], one["low"], one["high"],
              one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),
         "detection_limit.csv": _csv([name.replace(" ", "_") for name in figure_tables.LIMIT_COLUMNS],
                                     figure_tables.limit_rows(found))}
-    sides = compared(found, trials)
-    made |= _residual(residual_picture.residual(found, sides)) | _loop(residual_picture.loops(sides))
+    made |= _residual(residual_picture.residual(found)) | _loop(residual_picture.loops(found.traces))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in made.items():

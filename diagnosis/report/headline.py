@@ -1,75 +1,115 @@
-"""First lines of a diagnosis: the fault and its size, its cost in N, and the next step.
+"""First lines of a diagnosis: error of the simulation, changed part and causes, ambiguity set, next step.
 
 They are complete for an engineer who reads nothing else: each figure has its unit and its reference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
-from diagnosis.findings import Findings
-from diagnosis.judgement.verdict import Figures
-from diagnosis.report.plots import MEANING
-from diagnosis.report.words import refused_because
+from diagnosis.findings import Figures, Findings
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.separating_experiments import EXPERIMENTS
 from trial.report.page import number
 
-AGAINST: Final = {"calibration": "the bench's calibration", "nominal": "the nominal bench",
-                  "healthy": "its healthy trials", "none": "an ideal transmission"}
-TENSIONS: Final = {"tension_start_n": "START", "tension_end_n": "END"}
+NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}
+"""Outputs whose error the first sentence gives, in words."""
 WRITTEN: Final = {"m": (1e3, "mm"), "s": (1e3, "ms")}
 """By SI unit: factor and symbol of the unit in which values below `LARGE` are written."""
 LARGE: Final = 0.1
 """Value, in the SI unit, from which a parameter is written in that unit."""
-UNSEEN: Final = "on cycles that the fit has not seen"
-
-
-class Headline(NamedTuple):
-    """Sentences on the fault, its cost and the next step; an empty string if a sentence does not apply."""
-
-    wrong: str
-    cost: str
-    todo: str
-
-
+STRONG: Final = 3.0
+"""Least change of a listed constant, in its 1σ between sessions."""
+MOST: Final = 3
+"""Largest number of listed constants."""
 UNMEASURED: Final = (
     "Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by itself "
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
 
 
-def headline(found: Findings) -> Headline:
-    """Return the sentences on the fault, its cost in N and the next step."""
+def headline(found: Findings) -> Iterator[str]:
+    """Yield the first sentences of a diagnosis, most important first."""
     if found.candidates:
-        return Headline(UNMEASURED, _cost(found), "bowden identify all -o calibration.toml, then record again or "
-                        "diagnose with --calibration calibration.toml; --healthy trials are a footing, too.")
-    return Headline(_wrong(found), _cost(found), _todo(found))
-
-
-def _wrong(found: Findings) -> str:
-    if found.verdict == "refused":
-        return f"{refused_because(found).rstrip('.')}: " + (
+        yield UNMEASURED
+        yield from _error(found)
+        yield ("bowden identify all -o calibration.toml, then record again or diagnose with --calibration "
+               "calibration.toml; --healthy trials are a footing, too.")
+    elif found.verdict == "refused":
+        yield f"{refused_because(found).rstrip('.')}: " + (
             found.warnings[0] if found.warnings else "no reason was given.")
-    if found.verdict == "unexplained":
-        return "Something is wrong that no effect of the catalogue explains; no cause is named."
-    if not found.causes:
-        within = "" if found.session is None else ", within what two sessions differ by"
-        return f"Nothing is wrong that these trials show: the bench agrees with {_against(found)}{within}."
-    told = " ".join(_cause(found, cause) for cause in found.causes)
-    others = [name for name in found.rivals if name not in {c["effect"] for c in found.causes}]
+        yield "Mend the data and record again."
+    elif found.part == "wire":
+        yield " ".join(_cause(cause) for cause in found.causes)
+        yield from _set(found)
+        yield "Mend the wire or the converter, record again, and diagnose that."
+    else:
+        yield from _by_evidence(found)
+
+
+def _by_evidence(found: Findings) -> Iterator[str]:
     if found.undecided is not None:
-        return f"{found.undecided[0].upper()}{found.undecided[1:]} {told}"
-    return told + (f" These trials cannot tell it from: {', '.join(others)}." if others else "")
+        yield f"{found.undecided[0].upper()}{found.undecided[1:]}"
+    yield from _error(found)
+    if found.verdict == "unexplained":
+        yield "The data depart from the model in a way that no effect of the catalogue explains; no cause is named."
+    elif not found.causes:
+        against = "reference trials" if found.reference == "healthy" else "bench population" + (
+            " and the calibration" if found.reference == "calibration" else "")
+        yield f"The trial agrees with the {against}: no change of the bench is needed to explain it."
+    else:
+        yield f"Changed: {found.part}. " + " ".join(_cause(cause) for cause in found.causes)
+    yield from _set(found)
+    listed = _shifts((found.evidence or {}).get("shifts", {}))
+    if listed:
+        yield f"Constants that moved most: {'; '.join(listed)}."
 
 
-def _cause(found: Findings, cause: Mapping[str, Any]) -> str:
+def _error(found: Findings) -> Iterator[str]:
+    """Yield the sentence on the error of the simulation before and after, beside that of reference trials."""
+    told = found.simulation
+    if told is None:
+        return
+    unit = next((found.relations[n].unit for n in told["signals"] if n in found.relations), "N")
+    missed = " and ".join(NAMES[name] for name in told["signals"])
+    after = f", {told['after_rms_n']:.2f} {unit} with what is named below" if found.causes else ""
+    own = told["healthy_rms_n"]
+    beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
+    what = "rig" if found.bench is None and found.reference == "healthy" else "bench"
+    yield (f"The simulation of this {what} misses {missed} by "
+           f"{told['before_rms_n']:.2f} {unit}{after}, on cycles that no fit has seen{beside}.")
+
+
+def _set(found: Findings) -> Iterator[str]:
+    """Yield the sentences on the other effects of the ambiguity set, and on the experiment that separates them."""
+    among = [name for name in found.rivals if name not in {cause["effect"] for cause in found.causes}]
+    if among:
+        yield f"These data do not separate it from: {', '.join(among)}."
+    if found.experiment is not None:
+        chosen = EXPERIMENTS[found.experiment]
+        hands = f"; {chosen.by_hand}" if chosen.by_hand else ""
+        yield f"To separate them, record {chosen.name}: {chosen.motion}{hands}. Look at {chosen.reads}."
+
+
+def refused_because(found: Findings) -> str:
+    """Return why trials were refused: missing columns or trials, trials too short, or contradictory data."""
+    reason = found.warnings[0] if found.warnings else ""
+    if "has no column" in reason:
+        return "Columns are missing, so nothing can be checked about the bench."
+    if "--healthy" in reason:
+        return "Reference trials of this rig are missing, so nothing can be checked about it."
+    if "; expected at least " in reason:
+        return "The trials are too short, so nothing can be checked about the bench."
+    return "These data contradict themselves, so nothing is said about the bench."
+
+
+def _cause(cause: Mapping[str, Any]) -> str:
     effect = CATALOGUE[cause["effect"]]
-    changes = [change(found, cause, name) for name in cause["parameters"]]
-    return f"{effect.words.rstrip('.')} ({effect.name}): {'; '.join(changes)}."
+    values = ", ".join(change(cause, name) for name in cause["parameters"])
+    return f"{effect.name} at {effect.site} ({effect.law}): {values}."
 
 
-def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
+def change(cause: Mapping[str, Any], name: str) -> str:
     """Return a parameter as text: name old → new unit (95 %: low … high), without an unknown old value."""
     one, old = cause["parameters"][name], healthy_value(cause, name)
     scale, symbol = WRITTEN.get(one["unit"], (1.0, one["unit"]))
@@ -77,8 +117,14 @@ def change(found: Findings, cause: Mapping[str, Any], name: str) -> str:
         scale, symbol = 1.0, one["unit"]
     value, low, high = (number(scale * one[key], 3) for key in ("value", "low", "high"))
     before = "" if old is None else f"{number(scale * old, 3)} → "
-    return (f"{name} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high}"
-            f"{'' if old is None else f'; old: {_against(found)}'})")
+    return f"{name} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high})"
+
+
+def interval(parameter: Mapping[str, Any]) -> str:
+    """Return a parameter as text: value, unit and 95 % interval."""
+    unit = f" {parameter['unit']}" if parameter["unit"] else ""
+    return (f"{number(parameter['value'], 3)}{unit} (95 %: {number(parameter['low'], 3)} … "
+            f"{number(parameter['high'], 3)})")
 
 
 def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
@@ -91,75 +137,18 @@ def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
     return next((p.neutral for p in CATALOGUE[cause["effect"]].parameters if p.name == name), None)
 
 
-def _against(found: Findings) -> str:
-    if found.found is None and found.causes:
-        return "a sound wire and converter"
-    return AGAINST.get(found.reference, found.reference)
+def strongest(found: Findings) -> tuple[str, Figures] | None:
+    """Return name and figures of the output with the largest gain; None if none was compared."""
+    told = [(name, f) for name, f in found.relations.items() if f.rmse_before is not None and f.rmse_after is not None]
+    return max(told, key=lambda one: one[1].gain_percent or 0.0, default=None)
 
 
-def strongest(found: Findings, unit: str | None = None) -> tuple[str, Figures] | None:
-    """Return name and figures of the prediction equation with the largest gain; None if none was checked.
-
-    `unit`: only equations in this unit count (None: all).
+def _shifts(shifts: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the constants that changed by `STRONG` session σ or more, largest change first, as "name from → to unit".
     """
-    told = [(name, f) for name, f in found.relations.items()
-            if f.checked and f.rmse_before is not None and f.rmse_after is not None and unit in (None, f.unit)]
-    if not told:
-        return None
-    return max(told, key=lambda one: one[1].gain_percent if one[1].gain_percent is not None else 0.0)
-
-
-def _cost(found: Findings) -> str:
-    simulated: Mapping[str, Any] | None = getattr(found, "simulation", None)
-    lines = []
-    if simulated is not None:
-        before, left = simulated["before_rms_n"], simulated["after_rms_n"]
-        after = f", {number(left, 3)} N with what was found" if found.causes else ""
-        if found.causes and before is not None and left is not None and left >= before:
-            after = ", which what was found does not lower: the name rests on the relations, not on this figure"
-        own = simulated.get("healthy_rms_n")
-        beside = "" if own is None else f" (its healthy trials by {number(own, 3)} N)"
-        missed = " and ".join(TENSIONS[name] for name in simulated["signals"])
-        lines.append(f"The simulation of this bench misses {missed} by {number(before, 3)} N RMS{beside}{after}.")
-    one = strongest(found, "N")
-    if one is None:
-        return " ".join(lines)
-    name, f = one
-    if found.session is not None:
-        lines.append(f"The model of its healthy trials, as it was, misses these by "
-                     f"{number(found.session['as_identified'][name], 3)} N RMS ({name}).")
-    floor = f"; healthy trials leave {number(f.floor, 3)} N" if f.floor is not None else ""
-    if not found.causes:
-        fitted = " with constants fitted within what sessions differ by" if found.session is not None else ""
-        lines.append(f"The force is predicted to {number(f.rmse_before, 3)} N RMS{fitted} ({name}, {UNSEEN}{floor}).")
-        return " ".join(lines)
-    first, left = f.rmse_before or 0.0, f.rmse_after or 0.0
-    if f.gain_percent is None or f.gain_percent < 1.0:
-        lines.append(f"It costs no force that these trials show ({name} stays at {number(left, 3)} N RMS).")
-    else:
-        lines.append(f"It costs {number(max(first**2 - left**2, 0.0) ** 0.5, 3)} N RMS of predicted force: "
-                     f"{number(first, 3)} N before, {number(left, 3)} N with it in the model ({name}: "
-                     f"{MEANING.get(name, name)}; {UNSEEN}{floor}).")
-    return " ".join(lines)
-
-
-def _todo(found: Findings) -> str:
-    if found.verdict == "refused":
-        return "Mend the data and record again."
-    if found.experiment is not None and found.experiment in EXPERIMENTS:
-        chosen = EXPERIMENTS[found.experiment]
-        runs = "" if found.reference == "none" or chosen.by_hand else f" (bowden trial --experiment {chosen.name})"
-        hands = f"; {chosen.by_hand}" if chosen.by_hand else ""
-        return f"To tell them apart, run {chosen.name}: {chosen.motion}{hands}{runs}. Look at {chosen.reads}."
-    if found.found is None and found.causes:
-        return "Mend the wire or the converter, record again, and diagnose that."
-    if found.verdict == "unexplained":
-        return "Look at where the residual lies, then record that part of the gait again with more sensors."
-    if found.causes and all(cause["site"] == "END sensor" for cause in found.causes):
-        return "Mend the END sensor: it only verifies, so the controller has nothing to be told."
-    if found.causes:
-        return ("Mend it, or tell the controller: bowden diagnose … -o extended.toml, then bowden trial "
-                "--controller-model extended.toml.")
-    if found.reference == "nominal":
-        return "Compared with the nominal bench only; run bowden identify on this bench, then diagnose again."
-    return "Nothing to do."
+    rated = []
+    for name, row in shifts.items():
+        if row["sessions"] is not None and abs(row["sessions"]) >= STRONG:
+            rated.append((abs(row["sessions"]), f"{name} {row['from']:.3g} → {row['to']:.3g} "
+                          f"{row['unit']}".rstrip()))
+    return [text for _, text in sorted(rated, reverse=True)[:MOST]]

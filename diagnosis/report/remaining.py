@@ -26,7 +26,7 @@ BINS: Final = 50
 def where(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> str:
     """Return sentences on the largest residual relative to the reference RMSE; "" without a reference RMSE."""
     above = {name: f.rmse_after / f.floor for name, f in found.relations.items()
-             if f.checked and f.floor and f.rmse_after is not None and sides.get(name)}
+             if f.floor and f.rmse_after is not None and sides.get(name)}
     if not above:
         return ""
     name = max(above, key=lambda relation: above[relation])

@@ -51,9 +51,9 @@ class ForceLoop(NamedTuple):
     after: Array
 
 
-def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
+def section(page: Page, found: Findings) -> None:
     """Add both plots to the page, or a note if no prediction equation was searched."""
-    one = residual(found, sides)
+    one = residual(found)
     if one is None:
         page.text("No relation was searched, so there is no picture.", "note")
         return
@@ -65,7 +65,7 @@ def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]
         series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=2.2)]
     page.plot(f"{one.relation}: residual over {one.word}, before and after", one.centres, series, one.axis, one.unit,
               height=280)
-    drawn = loops(sides)
+    drawn = loops(found.traces)
     if not drawn:
         return
     page.heading("The loop: START over END")
@@ -78,15 +78,15 @@ def section(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]
     page.plot("START over END, tension rising and falling", drawn[0].end_n, lines, "tension_end_n (N)", "N", height=300)
 
 
-def residual(found: Findings, sides: Mapping[str, Sequence[Compared]]) -> MeanResidual | None:
+def residual(found: Findings) -> MeanResidual | None:
     """Return the residual of the prediction equation with the largest gain, over gait phase, else over time.
 
     None if no prediction equation was checked or compared.
     """
     best = strongest(found)
-    if best is None or not sides.get(best[0]):
+    if best is None or not found.traces.get(best[0]):
         return None
-    name, parts = best[0], sides[best[0]]
+    name, parts = best[0], found.traces[best[0]]
     for signal, axis, word in ALONG:
         along, before, after = joined(parts, signal)
         if along.size and float(np.ptp(along)) > 0.0:
@@ -103,7 +103,7 @@ def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
     The rising branch begins at the last minimum of END before its peak, the falling one ends at the first minimum after
     the peak.  [] if no prediction of START was compared, without a gait, and without END.
     """
-    parts = sides.get("friction") or sides.get("tension_start_n", ())
+    parts = sides.get("tension_start_n", ())
     if not parts:
         return []
     phase, end = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", "tension_end_n"))

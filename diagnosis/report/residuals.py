@@ -1,6 +1,6 @@
 """Residuals of a diagnosis as arrays: before and after, by trial, binned along other signals and by rope direction.
 
-The models compared are the baseline and the chosen model, on the samples that the prediction equation uses.
+The models compared are the reference condition and the chosen model, on the data of the likelihood.
 """
 
 from __future__ import annotations
@@ -11,50 +11,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data import integrity, table
 from diagnosis.data.compared_signals import Compared
-from diagnosis.data.table import Table
-from diagnosis.findings import Findings
-from diagnosis.problem import blocks
 from physics.laws import Array
-from physics.relations.relation import RELATIONS
 
-ALONG: Final = ("time_s", "gait_percent", "tension_start_n", "tension_end_n", "knee_angle_rad", "servo_position_m",
-                "rope_m_s")
-"""Signals along which residuals are plotted."""
 BINS: Final = 50
 """Largest number of bins along a signal."""
 LEAST_IN_BIN: Final = 5
 """Fewest samples of a bin with a mean."""
 STILL_M_S: Final = 1e-3
 """Rope speed, m/s, up to which the rope counts as still."""
-
-
-def compared(found: Findings, trials: Sequence[Table]) -> dict[str, list[Compared]]:
-    """Return the comparison of measurement and models by prediction equation, one entry per trial.
-
-    `trials`: as they were read.  A diagnosis by evidence returns its own traces, by output.  {} if nothing was searched
-    or checked.  A trial without the columns of an equation has no entry there.
-    """
-    if found.traces:
-        return {name: list(parts) for name, parts in found.traces.items()}
-    checked = [name for name, figures in found.relations.items() if figures.checked and name in RELATIONS]
-    if found.found is None or not checked:
-        return {}
-    made: dict[str, list[Compared]] = {name: [] for name in checked}
-    taut = blocks.TAUT_N if found.reference != "none" else None
-    for trial in trials:
-        usable = integrity.usable(trial)
-        usable = usable if found.lowpass_hz is None else table.low_passed(usable, found.lowpass_hz)
-        lacking = blocks.allowed([usable])
-        for block in blocks.blocks_of([usable], [n for n in checked if not lacking[n]], taut, found.rate_hz):
-            if block.keep.size:
-                signals = block.signals
-                made[block.relation.name].append(Compared(
-                    block.relation.output, block.relation.unit, signals[block.relation.output][block.keep],
-                    block.residual(found.found.baseline.fit.values), block.residual(found.found.best.fit.values),
-                    block.cycle, {n: signals[n][block.keep] for n in ALONG if signals.has(n)}))
-    return made
 
 
 def joined(parts: Sequence[Compared], name: str) -> tuple[Array, Array, Array]:

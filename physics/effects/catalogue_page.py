@@ -35,11 +35,10 @@ def _effect(effect: Effect) -> str:
     rows = "\n".join(_parameter(p) for p in effect.parameters)
     rivals = ", ".join(f"`{name}`" for name in effect.rivals) or "nothing"
     sets = ", ".join(f"`{target}`" for target in effect.forward)
-    relations = ", ".join(f"`{name}`" for name in effect.relations)
     return (
         f"## `{effect.name}`\n\n{effect.words}\n\n"
         f"- site: {effect.site}\n- law: {effect.law}\n- source: {effect.source}\n- shows as: {effect.signature}\n"
-        f"- relations: {relations}\n- confused with: {rivals}; separated by `{effect.experiment}`\n"
+        f"- confused with: {rivals}; separated by `{effect.experiment}`\n"
         f"- in the plant model: {sets}\n\n"
         f"| parameter | meaning | unit | likely | bounds | neutral |\n|---|---|---|---|---|---|\n{rows}\n"
     )

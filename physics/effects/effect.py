@@ -6,7 +6,7 @@ Types only. Values are named as in `physics.parameters`, all are SI.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from physics.laws import Array
@@ -70,7 +70,6 @@ class Trajectory(NamedTuple):
 
 
 Inverse = Callable[[Trajectory, Values], Trajectory]
-Measured = Callable[[Mapping[str, Array], Array, Values], Array]
 
 
 def unchanged(course: Trajectory, values: Values) -> Trajectory:
@@ -85,12 +84,10 @@ class Effect:
 
     `site`: place on the bench. `law`, `source`: formula and origin. `forward`: "table.parameter" → function of the
     values, for the tables plant, start_sensor, end_sensor and bus of a plant model. `inverse`: compensation.
-    `relations`: the prediction equations that it disturbs. `signature`: its visible sign; `words`: the sentence for a
-    report; `rivals`: competing effects; `experiment`: the one that separates them, by its name in
-    `physics.effects.separating_experiments`. `measured`: by relation, the prediction with the effect at work, for an
-    effect that the equations of `physics.relations` do not contain. `stale`: of an effect of the wire, the staleness
-    of the values at a cycle time, s; `grid`: of one of the converter, the quantisation step of readings, N. `level`:
-    parameters whose value is at a load, a bend or a time that this formula chooses by convention.
+    `signature`: its visible sign; `words`: the sentence for a report; `rivals`: competing effects; `experiment`: the
+    one that separates them, by its name in `physics.effects.separating_experiments`. `stale`: of an effect of the wire,
+    the staleness of the values at a cycle time, s; `grid`: of one of the converter, the quantisation step of readings,
+    N.
     """
 
     name: str
@@ -99,16 +96,13 @@ class Effect:
     source: str
     parameters: tuple[EffectParameter, ...]
     forward: Mapping[str, Submodel]
-    relations: tuple[str, ...]
     signature: str
     words: str
     rivals: tuple[str, ...]
     experiment: str
     inverse: Inverse = unchanged
-    measured: Mapping[str, Measured] = field(default_factory=dict)
     stale: Callable[[Values, float], Staleness] | None = None
     grid: Submodel | None = None
-    level: tuple[str, ...] = ()
 
 
 def value_of(name: str) -> Submodel:

@@ -10,7 +10,6 @@ from physics.converter import SensorParameters
 from physics.effects.effect import Effect, Trajectory, Values, of_table, value_of
 
 SENSOR: Final = SensorParameters()
-READ_BY: Final = {"start": ("friction", "elasticity", "kinematics", "drive_force"), "end": ("friction", "kinematics")}
 """Relations that read each sensor."""
 
 
@@ -31,7 +30,7 @@ def _gain(side: str, rival: str) -> Effect:
         name=f"{side}_gain", site=f"{side.upper()} sensor", law="reading = g·T", source="bridge sensitivity",
         parameters=(of_table(f"{side}_gain"),),
         forward={f"{side}_sensor.gain": value_of(f"{side}_gain")},
-        inverse=_start_gain if side == "start" else _no_use, relations=READ_BY[side],
+        inverse=_start_gain if side == "start" else _no_use,
         signature="one sensor is off in proportion to the tension, in no direction of motion",
         words=f"The {side.upper()} sensor's gain is wrong.",
         rivals=(rival, "stiffness"), experiment="dead_weight" if side == "end" else "swapped_sensors",
@@ -44,7 +43,6 @@ def _offset(side: str) -> Effect:
         parameters=(of_table(f"{side}_offset"),),
         forward={f"{side}_sensor.offset_n": value_of(f"{side}_offset")},
         inverse=_start_offset if side == "start" else _no_use,
-        relations=(*READ_BY[side], f"{side}_sensor"),
         signature="one sensor is off by the same force everywhere, slack included",
         words=f"The {side.upper()} sensor's zero is wrong.",
         rivals=("slack", "end_mass") if side == "end" else ("slack",), experiment="unload",
@@ -61,7 +59,6 @@ def _drift(side: str) -> Effect:
             f"{side}_sensor.drift_s": lambda values: values.get("trial_s", SENSOR.drift_s),
         },
         inverse=_start_drift if side == "start" else _no_use,
-        relations=(*READ_BY[side], f"{side}_sensor"),
         signature="one sensor's level trends with time, slack included",
         words=f"The {side.upper()} sensor's zero drifts.",
         rivals=("friction_drift",), experiment="rest_repeat",
@@ -86,7 +83,7 @@ EFFECTS: Final = (
             "plant.end_mass_kg": value_of("end_mass"),
             "plant.end_mass_arm_m": lambda values: values.get("end_mass_arm", 0.25),
         },
-        inverse=_no_use, relations=("friction", "kinematics", "end_sensor"),
+        inverse=_no_use,
         signature="END moves with the leg's angle and acceleration, also at zero tension",
         words="The END sensor, mounted on a cantilever, weighs itself and the rope.",
         rivals=("end_offset",), experiment="slack_swing",
@@ -96,7 +93,7 @@ EFFECTS: Final = (
     Effect(
         name="end_delay", site="END sensor", law="reading(t) = T(t − d)", source="dead time of converter or bus",
         parameters=(of_table("end_delay"),),
-        forward={"end_sensor.delay_s": value_of("end_delay")}, inverse=_no_use, relations=("friction", "kinematics"),
+        forward={"end_sensor.delay_s": value_of("end_delay")}, inverse=_no_use,
         signature="END is late: off in proportion to dT/dt",
         words="The END signal arrives late by a fixed time.",
         rivals=("end_filter", "viscous_friction", "timestamp_skew"), experiment="step",
@@ -104,7 +101,7 @@ EFFECTS: Final = (
     Effect(
         name="end_filter", site="END sensor", law="τ·dy/dt + y = T", source="first-order low-pass",
         parameters=(of_table("end_filter"),),
-        forward={"end_sensor.lag_s": value_of("end_filter")}, inverse=_no_use, relations=("friction", "kinematics"),
+        forward={"end_sensor.lag_s": value_of("end_filter")}, inverse=_no_use,
         signature="END is late and rounded: off in proportion to dT/dt",
         words="The END signal is filtered more than the calibration says.",
         rivals=("end_delay", "viscous_friction"), experiment="step",
@@ -113,7 +110,7 @@ EFFECTS: Final = (
         name="quantisation", site="converter", law="reading = q·round(T/q)", source="step of the converter or PDO",
         parameters=(of_table("quantum"),),
         forward={"start_sensor.quantum_n": value_of("quantum"), "end_sensor.quantum_n": value_of("quantum")},
-        inverse=_no_use, relations=("start_sensor", "end_sensor"),
+        inverse=_no_use,
         signature="readings sit on a grid",
         words="The tension is read in steps that are too coarse.",
         rivals=("lost_pdo",), experiment="bus_log", grid=value_of("quantum"),

@@ -65,7 +65,7 @@ def test_the_report_says_why_figures_are_absent(ran: Path, bowden: Command) -> N
 def test_the_diagnosis_says_what_end_would_tell(ran: Path, bowden: Command) -> None:
     status, out, _ = bowden("diagnose", ran / "trial.mcap", "--json")
     assert status == 0
-    assert "friction not checked: no tension_end_n" in out
+    assert "With tension_end_n recorded these could be told" in out
 
 
 def test_a_start_that_is_cut_off_lets_the_rope_go(here: Path, bowden: Command) -> None:

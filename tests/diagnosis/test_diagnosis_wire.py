@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from diagnosis import wire_faults
 from diagnosis.data.table import Table, table
-from diagnosis.judgement import wire_faults
 from physics import sampling_laws
 from physics.sampling_laws import Staleness
 

@@ -81,46 +81,30 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
     `again` asks, of a pair, of each effect by itself as well.
     """
     from diagnosis.data import table
-    from diagnosis.finder import diagnose
-    from diagnosis.problem.healthy_trials import HealthyTrials
+    from diagnosis.finder import Finder
 
     case = cases.case(job, healthy, cycles)
     trial, holdout = table.table("trial", case.trial), table.table("holdout", case.holdout)
     taught = [table.table(f"healthy {i}", columns) for i, columns in enumerate(case.healthy)]
     began = time.perf_counter()
-    said = diagnose([trial], healthy=taught, holdout=[holdout])
+    finder = Finder().fit(taught)
+    said = finder.diagnose([trial], [holdout])
     seconds = time.perf_counter() - began
     ratio, share = _risen(said)
     after = None
     if again and said.verdict == "ambiguous" and said.experiment in moves.EXPERIMENTS:
         second = table.table("experiment", moves.run(said.experiment, case.harmed, job.seed))
-        told = diagnose([trial, second], healthy=taught)
+        told = finder.diagnose([trial, second])
         after = After(said.experiment, told.verdict, tuple(told.rivals))
-    learnt = HealthyTrials(taught)
-    alone = [_before(table.table("alone", columns), learnt) for columns in case.alone if again]
+    alone = [_risen(finder.diagnose([table.table("alone", columns)]))[0] for columns in case.alone if again]
     return Answer(job, case.hidden, {k: float(v) for k, v in case.sizes.items()}, said.verdict, tuple(said.rivals),
                   said.causes, ratio, share, seconds, said.experiment, after, tuple(alone))
-
-
-def _before(trial: Any, taught: Any) -> float:
-    """Return the largest residual of a trial in healthy floors, as `_risen`, without a search."""
-    from threadpoolctl import threadpool_limits
-
-    from diagnosis.problem.cross_validation import unseen
-    from diagnosis.problem.fit import solve
-    from diagnosis.problem.problem import build_problem
-
-    with threadpool_limits(1, user_api="blas"):
-        s = build_problem([trial], taught, None)
-        squares = unseen(s.problem, s.folds, solve(s.problem, s.reference.values, s.reference.nuisance, thorough=True))
-    assert s.floors is not None
-    return max(squares.rmse(name) / s.floors[name] for name in s.checked)
 
 
 def _risen(said: Any) -> tuple[float, float | None]:
     """Return the largest residual in healthy floors, and the share of what could be gained on it that was."""
     rises = [(f.rmse_before / f.floor, f) for f in said.relations.values()
-             if f.checked and f.floor and f.rmse_before is not None]
+             if f.floor and f.rmse_before is not None]
     if not rises:
         return 0.0, None
     ratio, f = max(rises, key=lambda rise: rise[0])

@@ -22,7 +22,7 @@ from benchmarks import marked
 from bowden.cli import terminal
 from bowden.sweep import run
 from bowden.trials import provenance
-from tests.hidden import cases, floors, page
+from tests.hidden import cases, page
 from tests.hidden.answers import answer, from_json
 from tests.hidden.cases import Job
 
@@ -116,7 +116,6 @@ def options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--most", type=int, help="only so many of the cases, from the first on")
     parser.add_argument("--workers", type=int, help="processes (default: one a processor)")
     parser.add_argument("--scheduler", help="Dask scheduler to run on, host:port")
-    parser.add_argument("--floors", action="store_true", help="print what healthy benches leave in each relation")
     parser.add_argument("--answers", type=Path, help="where answers are kept (default: out/hidden-COMMIT.jsonl)")
     parser.add_argument("--page", action="store_true", help=f"write the tables into {DOCS}")
     return parser.parse_args(arguments)
@@ -138,11 +137,6 @@ def main(arguments: Sequence[str]) -> int:
     """Run the set that was asked for; status 0 whatever the bars say: they are a measurement."""
     asked = options(arguments)
     wanted = jobs(asked.quick, asked.first)[:asked.most]
-    if asked.floors:
-        healthy = [job for job in wanted if job.kind == "none"]
-        with crew_of(asked.scheduler, asked.workers) as crew:
-            print("\n".join(floors.table(list(crew.executor.map(floors.left, healthy)))))
-        return 0
     kept = Kept(asked.answers or OUT / f"hidden-{provenance.commit()}.jsonl")
     told = answered(wanted, kept, lambda: crew_of(asked.scheduler, asked.workers))
     written = page.text(told, f"Printed by `{command(arguments)}` at commit "

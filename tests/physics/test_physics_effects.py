@@ -31,8 +31,6 @@ FIRST_EDITION = (
     "lost_pdo quantisation drive_coulomb drive_viscous drive_offset drive_asymmetry drive_inertia saturation "
     "supply_sag drive_viscous_asymmetry drive_presliding drive_stribeck demand_gain unbalance"
 )
-RELATIONS = {
-    "friction", "elasticity", "kinematics", "servo", "drive_force", "knee", "start_sensor", "end_sensor", "bus"}
 ABSENT = [e for e in CATALOGUE.values() if any(p.neutral is not None for p in e.parameters)]
 NOMINAL = {
     "plant": dataclasses.asdict(PlantParameters()), "start_sensor": dataclasses.asdict(SensorParameters()),
@@ -46,8 +44,6 @@ def test_first_edition_is_whole() -> None:
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_declaration_is_consistent(effect: Effect) -> None:
-    assert set(effect.relations) <= RELATIONS
-    assert effect.relations
     assert effect.rivals
     assert set(effect.rivals) <= set(CATALOGUE) - {effect.name}
     assert effect.experiment in EXPERIMENTS
@@ -149,7 +145,7 @@ def test_an_effect_is_added_at_run_time() -> None:
     bearing = Effect(
         name="knee_bearing", site="knee", law="τ = b·ω", source="dry bearing",
         parameters=(EffectParameter("bearing", "N·m·s/rad", 0.0, 5.0, (0.1, 1.0), 0.02, "b"),),
-        forward={"plant.leg_damping": value_of("bearing")}, relations=("knee",), signature="the leg lags with speed",
+        forward={"plant.leg_damping": value_of("bearing")}, signature="the leg lags with speed",
         words="The knee's bearing drags.", rivals=("knee_backlash",), experiment="locked_motor",
     )
     with registered(bearing):

@@ -20,8 +20,8 @@ from parameters import InputError
 from parameters.files import write_whole
 
 if TYPE_CHECKING:
+    from diagnosis.evidence.planned_limits import Plan
     from diagnosis.findings import Findings
-    from diagnosis.judgement.plan import Plan
 
 Trials = Annotated[list[Path] | None, typer.Argument(
     metavar="TRIAL…", help="MCAP, or CSV (.gz) with canonical headers.", show_default=False)]
@@ -255,50 +255,43 @@ def _diagnosed(
     if figures is not None:
         from diagnosis.report import figure_export
 
-        figure_export.write(found, groups[0], figures, overwrite=overwrite)
+        figure_export.write(found, figures, overwrite=overwrite)
     return found
 
 
 def _tell(found: Findings, result: dict[str, Any]) -> None:
-    from diagnosis.report.evidence_headline import told
     from diagnosis.report.headline import headline
 
-    for sentence in told(found) if found.evidence else headline(found):
-        if sentence:
-            _say(sentence)
+    for sentence in headline(found):
+        _say(sentence)
     if not found.candidates:
         print(f"\nVerdict: {found.verdict}" + (f" (low-pass {found.lowpass_hz:g} Hz)" if found.lowpass_hz else ""))
-    before = "the simulation as it was" if found.session is None else "constants fitted within what sessions differ by"
-    _tell_relations(result["relations"], "signal" if found.evidence else "relation", before)
-    if found.session is not None and found.session["shifts"]:
-        terminal.table("what this session's constants differ by, named or not", (
-            "constant", "healthy", "here", "95 %", "unit"), [
-            (one["parameter"], f"{one['was']:.4g}", f"{one['value']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}",
-             one["unit"])
-            for one in found.session["shifts"]])
+    _tell_signals(result["relations"])
+    shifts = (found.evidence or {}).get("shifts", {})
+    if shifts and found.reference == "healthy" and found.bench is None:
+        terminal.table("constants of the rig, named or not", ("constant", "reference", "here", "95 %", "unit"), [
+            (name, f"{one['from']:.4g}", f"{one['to']:.4g}", f"{one['low']:.4g} … {one['high']:.4g}", one["unit"])
+            for name, one in shifts.items()])
     for warning in found.warnings:
         _say(f"Warning: {warning}")
 
 
-def _tell_relations(relations: dict[str, Any], word: str, before: str) -> None:
-    """Print the residual of each prediction equation, or signal, RMS; names are never cut at 80 columns."""
+def _tell_signals(signals: dict[str, Any]) -> None:
+    """Print the error of each signal, RMS; names are never cut at 80 columns."""
     figure = terminal.number
-    checked = {name: row for name, row in relations.items() if row["checked"]}
-    if not checked:
+    if not signals:
         return
-    terminal.table(f"what is left of each {word} (RMS, on cycles that the fit has not seen)", (
-        word, "unit", "floor", "before", "after", "gain (%)"), [
+    terminal.table("what is left of each signal (RMS, on cycles that the fit has not seen)", (
+        "signal", "unit", "floor", "before", "after", "gain (%)"), [
         (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
-         figure(row["gain_percent"], 1)) for name, row in checked.items()])
-    _say(f"floor: what a healthy bench leaves; before: {before}; after: with what was found.")
-    held = {name: row for name, row in checked.items() if row["holdout_before"] is not None}
+         figure(row["gain_percent"], 1)) for name, row in signals.items()])
+    _say("floor: what reference trials miss of each other; before: the reference condition; after: with what was "
+         "found.")
+    held = {name: row for name, row in signals.items() if row["holdout_before"] is not None}
     if held:
-        terminal.table("on the trials held out, to which nothing was fitted", (word, "unit", "before", "after"), [
+        terminal.table("on the trials held out, to which nothing was fitted", ("signal", "unit", "before", "after"), [
             (name, row["unit"], figure(row["holdout_before"], 4), figure(row["holdout_after"], 4))
             for name, row in held.items()])
-    missing = [name for name, row in relations.items() if not row["checked"]]
-    if missing:
-        _say(f"Not checked: {', '.join(missing)}.")
 
 
 def _say(sentence: str, indent: str = "") -> None:
@@ -325,12 +318,11 @@ def _tell_plan(name: str, found: Plan) -> None:
     terminal.table(f"the smallest departure from healthy that {name} shows", (
         "effect", "smallest", "likely", "seen in"), [
         (limit.effect, "not seen" if limit.size is None else f"{limit.size:.3g} {limit.unit}".rstrip(),
-         f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.relation or "–") for limit in found.limits])
+         f"{limit.likely[0]:.3g} … {limit.likely[1]:.3g}", limit.signal or "–") for limit in found.limits])
     for limit in found.limits:
         if limit.like:
             _say(f"{limit.effect} looks like {', '.join(limit.like)}.")
     if found.blind:
-        _say(f"Not seen by any relation: {', '.join(found.blind)}.")
-    terminal.table("relations", ("relation", "unit", "floor", "independent samples"), [
-        (relation, found.unit(relation), f"{floor:.3g}", f"{found.samples[relation]:.0f}")
-        for relation, floor in found.floors.items()])
+        _say(f"Not seen by any signal: {', '.join(found.blind)}.")
+    terminal.table("signals", ("signal", "unit", "floor"), [
+        (name, row["unit"], f"{row['floor']:.3g}") for name, row in found.signals.items()])

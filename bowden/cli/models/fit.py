@@ -72,7 +72,7 @@ def _tell(output: Path, found: FittedBench) -> None:
 def _tell_rig(found: FittedBench) -> None:
     print(f"A rig of another kind than the bench; terms found: {', '.join(found.rig or ()) or 'none'}.")
     terminal.table("measured less predicted, on the last part of each trial, which the fit had not seen", (
-        "relation", "RMS", "of a spread of", "unit"), [
+        "signal", "RMS", "of a spread of", "unit"), [
         (name, terminal.number(row["unseen"]), terminal.number(row["spread"]), row["unit"])
         for name, row in found.relations.items()])
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diagnosis.data.table import AGE_SUFFIX, Table
-from diagnosis.judgement.verdict import Figures
+from diagnosis.findings import Figures
 from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect
 from physics.laws import Array
@@ -226,11 +226,11 @@ def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
     grids, seen = coarse(trials, healthy), ages(trials, healthy)
     worst = max((mine for mine, rest in grids.values() if mine >= max(LEAST_STEP, COARSER * rest)), default=0.0)
     told = [Told(e, {e.parameters[0].name: worst}, 0.0) for e in CATALOGUE.values() if e.grid is not None and worst]
-    figures = {name: Figures("N", True, rest / math.sqrt(12.0), mine / math.sqrt(12.0),
+    figures = {name: Figures("N", rest / math.sqrt(12.0), mine / math.sqrt(12.0),
                              (rest if mine >= max(LEAST_STEP, COARSER * rest) else mine) / math.sqrt(12.0))
                for name, (mine, rest) in grids.items()}
     if seen is not None:
         # a coarse quantisation repeats values, too
         told = told or stale(seen)
-        figures["bus"] = Figures("s", True, None, seen.rms_s, seen.rms_s)
+        figures["bus"] = Figures("s", None, seen.rms_s, seen.rms_s)
     return WireFindings(told, figures)

@@ -1,0 +1,76 @@
+"""Detection limits: the smallest size of each effect that trials would show.
+
+    ln B(s) = ½ s²G²/(1 + G) − ½ ln(1 + G)        G = EᵀC⁻¹E for an effect of one prior σ, s its size in prior σ
+
+The limit is the size at which ln B reaches the threshold of a named effect.  E: change of the data by the effect.
+C: covariance of the data in the reference condition.  Two effects look alike if EᵀC⁻¹E' is close to √(G·G').
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.hypothesis_search import hypotheses
+from diagnosis.evidence.posterior import Observed, PosteriorMode, response
+from physics.effects.hypotheses import Variant
+from physics.laws import Array
+
+FARTHEST: Final = 6.0
+"""Largest detection limit that is stated, in prior σ of an effect."""
+
+
+class EffectResponse(NamedTuple):
+    """Response of the data to an effect of one prior σ: E, C⁻¹E, and G = EᵀC⁻¹E."""
+
+    variant: Variant
+    effect: Array
+    applied: Array
+    square: float
+
+    @property
+    def size(self) -> float:
+        """Size, in prior σ, at which the log Bayes factor reaches the threshold of a named effect."""
+        g = self.square
+        return float(np.sqrt((2.0 * NAMED_NATS + np.log1p(g)) * (1.0 + g)) / g) if g > 0.0 else np.inf
+
+    def alike(self, other: EffectResponse) -> float:
+        """Return the share of this effect's evidence that `other`, scaled, explains."""
+        both = self.square * other.square
+        return float(self.effect @ other.applied) ** 2 / both if both > 0.0 else 0.0
+
+
+class DetectionLimit(NamedTuple):
+    """Detection limit of one effect: smallest departure of its first parameter (None: not visible), and its response.
+    """
+
+    parameter: str
+    unit: str
+    value: float | None
+    response: EffectResponse
+
+
+def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str, float]) -> dict[str, DetectionLimit]:
+    """Return the detection limit of each effect, at the mode `null` and the constants `bench`; above `FARTHEST` None.
+    """
+    told: dict[str, DetectionLimit] = {}
+    model, table = observed.model, null.table
+    for name, variants in hypotheses(observed, bench).items():
+        parameter, read = next(iter(model.hypotheses[name].reads.items()))
+        best = min((_response(observed, null, variant) for variant in variants), key=lambda r: r.size)
+        value = None
+        if best.size <= FARTHEST:
+            q = null.q.copy()
+            for constant, share in best.variant.directions[0].along.items():
+                q[table.index[constant]] += best.size * best.variant.directions[0].sd * share
+            value = abs(read(table.named(q), bench) - read(table.named(null.q), bench))
+        told[name] = DetectionLimit(parameter, model.limits(name, parameter)[2], value, best)
+    return told
+
+
+def _response(observed: Observed, null: PosteriorMode, variant: Variant) -> EffectResponse:
+    effect, applied = response(null, observed, variant)
+    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]))

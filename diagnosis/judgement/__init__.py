@@ -1,1 +1,0 @@
-"""Judgement of a search: effects that are named, the ambiguity set, and the experiment that would split it."""

@@ -1,1 +1,0 @@
-"""Search for effects that explain the residual of the reference model."""
