@@ -77,8 +77,8 @@ def perform(
                          **{f"{path}.calibration.toml": write(guesses[path]).encode() for path in paths if path}},
             threaded=not chosen.simulated, overwrite=overwrite, signals=of_bench(network.bench))
         link = Link(bus.bus, bus.clock)
-        progress.remark(identify.pulls(wanted, gait=gait and identify.with_gait(what, network)))
         with session.discarding(recorder), progress.running(f"identify {what}") as update:
+            progress.remark(identify.pulls(wanted, gait=gait and identify.with_gait(what, network)))
             outcome, segments = identify.run(link, bus.tap, recorder, wanted, lambda _part, share: update(share))
         found = [Identified(outcome.reason, None, own, path)
                  for path, own in zip(paths, segments.values(), strict=True)]

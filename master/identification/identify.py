@@ -132,7 +132,7 @@ def pulls(identification: Identification, *, gait: bool) -> str:
     for name, limits in by_path(identification.limits, bench).items():
         top_n = TOP_SHARE * limits.start_n
         most = {"stiffness": HIGH_N, "swing": LOW_N, "ramp": top_n, "pull": top_n}
-        start_n = max(most.get(kind, 0.0) for kind in PROCEDURES[identification.what])
+        start_n = max(most.get(kind, 0.0) for kind in procedure(identification.what))
         start_n = max(start_n, top_n) if gait else start_n
         then = f", then to at most {reached_n(start_n):.0f} N" if start_n else ""
         found.append(f"{f'{name}: ' if len(bench.force_paths) > 1 else ''}Pulls START to at most "
