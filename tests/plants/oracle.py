@@ -77,7 +77,10 @@ def separation(healthy: Bench, changed: Bench, motion: Motion, noise_n: float, r
 
     def lacks(at: Array) -> Array:
         moved = _moved(healthy, dict(zip(TOLERANCE, at.tolist(), strict=True)))
-        return np.concatenate([goal - shown(moved, motion, rate_hz, noise_n, block_s), -at])
+        try:
+            return np.concatenate([goal - shown(moved, motion, rate_hz, noise_n, block_s), -at])
+        except ZeroDivisionError:  # a pre-sliding distance of 0, five σ below: no bench has it
+            return np.full(goal.size + at.size, np.inf)
 
     at = np.zeros(len(TOLERANCE))
     rest = lacks(at)
