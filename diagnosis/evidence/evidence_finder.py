@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
-from diagnosis.evidence.decision import NAMED_NATS, Decision
+from diagnosis.evidence.decision import NAMED_NATS, STRAINED, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.forward_model import ForwardModel, predicted
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
@@ -264,10 +264,11 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
     """Return the decision with the ambiguity set reduced by the experiments `others`, the best effect first.
 
     No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
-    best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.
+    best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.  If
+    even the best effect needs constants far outside the session scatter (`STRAINED`), the set stays as it is.
     """
     observed = reference.observe(*read, *others)
-    modes = _refitted(found, decided.among, observed)
+    modes = _refitted(found, {name: found.single[name] for name in decided.among}, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
     squares = best.residual**2 * observed.weight
     weight = observed.weight.copy()
@@ -275,17 +276,27 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
     scaled = [rows / max(1.0, float(np.mean(squares_of))) for (_, rows), (_, squares_of) in zip(
         observed.each(weight), observed.each(squares), strict=True)]
     weight[known:] = np.concatenate(scaled)[known:]
-    modes = _refitted(found, decided.among, replace(observed, weight=weight))
-    most = max(at.log_evidence for at in modes.values())
-    kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > most - NAMED_NATS),
+    observed = replace(observed, weight=weight)
+    modes = _refitted(found, modes, observed)
+    best = max(modes.values(), key=lambda at: at.log_evidence)
+    if best.cost > STRAINED * observed.data.size:
+        return decided
+    kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))
     return replace(decided, verdict="found" if len(kept) == 1 else "ambiguous", chosen=kept[:1], among=kept,
                    part=found.observed.model.hypotheses[kept[0]].part)
 
 
-def _refitted(found: Searched, names: Sequence[str], observed: Observed) -> dict[str, PosteriorMode]:
-    return {name: mode(observed, found.prior, [found.variants[name]],
-                       begun(found.single[name], None, kept=[found.variants[name]])) for name in names}
+def _refitted(found: Searched, starts: Mapping[str, PosteriorMode], observed: Observed) -> dict[str, PosteriorMode]:
+    """Return the mode of each effect, fitted from its start and from the best effect's mode."""
+    prior, variants = found.prior, found.variants
+    modes = {name: mode(observed, prior, [variants[name]], begun(at, None, kept=[variants[name]]))
+             for name, at in starts.items()}
+    best = max(modes.values(), key=lambda at: at.log_evidence)
+    still = {name: np.zeros(len(variants[name].directions)) for name, at in modes.items() if at is not best}
+    crossed = {name: mode(observed, prior, [variants[name]], begun(best, variants[name], sizes))
+               for name, sizes in still.items()}
+    return {name: max(at, crossed.get(name, at), key=lambda m: m.log_evidence) for name, at in modes.items()}
 
 
 def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:

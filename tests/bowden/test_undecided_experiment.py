@@ -32,4 +32,5 @@ def test_an_experiment_splits_the_ambiguity_set_and_one_that_does_not_is_reporte
     both.report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "Locked_angles did not decide between" in page
-    assert finder.diagnose([worn, step]).rivals == ["fabric_friction"]
+    # no set of constants near those of the gaits fits the step: it takes no effect away
+    assert set(finder.diagnose([worn, step]).rivals) == set(alone.rivals)
