@@ -1,4 +1,4 @@
-"""What a diagnosis costs: by the trial's length, by what is in it, in CPU and memory, and where the CPU goes.
+"""Cost of a diagnosis in CPU and memory: by the trial's length, by its hidden effects, and by part of the code.
 
     python -m benchmarks.diagnosis_cost [--page]
 
@@ -67,7 +67,7 @@ class Asked(NamedTuple):
         return time.process_time() - began
 
     def peak(self) -> float:
-        """Diagnose; return the peak of what was allocated on the way, in sizes of the columns."""
+        """Diagnose; return the peak of the allocated memory, relative to the size of the columns."""
         tracemalloc.start()
         self.diagnosed()
         _, most = tracemalloc.get_traced_memory()
@@ -102,7 +102,7 @@ def lengths() -> list[str]:
 
 
 def kinds() -> list[str]:
-    """Return the table by what is in the trial, ten gait cycles each."""
+    """Return the table by number of hidden effects, ten gait cycles each."""
     single = [spent(Job("one", SEED + 1 + i, (name,)), 10) for i, name in enumerate(SINGLE)]
     pairs = [spent(Job("two", SEED + 50 + i, names), 10) for i, names in enumerate(PAIRS)]
     healthy = [spent(Job("none", SEED + 90 + i), 10) for i in range(2)]

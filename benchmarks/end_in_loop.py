@@ -1,4 +1,4 @@
-"""What the discrepancy gains, and what END feedback would gain beside it: docs/end_in_loop.md.
+"""Gain by the discrepancy, and by feedback of true END beside it: docs/end_in_loop.md.
 
     python -m benchmarks.end_in_loop [--serials 34,39] [--page]
 
@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks import family
+from benchmarks import family_page, family_walks
 from master.control import extended, learning
 from master.control.controller import Conditions
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
@@ -31,10 +31,10 @@ from master.control.gait_table import GaitTable
 from master.control.packaged import ExtendedController
 from physics.calibration import Calibration
 
-TABLE: Final = family.DOCS / "end_in_loop.csv"
-PAGE: Final = family.DOCS / "end_in_loop.md"
+TABLE: Final = family_walks.DOCS / "end_in_loop.csv"
+PAGE: Final = family_walks.DOCS / "end_in_loop.md"
 FASTER_HZ: Final = 15.0
-"""Cut-off of the learning in the last variant: what is known of the drive alone is learnt up to it as shipped."""
+"""Cut-off, Hz, of the learning in the last variant; the drive's own error is learnt up to it as shipped."""
 POINTS: Final = 200
 """Points of a gait cycle that a curve of the page has."""
 VARIANTS: Final = {
@@ -108,9 +108,9 @@ def measure(bench: Mapping[str, Any], period_s: float, variant: str) -> dict[str
     from trial import read
 
     kind, serial, peak = bench["kind"], int(bench["serial"]), float(bench["peak_n"])
-    calibration = family.calibration_of(bench if variant != "without" else {**bench, "discrepancy": None})
-    row = family.bench_row(kind, serial, 1, **{
-        "gait.controller": VARIANTS[variant], "gait.cycles": family.CYCLES, "gait.settle": family.SETTLE,
+    calibration = family_walks.calibration_of(bench if variant != "without" else {**bench, "discrepancy": None})
+    row = family_walks.bench_row(kind, serial, 1, **{
+        "gait.controller": VARIANTS[variant], "gait.cycles": family_walks.CYCLES, "gait.settle": family_walks.SETTLE,
         "gait.peak_n": peak, "gait.period_s": period_s})
     if VARIANTS[variant] != "extended":
         row = {**row, "bench.plant": str(row["bench.plant"]).replace("tests.plants:", "benchmarks.end_in_loop:")}
@@ -120,21 +120,21 @@ def measure(bench: Mapping[str, Any], period_s: float, variant: str) -> dict[str
             return {"stopped": found["stop_reason"]}
         path = Path(found["trial"])
         trial, truth = read.open(path), read.open_table(path.with_name(f"{path.stem}.truth.mcap"), "/truth")
-    last = trial.columns["cycle"] == family.CYCLES - 1
+    last = trial.columns["cycle"] == family_walks.CYCLES - 1
     percent, at = trial.columns["gait_percent"][last], np.linspace(0.0, 100.0, POINTS, endpoint=False)
     signals = {"desired": trial.columns["desired_force_n"], **{
         name: np.interp(trial.time_ns, truth.time_ns, truth.columns[f"true_{name}_n"]) for name in ("start", "end")}}
     curves = {name: [round(float(v), 2) for v in np.interp(at, percent, signal[last])]
               for name, signal in signals.items()}
-    return {"rmse": found[family.TRUE], "loaded": family.loaded(found),
+    return {"rmse": found[family_walks.TRUE], "loaded": family_page.loaded(found),
             "jump": 100.0 * found["true_peak_jump_n"] / peak, "curves": curves}
 
 
 def chosen(benches: Mapping[tuple[str, int], Mapping[str, Any]], more: Sequence[int]) -> dict[str, tuple[int, float]]:
     """Return the walks of the page by name: best, median and worst loaded part, the largest jumps, and `more`."""
-    told = family.within([b for (kind, _), b in benches.items() if kind == "family" and b.get("discrepancy")])
-    walks = [(family.loaded(walk), family.jump(walk), int(walk["bench"]["serial"]), period)
-             for period in family.PERIODS_S for walk in family.walks(told, period)]
+    told = family_page.within([b for (kind, _), b in benches.items() if kind == "family" and b.get("discrepancy")])
+    walks = [(family_page.loaded(walk), family_page.jump(walk), int(walk["bench"]["serial"]), period)
+             for period in family_walks.PERIODS_S for walk in family_page.walks(told, period)]
     if not walks:
         raise SystemExit("docs/unseen.csv has no discrepancy; run python -m benchmarks.family --again first.")
     by_loaded, by_jump = sorted(walks), sorted(walks, key=lambda walk: -walk[1])
@@ -167,7 +167,7 @@ def _picture(name: str, serial: int, period_s: float, found: Mapping[str, Any]) 
     figure.suptitle(f"{name}: serial {serial} at {period_s:g} s, loaded part of the RMSE", fontsize=10)
     file = f"end_in_loop_{name.replace(' ', '_')}.svg"
     with rc_context({"svg.hashsalt": file}):
-        figure.savefig(family.DOCS / file, metadata={"Date": None})
+        figure.savefig(family_walks.DOCS / file, metadata={"Date": None})
     return file
 
 
@@ -186,7 +186,7 @@ def page(walks: Mapping[str, tuple[int, float]], found: Mapping[tuple[int, float
                  else f"{told[v]['loaded']:.2f} / {told[v]['jump']:.2f}" for v in VARIANTS]
         rows.append([name, str(walk[0]), f"{walk[1]:g}", *cells])
     parts += ["Loaded part of the RMSE (%) / jump at the peak (% of it):\n",
-              family.table(("walk", "serial", "period (s)", *HEADS.values()), rows), "\n"]
+              family_page.table(("walk", "serial", "period (s)", *HEADS.values()), rows), "\n"]
     reached = [(told["without"]["jump"] - told["with"]["jump"]) / (told["without"]["jump"] - best)
                for told in found.values() if all(v in told and "stopped" not in told[v] for v in VARIANTS)
                and (best := min(told["END"]["jump"], told["END, faster"]["jump"])) < told["without"]["jump"] - 0.1]
@@ -202,7 +202,7 @@ def page(walks: Mapping[str, tuple[int, float]], found: Mapping[tuple[int, float
 
 
 def read_table() -> dict[tuple[int, float], dict[str, Any]]:
-    """Return what was measured: variant → figures, by serial and period."""
+    """Return the measured figures of each variant, by serial and period."""
     found: dict[tuple[int, float], dict[str, Any]] = {}
     if TABLE.exists():
         with TABLE.open(newline="", encoding="utf-8") as file:
@@ -212,16 +212,16 @@ def read_table() -> dict[tuple[int, float], dict[str, Any]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Walk what is lacking, write the page."""
+    """Run the walks that the table lacks, and write the page."""
     from bowden.trials import session
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.end_in_loop")
     parser.add_argument("--serials", default="", help="further serials, at 1.1 s, with commas")
     parser.add_argument("--page", action="store_true", help="only write the page of what was measured")
     options = parser.parse_args(arguments)
-    sys.path.insert(0, str(family.ROOT))
+    sys.path.insert(0, str(family_walks.ROOT))
     csv.field_size_limit(2**24)
-    benches = family.read(family.DOCS / "unseen.csv")
+    benches = family_walks.read(family_walks.DOCS / "unseen.csv")
     walks = chosen(benches, [int(text) for text in options.serials.split(",") if text])
     found = read_table()
     if not options.page:

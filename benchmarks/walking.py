@@ -16,7 +16,7 @@ from statistics import median
 
 import numpy as np
 
-from benchmarks import family
+from benchmarks import family_walks
 from benchmarks.figures import OUT, ROOT, SERIAL, identified
 from benchmarks.results_page import TRUE, markdown, number
 from bowden.bench import configuration
@@ -49,7 +49,7 @@ def row(file: Path, timed: bool, calibration: Path) -> Row:
 
 def family_row(serial: int, file: Path, timed: bool) -> Row:
     """Return the trial of one file on a bench of the family."""
-    return _whole(family.bench_row("family", serial, 1, **_walk(file, timed)))
+    return _whole(family_walks.bench_row("family", serial, 1, **_walk(file, timed)))
 
 
 def _walk(file: Path, timed: bool) -> dict[str, Value]:
@@ -108,7 +108,7 @@ def page(
         "which no controller can take away.",
     ]
     for serial, (names, found) in others.items():
-        parts += [f"### Serial {serial}: {family.structure('family', serial)}", markdown(
+        parts += [f"### Serial {serial}: {family_walks.structure('family', serial)}", markdown(
             ["bench", "file", *(str(i) for i in range(1, STRIDES + 1))],
             [[f"serial {serial}", name, *map(number, rmse)] for name, rmse in zip(names, found, strict=True)]
             + [[f"serial {serial}", "median", *(number(median(stride)) for stride in zip(*found, strict=True))]])]
