@@ -217,8 +217,8 @@ def _undecided(trials: Sequence[Table], found: Findings) -> str | None:
     if found.verdict != "ambiguous" or len(run) in (0, len(trials)):
         return None
     names = ", ".join(sorted({t.experiment for t in run if t.experiment})) or "the experiment"
-    return (f"{names} did not decide between {', '.join(found.rivals)}: each of them meets it as well as reference "
-            "trials are met.")
+    return (f"{names} did not decide between {', '.join(found.rivals)}: it does not separate them beyond the model's "
+            "error.")
 
 
 def diagnose(

@@ -6,7 +6,7 @@ the first part of each trial alone, measures how well such a model predicts the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -56,14 +56,21 @@ def fit(first: Sequence[Table], rest: Sequence[Table], whole: Sequence[Table]) -
     ahead = judged.observe(*(early.record(t) for t in rest))
     signals: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(judged.outputs):
-        measured = np.concatenate([v - v.mean() for trial in ahead.trials for v in (trial.part(trial.data, k),)])
+        measured = [trial.part(trial.data, k) for trial in ahead.trials]
         signals[name] = {"unit": model.signals[name], "left": fitted.scatter_n[name],
-                         "unseen": _rms(ahead.part(judged.missed(ahead), k)), "spread": _rms(measured)}
+                         "unseen": _rms(ahead.part(judged.missed(ahead), k)),
+                         "spread": _rms(np.concatenate([v - v.mean() for v in measured]))}
     constants = _constants(model, fitted)
-    terms = [name for name, hypothesis in model.hypotheses.items() for first_of in (next(iter(hypothesis.reads)),)
-             if first_of in constants and not constants[first_of].low <= RELATION_PARAMETERS[
-                 first_of].in_ideal <= constants[first_of].high]
-    return FittedRig(tuple(terms), constants, signals)
+    terms = tuple(name for name, hypothesis in model.hypotheses.items()
+                  if _beside_ideal(next(iter(hypothesis.reads)), constants))
+    return FittedRig(terms, constants, signals)
+
+
+def _beside_ideal(parameter: str, constants: Mapping[str, RigConstant]) -> bool:
+    """Return whether the interval of a parameter excludes its value in an ideal transmission."""
+    if parameter not in constants:
+        return False
+    return not constants[parameter].low <= RELATION_PARAMETERS[parameter].in_ideal <= constants[parameter].high
 
 
 def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:

@@ -17,11 +17,11 @@ from diagnosis.evidence.hypothesis_search import Searched, search_pairs
 from diagnosis.evidence.posterior import PosteriorMode
 
 NAMED_NATS: Final = 12.0
-"""Least log Bayes factor, nats, of a named effect; 3 % of the development population's reference trials exceed it.
+"""Least log Bayes factor, nats, of a named effect.
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 IMITATED: Final = {"end_filter": 2.0, "drive_presliding": 2.0}
-"""Factor on `NAMED_NATS` for effects confounded with model error; reference trials reach 22 and 11 nats."""
+"""Factor on `NAMED_NATS` for effects confounded with model error: what reference trials reach, by effect."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_NATS: Final = 20.0

@@ -21,7 +21,7 @@ from diagnosis.evidence.population_reference import reference_of_population
 from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.evidence.rig_model import RigModel
-from diagnosis.findings import Findings
+from diagnosis.findings import Figures, Findings
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
@@ -140,7 +140,11 @@ class EvidenceFinder:
             said.append(beyond)
             decided = decision.unexplained(decided)
         if others and len(decided.chosen) == 1 < len(decided.among):
-            decided = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
+            split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
+            if split is None:
+                said.append(f"{', '.join(t.source for t in others)}: no constants near those of the gaits predict it, "
+                            "so it removes no effect; record it in the reference condition, too.")
+            decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
         if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
             said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
@@ -158,13 +162,16 @@ class EvidenceFinder:
             unseen = reference.observe(*(self._read(t, outputs) for t in holdout))
             left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
             kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
+        relations = figures.figures(reference, kept)
+        said += _worse(relations)
         error = {"reference": reference.rmse_n, "before": before, "after": after}
-        evidence = {"log_bayes_factors": decided.gains, "misfit": decided.misfit, "error_n": error,
+        evidence = {"log_bayes_factors": decided.gains, "named_nats": self.model.nats_factor * NAMED_NATS,
+                    "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
             decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
-            experiment, figures.figures(reference, kept), said, _limits(found, bench), reference=self.kind,
+            experiment, relations, said, _limits(found, bench), reference=self.kind,
             simulation={"before_rms_n": before, "after_rms_n": after,
                         "healthy_rms_n": reference.rmse_n if self._tables else None, "signals": [
                 n for n in self.model.judged if n in outputs],
@@ -259,13 +266,21 @@ def _experiment(names: Sequence[str]) -> str:
     return next((name for name in wanted if not EXPERIMENTS[name].by_hand), wanted[0])
 
 
+def _worse(relations: Mapping[str, Figures]) -> list[str]:
+    """Return a sentence on each output whose error on held-out trials rises with the effects found."""
+    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_before:.3g} → "
+            f"{f.holdout_after:.3g} {f.unit} RMS; it holds for these trials alone: do not extend the simulation by it."
+            for name, f in relations.items() if f.holdout_before is not None and f.holdout_after is not None
+            and f.holdout_after > f.holdout_before]
+
+
 def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
-           others: Sequence[Recording]) -> Decision:
+           others: Sequence[Recording]) -> Decision | None:
     """Return the decision with the ambiguity set reduced by the experiments `others`, the best effect first.
 
     No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
     best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.  If
-    even the best effect needs constants far outside the session scatter (`STRAINED`), the set stays as it is.
+    even the best effect needs constants far outside the session scatter (`STRAINED`), None: the set stays as it is.
     """
     observed = reference.observe(*read, *others)
     modes = _refitted(found, {name: found.single[name] for name in decided.among}, observed)
@@ -280,7 +295,7 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
     modes = _refitted(found, modes, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
     if best.cost > STRAINED * observed.data.size:
-        return decided
+        return None
     kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))
     return replace(decided, verdict="found" if len(kept) == 1 else "ambiguous", chosen=kept[:1], among=kept,
@@ -289,14 +304,13 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
 
 def _refitted(found: Searched, starts: Mapping[str, PosteriorMode], observed: Observed) -> dict[str, PosteriorMode]:
     """Return the mode of each effect, fitted from its start and from the best effect's mode."""
-    prior, variants = found.prior, found.variants
-    modes = {name: mode(observed, prior, [variants[name]], begun(at, None, kept=[variants[name]]))
-             for name, at in starts.items()}
+    def fitted(name: str, base: PosteriorMode) -> PosteriorMode:
+        return mode(observed, found.prior, [found.variants[name]], begun(base, found.variants[name]))
+
+    modes = {name: fitted(name, at) for name, at in starts.items()}
     best = max(modes.values(), key=lambda at: at.log_evidence)
-    still = {name: np.zeros(len(variants[name].directions)) for name, at in modes.items() if at is not best}
-    crossed = {name: mode(observed, prior, [variants[name]], begun(best, variants[name], sizes))
-               for name, sizes in still.items()}
-    return {name: max(at, crossed.get(name, at), key=lambda m: m.log_evidence) for name, at in modes.items()}
+    return {name: at if at is best else max(at, fitted(name, best), key=lambda m: m.log_evidence)
+            for name, at in modes.items()}
 
 
 def _mode_of(found: Searched, decided: Decision) -> PosteriorMode:

@@ -16,8 +16,7 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 FOREMOST: Final = 7
-"""Number of effects fitted after each screen; in the development population the true one is in the first five in 97 %.
-"""
+"""Number of effects fitted after each screen at the mode without effect."""
 ADDED: Final = 4
 """Number of effects fitted after a screen at the reference constants, where no constant has taken up an effect."""
 FOREMOST_STARTS: Final = 3
@@ -118,7 +117,7 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
     for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:most]:
         fitted = _fit(found, [variant], begun(base, variant, sizes))
         if fitted is None or fitted.log_evidence < found.null.log_evidence - RESTART:
-            again = _fit(found, [variant], begun(base, variant, np.zeros(len(variant.directions))))
+            again = _fit(found, [variant], begun(base, variant))
             if again is not None and (fitted is None or again.log_evidence > fitted.log_evidence):
                 fitted = again
         _keep(found, name, variant, fitted)
@@ -160,6 +159,5 @@ def _cross(found: Searched) -> None:
     for name in order:
         if found.single[name] is not best and best is not found.null:
             variant = found.variants[name]
-            _keep(found, name, variant, _fit(found, [variant], begun(
-                best, variant, np.zeros(len(variant.directions)))))
+            _keep(found, name, variant, _fit(found, [variant], begun(best, variant)))
     _restarted(found)

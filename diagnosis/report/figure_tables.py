@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from diagnosis.evidence.decision import NAMED_NATS, SET_SHARE
+from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.findings import Findings
 from diagnosis.report.headline import healthy_value
 from physics.effects.catalogue import CATALOGUE
@@ -57,8 +57,8 @@ def _bayes_factors(page: Page, found: Findings) -> None:
     """
     evidence = found.evidence or {}
     page.text("Log Bayes factor: by how many nats the trial is likelier with the effect than without any. An effect is "
-              f"named from {NAMED_NATS:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in the ambiguity "
-              "set.", "note")
+              f"named from {evidence['named_nats']:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in "
+              "the ambiguity set.", "note")
     page.table(("effect", "site", "log Bayes factor (nats)", "judged"), [
         (name, CATALOGUE[name].site, gain, _judged(found, name))
         for name, gain in evidence["log_bayes_factors"].items()])

@@ -55,7 +55,7 @@ def section(page: Page, found: Findings) -> None:
     """Add both plots to the page, or a note if no prediction equation was searched."""
     one = residual(found)
     if one is None:
-        page.text("No relation was searched, so there is no picture.", "note")
+        page.text("No signal was compared, so there is no picture.", "note")
         return
     page.heading(f"The strongest relation, {one.relation}: measured less simulated over {one.word}")
     page.text("Residual: measured less simulated. Thick line: mean in each bin. Band: its root mean square either side "

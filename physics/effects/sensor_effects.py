@@ -10,7 +10,6 @@ from physics.converter import SensorParameters
 from physics.effects.effect import Effect, Trajectory, Values, of_table, value_of
 
 SENSOR: Final = SensorParameters()
-"""Relations that read each sensor."""
 
 
 def _start_gain(course: Trajectory, values: Values) -> Trajectory:

@@ -54,7 +54,8 @@ def found(measured: Table) -> Findings:
         "mu1": {"value": 0.16, "low": 0.1, "high": 0.2, "unit": ""}}, "was": {"mu1": 0.08}}
     shift = {"from": 0.13, "to": 0.25, "low": 0.2, "high": 0.3, "unit": "", "sessions": 12.0}
     evidence = {"log_bayes_factors": {"cable_friction": 80.0, "fabric_friction": 60.0, "slack": 2.0},
-                "misfit": {}, "error_n": {}, "shifts": {"cable": shift, "fabric": {**shift, "sessions": 0.5}}}
+                "named_nats": 12.0, "misfit": {}, "error_n": {},
+                "shifts": {"cable": shift, "fabric": {**shift, "sessions": 0.5}}}
     simulation = {"before_rms_n": 1.6, "after_rms_n": 0.45, "healthy_rms_n": 0.23, "signals": list(traces)}
     return Findings("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
                     ["the clock is told from one column"], {

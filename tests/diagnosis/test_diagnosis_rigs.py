@@ -75,6 +75,11 @@ def test_a_load_on_the_axis_is_found_beside_bare_trials(axis: list[Path]) -> Non
     assert value(loaded, "drive_inertia") == pytest.approx(85.0, rel=0.03)
 
 
+def test_held_out_trials_that_are_predicted_worse_are_said(axis: list[Path]) -> None:
+    told = diagnosed(axis[3], "--healthy", axis[0], "--healthy", axis[1], "--holdout", axis[2])
+    assert any("the trials held out are predicted worse" in said for said in told["warnings"])
+
+
 def test_the_same_axis_again_is_the_same(axis: list[Path]) -> None:
     again = diagnosed(axis[2], "--healthy", axis[0], "--healthy", axis[1])
     assert again["verdict"] == "none"

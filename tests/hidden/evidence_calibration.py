@@ -2,9 +2,9 @@
 
     python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--workers N]
 
-Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval; over trials with one
-hidden effect that is named, the share of the best log Bayes factor that the truth has; over benches with several
-reference trials, the scatter of each constant between sessions, in the session σ of the table of constants.
+Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval, and the largest one of
+each effect; over trials with one hidden effect that is named, the share of the best log Bayes factor that the truth
+has; over benches with several reference trials, the scatter of each constant between sessions, in its session σ.
 """
 
 from __future__ import annotations
@@ -94,6 +94,9 @@ def main(arguments: list[str]) -> None:
             found[job] = said
     none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
     print("\n".join(quantiles(none)))
+    effects = sorted({name for j in asked if not j.hidden for name in found[j]})
+    print("largest of reference trials, nats:", ", ".join(
+        f"{name} {max(found[j].get(name, 0.0) for j in asked if not j.hidden):.1f}" for name in effects))
     shares = sorted(found[j].get(j.hidden[0], 0.0) / max(found[j].values()) for j in asked
                     if j.hidden and found[j] and max(found[j].values()) >= NAMED_NATS)
     at = np.quantile(shares, [0.0, 0.02, 0.05, 0.1]) if shares else []
