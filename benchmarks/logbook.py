@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from diagnosis.evidence.detection_limits import least_size
 from logbook import bench_page, database
 from logbook.bench_state import NEWEST, state_of
 from logbook.change_search import ALARM_NATS, candidates, search_changes
@@ -214,17 +215,11 @@ def alarms(folder: Path, benches: int) -> None:
 
 def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]) -> None:
     """Print the share of benches that alarm and the alarms by session, each with its 95 % interval."""
-    low, high = interval(raised, benches)
+    low, high = binomtest(raised, benches).proportion_ci()
     print(f"healthy: {raised} of {benches} benches alarm ({100.0 * low:.1f} … {100.0 * high:.1f} %), "
           f"{1000.0 * raised / sessions:.2f} in 1,000 sessions ({1000.0 * low * benches / sessions:.2f} … "
           f"{1000.0 * high * benches / sessions:.2f}, goal 1); largest evidence {max(worst):.1f} nats, 99 % "
           f"{np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}")
-
-
-def interval(count: int, of: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (Clopper–Pearson)."""
-    return (float(beta.ppf(0.025, count, of - count + 1)) if count else 0.0,
-            float(beta.ppf(0.975, count + 1, of - count)) if count < of else 1.0)
 
 
 def shuffled(folder: Path, benches: int) -> None:
@@ -283,8 +278,7 @@ def _limits(sessions: Sequence[SessionData], sd: Any, known: int, bench: Any) ->
         e = candidate.columns[:, 0]
         g = float(e @ seen @ e)
         at = int(np.argmax(np.abs(e) / PUBLISHED))
-        size = np.sqrt((2.0 * ALARM_NATS + np.log1p(g)) * (1.0 + g)) / g
-        found.setdefault(candidate.name, (candidate.name, CONSTANTS[at], float(size * abs(e[at]))))
+        found.setdefault(candidate.name, (candidate.name, CONSTANTS[at], least_size(g, ALARM_NATS) * abs(float(e[at]))))
     return list(found.values())
 
 

@@ -83,7 +83,7 @@ class ConstantTable:
     def _within(self, row: ModelConstant, at: Array) -> Array:
         """Return values that stay inside the bounds and approach them exponentially."""
         low, high, width = self._limits(row)
-        if width == 0.0 or not np.isfinite(width):
+        if width == 0.0:
             return np.clip(at, low, high)
         above, below = np.maximum(at - (high - width), 0.0), np.maximum(low + width - at, 0.0)
         inside = np.clip(at, low + width, high - width)
@@ -92,7 +92,7 @@ class ConstantTable:
     def _before(self, row: ModelConstant, value: float) -> float:
         """Return the inverse of `_within`."""
         low, high, width = self._limits(row)
-        if width == 0.0 or not np.isfinite(width) or low + width <= value <= high - width:
+        if width == 0.0 or low + width <= value <= high - width:
             return value
         sign, edge = (1.0, high - width) if value > high - width else (-1.0, low + width)
         return edge - sign * width * float(np.log1p(-min(sign * (value - edge) / width, 0.999)))

@@ -23,6 +23,11 @@ FARTHEST: Final = 6.0
 """Largest detection limit that is stated, in prior σ of an effect."""
 
 
+def least_size(square: float, nats: float) -> float:
+    """Return the size, in prior σ, at which ln B reaches `nats`; `square`: G of one prior σ."""
+    return float(np.sqrt((2.0 * nats + np.log1p(square)) * (1.0 + square)) / square) if square > 0.0 else np.inf
+
+
 class EffectResponse(NamedTuple):
     """Response of the data to an effect of one prior σ: E, C⁻¹E, and G = EᵀC⁻¹E."""
 
@@ -34,8 +39,7 @@ class EffectResponse(NamedTuple):
     @property
     def size(self) -> float:
         """Size, in prior σ, at which the log Bayes factor reaches the threshold of a named effect."""
-        g = self.square
-        return float(np.sqrt((2.0 * NAMED_NATS + np.log1p(g)) * (1.0 + g)) / g) if g > 0.0 else np.inf
+        return least_size(self.square, NAMED_NATS)
 
     def alike(self, other: EffectResponse) -> float:
         """Return the share of this effect's evidence that `other`, scaled, explains."""

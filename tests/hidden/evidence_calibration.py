@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.evidence.evidence_finder import EvidenceFinder
@@ -67,8 +67,7 @@ def quantiles(largest: Sequence[float]) -> list[str]:
     told = []
     for nats in (10.0, 14.0, NAMED_NATS, 30.0):
         beyond, n = sum(v >= nats for v in largest), len(largest)
-        low = beta.ppf(0.025, beyond, n - beyond + 1) if beyond else 0.0
-        high = beta.ppf(0.975, beyond + 1, n - beyond) if beyond < n else 1.0
+        low, high = binomtest(beyond, n).proportion_ci()
         told.append(f"{nats:g} nats: {beyond} of {n} reference trials reach it ({100 * low:.1f} … {100 * high:.1f} %)")
     return told
 
