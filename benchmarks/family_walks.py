@@ -131,16 +131,21 @@ def measure(kind: str, serial: int, earlier: Mapping[str, Any] | None = None) ->
 
 
 def calibration_of(row: Mapping[str, Any]) -> Calibration:
-    """Return the calibration that a bench's row of the table states, to the table's five digits."""
+    """Return the calibration that a bench's row of the table states, to the table's five digits.
+
+    A scalar was measured if its interval is not a point; homing corrects START's lag only on a calibration without it.
+    """
     import dataclasses
 
     from physics import calibration
     from physics.end_discrepancy import EndDiscrepancy
 
-    told = row.get("discrepancy")
+    told, scalars = row.get("discrepancy"), row["calibration"]
     beyond = None if told is None else EndDiscrepancy(**{name: _tuples(value) for name, value in told.items()})
-    return dataclasses.replace(calibration.nominal(), discrepancy=beyond, label="docs/unseen.csv",
-                               **{name: scalar["value"] for name, scalar in row["calibration"].items()})
+    measured = {name: calibration.ScalarEvidence(*each["interval"], r_squared=each["r_squared"] or math.nan)
+                for name, each in scalars.items() if each["interval"][0] < each["interval"][1]}
+    return dataclasses.replace(calibration.nominal(), discrepancy=beyond, evidence=measured, label="docs/unseen.csv",
+                               **{name: each["value"] for name, each in scalars.items()})
 
 
 def _tuples(value: Any) -> Any:

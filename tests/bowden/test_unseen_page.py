@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from benchmarks import family_page, family_walks
+from physics import calibration
 from tests.plants.draws import set_aside
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -26,3 +29,26 @@ def test_the_loaded_part_leaves_out_what_end_is_at_idle() -> None:
     walk = {family_walks.TRUE: 2.0, family_walks.WINDOW: (1.0 / family_page.LOADED) ** 0.5, "paper": 7.0**0.5}
     assert family_page.loaded(walk) == 1.0
     assert abs(family_page.loaded(walk, "paper") - 2.0) < 1e-12
+
+
+def test_a_calibration_of_the_table_has_the_evidence_of_its_scalars() -> None:
+    """Without it homing takes START's lag for unmeasured, and corrects it by what the sensor declares."""
+    for row in family_walks.read(DOCS / "unseen.csv").values():
+        read_back = family_walks.calibration_of(row)
+        scalars = family_walks._scalars(calibration.write(read_back))
+        lag, told = read_back.evidence["start_lag"], row["calibration"]["start_lag"]
+        assert [lag.low, lag.high] == told["interval"]
+        assert {name: each["interval"] for name, each in scalars.items()} == {
+            name: each["interval"] for name, each in row["calibration"].items()}
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("period_s", family_walks.PERIODS_S)
+def test_a_bench_whose_start_lags_more_than_declared_is_walked_by_its_row(period_s: float) -> None:
+    """Serial 20: START lags by 2.7 ms, its sensor declares 0.5 ms."""
+    row = family_walks.read(DOCS / "unseen.csv")["family", 20]
+    walk = family_walks._walked("family", 20, calibration.write(family_walks.calibration_of(row)), "extended",
+                                family_walks.CYCLES, family_walks.SETTLE,
+                                {"gait.peak_n": row["peak_n"], "gait.period_s": period_s})
+    assert walk["outcome"] == "completed", walk
+    assert walk[family_walks.TRUE] < 2.0
