@@ -42,7 +42,7 @@ class Silent:
         return nullcontext()
 
     def remark(self, sentence: str) -> None:
-        """Drop the sentence."""
+        """Ignore the remark."""
 
 
 SILENT = Silent()

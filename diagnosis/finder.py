@@ -155,7 +155,7 @@ class Finder:
         return given if moves else table.with_locked_knee(given)
 
     def _simulable(self, given: Table) -> Table:
-        """Return a trial as the bench's model reads it: the knee maybe locked, the rope's sign as in the reference."""
+        """Return a trial prepared for the bench's model: locked knee detected, rope's sign as in the reference."""
         return turned(self._locked(given)) if self._reversed else self._locked(given)
 
     def _core(self, trials: Sequence[Table]) -> EvidenceFinder:

@@ -228,7 +228,7 @@ class Mode(IntEnum):
 
     @property
     def supported_bit(self) -> int:
-        """Its bit in 0x6502."""
+        """Bit of this mode in 0x6502, supported drive modes."""
         return 1 << (self - 1) if self else 0
 
 

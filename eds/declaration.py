@@ -180,7 +180,7 @@ class DeclaredBench:
 
     @property
     def followed(self) -> tuple[DeclaredDevice, ...]:
-        """The encoders of the joints that no drive of this bench moves."""
+        """Encoders of the joints without a drive."""
         return tuple(self.named(joint.measured_by) for joint in self.joints if not joint.driven_by)
 
     @property

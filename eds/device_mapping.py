@@ -97,7 +97,7 @@ class MappedPart(NamedTuple):
 
     @property
     def word(self) -> int:
-        """Its mapping word."""
+        """PDO mapping entry: index, sub-index and length in bits as CiA 301 packs them."""
         return self.entry.key << 8 | self.entry.data_type.bits
 
     @property

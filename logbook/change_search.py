@@ -67,7 +67,7 @@ class Forecast(NamedTuple):
 
 
 def candidates(bench_q: Array) -> list[ChangeCandidate]:
-    """Return what can change on a bench with coordinates `bench_q`, shape (len(TABLE),)."""
+    """Return candidate changes of a bench with coordinates `bench_q`, shape (len(TABLE),)."""
     constants = named(bench_q)
     place = {i: k for k, i in enumerate(FREE)}
     index = {TABLE[i].name: place[i] for i in FREE}

@@ -79,7 +79,7 @@ UNTOLD: Final = frozenset({"theta1", "stretch_a", "stretch_b", "sheath_complianc
 
 
 def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:
-    """Return `given` with each of `forms` whose quantities it has, those of `UNTOLD` aside."""
+    """Return `given` converted to each of `forms` that has all its quantities; forms in `UNTOLD` are skipped."""
     base = nominal()
     values = dict(given)
     for form in forms:
@@ -89,7 +89,7 @@ def converted(forms: Iterable[Form], given: Values) -> dict[str, float]:
 
 
 def from_scalars(scalars: Values) -> dict[str, float]:
-    """Return a calibration's scalars, by their names there, as quantities of the table, in every form."""
+    """Convert a calibration's scalars, by name, to quantities of the table in every form."""
     named = {BY_CALIBRATION[key]: value for key, value in scalars.items() if key in BY_CALIBRATION}
     return converted(RELATED, converted(SIMULATED, named))
 

@@ -57,7 +57,7 @@ class EndDiscrepancy(NamedTuple):
     residual: float
 
     def packed(self, period_s: float, rope_travel: float, fabric_travel: float) -> Array:
-        """Return it as the array that `evaluate` reads, for control cycles of `period_s`; pre-sliding travels, m."""
+        """Return the array that `evaluate` reads, for control cycles of `period_s`; pre-sliding travels, m."""
         return np.array([*self.mean, *(cell for row in self.covariance for cell in row), *self.force_n,
                          *self.flexion_rad, self.speed_m_s * period_s, rope_travel, fabric_travel])
 

@@ -73,7 +73,7 @@ class Parameter:
 
     @property
     def in_relations(self) -> bool:
-        """Whether the diagnosis states a value of it."""
+        """True if the diagnosis states a value of this parameter."""
         return self.any_rig is not None
 
     @property
@@ -88,7 +88,7 @@ class Parameter:
 
     @property
     def in_ideal(self) -> float:
-        """Its value in a rigid, frictionless transmission with true sensors."""
+        """Value of the parameter in a rigid, frictionless transmission with true sensors."""
         return self.nominal if self.ideal is None else self.ideal
 
 

@@ -115,6 +115,9 @@ def stretch(force: float, linear: float, bend: float) -> float:
 
 @njit(inline="always")
 def stretched(elongation: float, b: float, a4: float, half: float, e_tangent: float, k_tangent: float) -> float:
-    """Return the tension, N, that `stretch` inverts to: `a4` = −4a, `half` = −1/(2a), the tangent from `e_tangent`."""
+    """Return the tension, N, of an elongation: inverse of the quadratic stretch.
+
+    `a4` = −4a, `half` = −1/(2a); the tangent from `e_tangent` on.
+    """
     bent = (b - math.sqrt(max(0.0, b * b - a4 * min(elongation, e_tangent)))) * half
     return bent + k_tangent * max(0.0, elongation - e_tangent)

@@ -77,7 +77,7 @@ def slope(of: Stretch, force: Any) -> Any:
 
 
 def limit_n(of: Stretch, least_m_n: float, highest_n: float = 300.0) -> float:
-    """Force, N, at which the slope falls to `least_m_n`; `highest_n` where it does not before."""
+    """Force, N, at which the slope falls to `least_m_n`, at most `highest_n`."""
     force = np.linspace(0.0, highest_n, 3001)
     flat = np.flatnonzero(slope(of, force) <= least_m_n)
     return float(force[flat[0]]) if flat.size else highest_n

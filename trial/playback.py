@@ -100,11 +100,11 @@ class Playback:
         return replace(clock, at_ns=max(at, self.at_ns))
 
     def at(self, position_ns: int, clock_ns: int) -> Playback:
-        """Return it standing at a position from that reading of the clock on; the status stays."""
+        """Return the playback moved to a position at that clock reading; the status stays."""
         return replace(self, at_ns=position_ns, origin_ns=position_ns, clock_ns=clock_ns, origin_clock_ns=clock_ns)
 
     def watched(self, clock_ns: int) -> Playback:
-        """Return it when somebody watches: READY begins, any other goes on undisturbed."""
+        """Return the playback with a viewer present: READY starts, every other status stays."""
         return self.told(clock_ns, PlayerControl.WATCH) if (self.status, PlayerControl.WATCH) in TRANSITIONS else self
 
     def told(

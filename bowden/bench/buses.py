@@ -161,7 +161,7 @@ def missing_library(interface: str) -> tuple[str, str] | None:
 
 
 def clock_of(bus: Any) -> Callable[[], int]:
-    """The clock, ns, that a bus's stamps follow: its own where it has one."""
+    """Clock, ns, that a bus's time stamps follow: the bus's own clock if it has one."""
     return getattr(bus, "time_ns", time.time_ns)
 
 

@@ -37,7 +37,7 @@ class Ending:
 
 @contextmanager
 def as_ctrl_c() -> Iterator[Ending]:
-    """Let SIGTERM and SIGHUP act as Ctrl-C inside; whatever handles Ctrl-C then handles them."""
+    """Treat SIGTERM and SIGHUP as Ctrl-C inside this context."""
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():
         yield ending

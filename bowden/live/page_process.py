@@ -85,7 +85,7 @@ class PageProcess:
             self._stop()
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
-        """Take a frame as it was on the bus."""
+        """Record one frame of the bus."""
         self._frames += FRAME_STRUCT.pack(time_ns, can_id, flags, min(len(data), 8), 0, False, data)
         self._send_due(time_ns)
 
@@ -142,7 +142,7 @@ class PageProcess:
                 rows.clear()
 
     def _put(self, kind: bytes, payload: bytes | bytearray) -> None:
-        """Send a block, or as much of what waits as the page takes now."""
+        """Queue a block for the page, and send as many queued bytes as the pipe accepts now."""
         if self._gone:
             return
         if len(self._waiting) + len(payload) <= MOST_WAITING:

@@ -68,7 +68,7 @@ class LiveState:
         self.watchers = 0
 
     def frame(self, time_ns: int, can_id: int, data: bytes, flags: int = 0) -> None:
-        """Take a frame as it was on the bus; any thread."""
+        """Record one frame of the bus; callable from any thread."""
         self._heard_at = self._clock()
         self._incoming.append((time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
 
@@ -91,7 +91,7 @@ class LiveState:
         self._suspicion = sentence
 
     def status(self, status: str, sentence: str = "") -> None:
-        """Return whether it is waiting, running, paused or ended, and how it ended."""
+        """Set the trial's status (waiting, running, paused or ended) and the sentence shown with it."""
         with self.changed:
             self._status, self._sentence = status, sentence
             self.changed.notify_all()

@@ -80,7 +80,7 @@ class Viewer:
         self._channels[topic].log(payload, log_time=time_ns)
 
     def time(self, time_ns: int) -> None:
-        """Tell every client what time it is in what they see."""
+        """Send the time of the shown data to every client."""
         self._server.broadcast_time(time_ns)
 
     def state(self, player: Playback, *, sought: bool = False) -> None:

@@ -108,7 +108,7 @@ class LivePage:
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def ask_to_stop(self) -> None:
-        """Ask for the safe stop; any thread."""
+        """Request the safe stop; callable from any thread."""
         if self.stop is not None:
             self.stop()
             self.stop_asked = True
@@ -134,7 +134,7 @@ class _Server(ThreadingHTTPServer):
         self.bound = str(self.server_address[0]), int(self.server_address[1])
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Take a connection; where `MOST_PENDING` are silent already the oldest of them is closed."""
+        """Accept a connection; if `MOST_PENDING` connections have sent no request yet, the oldest is closed."""
         with self._lock:
             self._pending[request] = None
             oldest = next(iter(self._pending)) if len(self._pending) > MOST_PENDING else None

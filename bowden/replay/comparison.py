@@ -25,7 +25,7 @@ class Comparison(Generic[Difference]):
         return self.first is None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it with nothing that JSON lacks."""
+        """Return the comparison as values that JSON can hold."""
         told = asdict(self)
         ends = {name: told.pop(name) for name in ("differing", "first")}
         return {"same": self.same, **told, **ends}

@@ -37,7 +37,7 @@ class Played:
     lateness: Lateness
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures with nothing that JSON lacks."""
+        """Return the figures as values that JSON can hold."""
         return {
             "frames": self.frames, "passes": self.passes, "state": self.status.value, "restored_frames": self.restored,
             "lost_frames": self.lost, **{f"left_out_{name}": count for name, count in self.left_out.items()},

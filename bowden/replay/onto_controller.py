@@ -117,7 +117,7 @@ class RecordedInputs:
 def replay(
     recorded: Trial, experiment: ExperimentSetup, progress: Callable[[float], None] = lambda share: None
 ) -> ControllerComparison:
-    """Step the controller of `experiment` again over a trial of it, and compare.
+    """Step the controller of `experiment` over the inputs of a recorded trial, and compare the outputs.
 
     Raises `InputError` if the trial lacks a needed signal.
     """

@@ -69,7 +69,7 @@ class Residuals:
         return not any(figure.differing or figure.one_sided for figure in self.figures.values())
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures with nothing that JSON lacks but NaN."""
+        """Return the figures as values that JSON can hold; an undefined one is NaN."""
         return {"same": self.same, "rows": len(self.time_ns),
                 "residuals": {name: dataclasses.asdict(figure) for name, figure in self.figures.items()}}
 

@@ -72,17 +72,17 @@ class Player:
         self._playback = here.told(now_ns, control, speed=speed)
 
     def play(self, now_ns: int) -> None:
-        """Go on from where it is; from the first frame of the first pass where everything was played."""
+        """Continue from the present position; start again at the first pass if every pass was played."""
         if self.status is PlayerStatus.ENDED:
             self._next = self.pass_ = 0
         self._control(PlayerControl.PLAY, now_ns)
 
     def pause(self, now_ns: int) -> None:
-        """Send nothing until it is played again; the bus keeps the last commands."""
+        """Pause the playback; the devices keep the last commands."""
         self._control(PlayerControl.PAUSE, now_ns)
 
     def set_speed(self, speed: float, now_ns: int) -> None:
-        """Play faster or slower from here on."""
+        """Set the playback speed from the present position on."""
         self._playback = replace(self._playback.at(self.position_ns(now_ns), now_ns), speed=checked_speed(speed))
 
     def seek(self, position_ns: int, now_ns: int) -> list[Frame]:

@@ -57,7 +57,7 @@ def run(
     player: Player, bus: can.BusABC, clock: Callable[[], int], heard: Heard = ignore,
     progress: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """Play until the player pauses or ends, hearing `bus` meanwhile."""
+    """Play until the player pauses or ends; frames that `bus` receives are passed on."""
     shown = 0
     while (due_ns := player.next_ns()) is not None:
         wait(bus, clock, due_ns, heard)

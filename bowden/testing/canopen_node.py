@@ -117,12 +117,12 @@ class CanopenNode:
 
     @property
     def node_id(self) -> int:
-        """Its CANopen node id."""
+        """Present CANopen node id."""
         return self.device.node_id
 
     @property
     def state(self) -> NmtState:
-        """Its NMT state."""
+        """Present NMT state."""
         return self.device.state
 
     def key(self, name: ObjectName) -> int:
@@ -232,13 +232,13 @@ class CanopenNode:
         self._settle()
 
     def power_off(self) -> None:
-        """Take its supply and its place on the wire away: nothing that it holds is sent."""
+        """Switch the node's supply off: it leaves the wire, and its pending frames are discarded."""
         if self.station.wire is not None:
             self.station.wire.detach(self.station)
         self.station.powered(False, self.bus.now_ns)
 
     def power_on(self) -> None:
-        """Give it its supply again: it boots."""
+        """Switch the node's supply on: the node boots."""
         if self.station.wire is None:
             self.station.waiting = self.station.contending = 0
             self.bus.wire.attach(self.station)

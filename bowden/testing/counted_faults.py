@@ -34,12 +34,12 @@ class CountedFault:
 
     @property
     def struck(self) -> int:
-        """Number of frames it has acted on."""
+        """Number of frames that this fault has changed or dropped."""
         return len(self.struck_ns)
 
     @property
     def done(self) -> bool:
-        """Whether it has acted on its number of frames."""
+        """True once the fault has changed or dropped its declared number of frames."""
         return self.count is not None and self.struck >= self.count
 
     def stop(self) -> None:
@@ -106,7 +106,7 @@ class CountedFaults:
         return self._add("disturb", cob_id, count, after, node_id, when)
 
     def clear(self) -> None:
-        """Take every fault away."""
+        """Remove every fault."""
         for fault in self.all:
             fault.stop()
 

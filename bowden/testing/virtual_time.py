@@ -157,7 +157,7 @@ class TurnNotifier:
 
     @property
     def stopped(self) -> bool:
-        """Whether it has stopped handing out messages."""
+        """True once the notifier has stopped passing messages on."""
         return self not in self._time._notifiers
 
     def stop(self, timeout: float = 5.0) -> None:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class Watch(Protocol):
-    """Who sees a trial while it is recorded."""
+    """Observer of a trial while the trial is recorded."""
 
     def beside(self, recording: CycleSink) -> CycleSink:
         """Return a recorder that records in `recording` and shows its records."""
@@ -72,7 +72,7 @@ class Prepared:
         return laps(self.script, cycles) if self.script else cycles
 
     def planned(self) -> Planned | Scripted | PlannedPaths:
-        """Return it with its tables made and its controller tried: what can still be refused, is refused here."""
+        """Return the experiment with its tables and a tested controller; raises `InputError` for unusable ones."""
         from master.motion.experiment_run import Planned
         from master.motion.scripted_experiments import Scripted
 

@@ -104,7 +104,7 @@ class FileWatch:
         return finder.diagnose([self._file.path])
 
     def _of(self, outputs: tuple[str, ...]) -> RunningEvidence:
-        """Return the evidence by these outputs: the reference trials are fitted anew for others."""
+        """Return the running evidence from these outputs; other outputs need another fit of the reference trials."""
         if outputs not in self._evidence:
             if "tension_start_n" not in outputs:
                 raise InputError(f"{self._file.path}: no START tension; the watch simulates the force path against it.")

@@ -21,7 +21,7 @@ _MANDATORY: Final = (0x1000, 0x1001, 0x1018)
 
 
 def repeated(sheet: EdsSheet) -> Iterator[SheetFault]:
-    """Sections and keys that stand twice: tools differ in which of them they take."""
+    """Yield sections and keys that occur twice: tools differ in which one they read."""
     seen: dict[str, int] = {}
     for section in sheet.sections:
         first = seen.setdefault(section.name.lower(), section.line)

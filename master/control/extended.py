@@ -66,7 +66,7 @@ class Ahead(NamedTuple):
 
     @property
     def slides_fully(self) -> bool:
-        """Both slide fully, one way or the other."""
+        """True if rope and fabric both slide fully, each in either direction."""
         return abs(self.rope_slip) > SLIDING and abs(self.fabric_slip) > SLIDING
 
 

@@ -52,7 +52,7 @@ class ImpedanceLaw(_OfThePaper):
 
 
 class PaperController(_OfThePaper):
-    """Both: the paper's compensated impedance controller."""
+    """The paper's compensated impedance controller: friction compensation and impedance law."""
 
     compensates, listens = True, True
 

@@ -31,7 +31,7 @@ _TENSIONS: Final = (RATIO, FORCE, BY_START, BY_END)
 
 
 class Suspect(NamedTuple):
-    """Who it is, in words, and which of the four tension relations it disturbs."""
+    """Suspected part of the bench, in words, and the tension relations (of four) that a fault of that part disturbs."""
 
     place: int
     words: str

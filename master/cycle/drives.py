@@ -21,7 +21,7 @@ RESEND_NS = 20_000_000
 _ERROR_CODE, _MODE, _MODE_SHOWN, _HOME_OFFSET, _HOMING_METHOD = 0x603F, 0x6060, 0x6061, 0x607C, 0x6098
 _OPERATE = 0x000F
 RELEASE = 0x2020
-"""A drive of this bench that had an emergency stop (statusword bit 8) takes the operator's release here."""
+"""Manufacturer object through which the operator releases a drive after an emergency stop (statusword bit 8)."""
 
 
 def enable(exchange: Running) -> None:
@@ -82,7 +82,7 @@ def _driving(exchange: Exchange, goals: tuple[State, State], patience_ns: int) -
 
 
 def _states(exchange: Exchange, inputs: Inputs) -> tuple[State | None, State | None]:
-    """Both drives' states; None for a drive whose statusword is not of this SYNC, and for a knee without a drive."""
+    """CiA 402 states of servo and knee drive; None without a statusword of this SYNC or without a knee drive."""
     servo = None if inputs.missing & 1 else state_of(inputs.servo_status)
     return servo, None if inputs.missing & 2 or not exchange.knee_driven else state_of(inputs.knee_status)
 

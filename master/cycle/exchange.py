@@ -133,7 +133,7 @@ class Exchange:
         return (*self._slots, *self._observers)
 
     def forget_misses(self) -> None:
-        """Count misses from here on."""
+        """Set the counters of missed inputs and outputs to 0."""
         self.missed_cycles = self.stale_inputs = 0
 
     def end(self) -> None:
@@ -320,7 +320,7 @@ class Exchange:
         return self._keep_singly(sync_ns, ends, values)
 
     def _keep_singly(self, sync_ns: int, ends: Sequence[int], values: Sequence[tuple[float, ...]]) -> int:
-        """Keep the values one by one if one of them, this time or the last, is refused."""
+        """Store each accepted value by itself, if a value of this SYNC or the last one was refused."""
         self._reception.begin()
         missing = 0
         for i, each in enumerate(values):
@@ -407,7 +407,7 @@ class Exchange:
         return missing
 
     def expect(self) -> int:
-        """Begin to receive another SYNC's inputs; the bits of all of them."""
+        """Begin the reception of the next SYNC's inputs; return the bit mask of all expected inputs."""
         self._reception.begin()
         return self.all
 

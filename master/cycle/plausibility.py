@@ -374,7 +374,7 @@ class Plausibility:
         return None if relation < 0 else self.finding(relation)
 
     def coast(self, targets: tuple[float, float]) -> None:
-        """A cycle without all of its inputs: the targets go on, windows begin anew."""
+        """Process a cycle with missing inputs: targets are extrapolated, averaging windows restart."""
         s, g = self.s, self.g
         s[FILLED] = 0.0
         s[PREDICTED] += (1.0 - math.exp(-g[BANDWIDTH] * g[PERIOD_S])) * (s[T2] - s[PREDICTED])
@@ -430,7 +430,7 @@ class Plausibility:
         return Learned(math.sqrt(squares), float(s[RISE_LOW]), float(s[RISE_HIGH]), float(ratio), top)
 
     def begin_learning(self, swing_k: float, knee_home: float, compliance: float) -> None:
-        """Start anew with a calibration's geometry, before homing's pull."""
+        """Restart the identification from a calibration's geometry, before the pull of homing."""
         g, s = self.g, self.s
         g[SWING_K], g[KNEE_HOME], g[ROPE_COMPLIANCE], g[LEARNED] = swing_k, knee_home, compliance, LEARNING
         s[NORMAL_FORCE:STATES] = 0.0

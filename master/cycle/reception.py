@@ -78,7 +78,7 @@ class Reception:
         age[3] += 1
 
     def accepts(self, i: int, values: Sequence[float], anew: bool) -> bool:
-        """Whether these values are used; `anew`: the position may be counted from elsewhere."""
+        """Return whether these values pass the check; `anew`: the encoder may count from another zero than before."""
         column, low, high, step, rate = self._fast[i]
         value, last = values[column], self._last[i]
         near = anew or last != last or abs(value - last) <= step + rate * self._age[i]

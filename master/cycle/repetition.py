@@ -183,7 +183,7 @@ class Repetition:
 
 
 PATH_GAIN: Final = 1.2
-"""START by END of a path of usual friction, which separates a departure of both from one of START alone."""
+"""Ratio START/END of a usual path: scales a departure of END before it is compared with one of START."""
 ALIKE_N: Final = 1.5
 """CycleDeparture of START from `PATH_GAIN` times that of END up to which both moved alike, N."""
 

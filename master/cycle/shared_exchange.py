@@ -129,7 +129,7 @@ class SharedExchange:
         return sum(path.stale_inputs for path in self.paths)
 
     def forget_misses(self) -> None:
-        """Count misses from here on."""
+        """Set every path's counters of missed inputs and outputs to 0."""
         for path in self.paths:
             path.forget_misses()
 
@@ -198,7 +198,7 @@ class SharedExchange:
         return given._replace(knee_rad=led)
 
     def _send(self) -> bool:
-        """Send the frames of targets; whether the bus took all of them."""
+        """Send the frames of targets; return whether the bus accepted all of them."""
         targets: dict[int, float] = {}
         for path in self.paths:
             servo, knee = path.targets

@@ -340,7 +340,7 @@ class _Experiments:
             exchange, self.identification.guess.swing_k, LOW_N, _swings(exchange.wire.period_ns * 1e-9)))
 
     def _reel(self, exchange: Exchange, *forces_n: float) -> None:
-        """Pull to each force in turn; negative: release to it."""
+        """Pull to each START force, N, in turn; a negative one is released to."""
         for force in forces_n:
             if force > 0.0:
                 moves.reel(exchange, SPEED_M_S, _above(force), REACH_M, "the rope does not tighten")

@@ -45,7 +45,7 @@ def refuse_swing(calibration: Calibration, found: float) -> None:
 
 
 def begin(exchange: Exchange, calibration: Calibration, knee_home_rad: float) -> None:
-    """Start to learn this bench's stretch, friction and inertia from what homing does next."""
+    """Begin the identification of stretch, friction and inertia from the homing motion that follows."""
     exchange.plausibility.begin_learning(calibration.swing_k, knee_home_rad, calibration.cable_compliance)
 
 

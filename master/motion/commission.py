@@ -82,7 +82,7 @@ FURTHEST: Final = {SERVO: 0.15, KNEE: math.radians(110.0)}
 JOG_START_N: Final = 20.0
 """START tension at which a jog stops: a rope that is being tightened unseen."""
 JOG_SHARE: Final = 0.5
-"""START tension at which a jog stops, by its limit in the configuration."""
+"""Share of the configured START limit at which a jog stops."""
 TOLERANCE_RAD: Final = math.radians(0.1)
 """Passing of a knee limit that counts as none: resolution of the drive and its following error at rest."""
 BEHIND: Final = {SERVO: 2e-3, KNEE: math.radians(2.0)}

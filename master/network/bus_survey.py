@@ -21,7 +21,7 @@ _DEVICE_TYPE: Final = 0x1000
 
 
 def bus(link: Link, wire: WireLayout, listen_ns: int = LISTEN_NS) -> Iterator[DoctorFinding]:
-    """Listen, then ask each node who it is; raises `LinkError` where the interface fails."""
+    """Listen, then read each node's identity; raises `LinkError` if the interface fails."""
     link.rivals.clear()
     bits, frames, before = 0, 0, link.errors
     for message in link.listen(listen_ns):

@@ -69,7 +69,7 @@ def _pages() -> Callable[[], object]:
 
 
 def _scheduling() -> Callable[[], object]:
-    """The calling thread alone: the recorder's writer stays where it is."""
+    """Return how to undo real-time scheduling of the calling thread; other threads keep theirs."""
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     return lambda: os.sched_setscheduler(0, policy, parameters)

@@ -45,7 +45,7 @@ MISSING, AT_NS, DROPPED, BEATS, BEAT = 0, 1, 2, 3, 4
 no number; heartbeats and, from `BEAT` on, identifier, time and state of each."""
 MOST_BEATS: Final = 8
 FRAMES: Final = BEAT + 3 * MOST_BEATS
-"""From here on time stamp and data of each input."""
+"""Offset of the time stamps and data of the inputs in the buffer."""
 HEEDED: Final = FRAMES + 2 * INPUTS
 OPERATIONAL: Final = int(NmtState.OPERATIONAL)
 DONE, WAITING, STRANGE = 1, 0, -1

@@ -238,7 +238,7 @@ class Link:
                 self._beat_due_ns = self._due_ns = deadline
 
     def forget_response(self, can_id: int) -> None:
-        """Drop an SDO response that came before it was asked for."""
+        """Discard an SDO response that arrived before its request."""
         self.responses.pop(can_id, None)
 
     def await_response(self, can_id: int, timeout_ns: int) -> bytes | None:

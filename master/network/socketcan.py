@@ -40,7 +40,7 @@ _VECTOR = struct.Struct("@QQ")
 _HEADER = struct.Struct("@QIxxxxQQQQixxxxIxxxx")
 """struct mmsghdr: name, its length, vector, its length, control, its length, flags; bytes received."""
 _HEADER_END = struct.Struct("=40xQi12x")
-"""Of a header: how much ancillary data there is, flags."""
+"""Fields of a `msghdr`: length of the ancillary data, and flags."""
 _ANCILLARY = 64
 _PLAIN = kernel_frames.PLAIN
 
@@ -48,7 +48,7 @@ _recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg
 
 
 class KernelMessage(can.Message):
-    """A message with the kernel's time stamp as it is, ns."""
+    """A message with the kernel's time stamp as an integer, ns."""
 
     __slots__ = ("time_ns",)
     time_ns: int
@@ -164,7 +164,7 @@ class KernelBus(SocketcanBus):
 
     @staticmethod
     def _unusual(message: KernelMessage, can_id: int, payload: bytes) -> None:
-        """Extended, remote and error frames."""
+        """Decode an extended, remote or error frame."""
         message.is_extended_id, message.is_remote_frame = can_id & _EFF != 0, can_id & _RTR != 0
         message.is_error_frame = can_id & _ERR != 0
         message.arbitration_id = can_id & 0x1FFFFFFF

@@ -110,11 +110,11 @@ class LssMaster:
         return None if answer is None else answer[1]
 
     def configure_node_id(self, node_id: int) -> None:
-        """Give it a node id, which is in force after the switch to waiting or an NMT reset."""
+        """Set the selected device's node id, effective after the switch to waiting or an NMT reset."""
         self._configure(LssCommand.CONFIGURE_NODE_ID, node_id)
 
     def configure_bitrate(self, bitrate: int) -> None:
-        """Give it a bit rate of CiA 305's table, which is in force after `activate` or a power cycle."""
+        """Set the selected device's bit rate by CiA 305's table, effective after `activate` or a power cycle."""
         index = next((index for index, rate in BIT_RATES.items() if rate == bitrate), None)
         if index is None:
             raise InputError(f"bit rate {bitrate} is none of CiA 305's table; give one of "
@@ -126,7 +126,7 @@ class LssMaster:
         self._send(LssCommand.ACTIVATE_BIT_TIMING, *delay_ms.to_bytes(2, "little"))
 
     def store(self) -> None:
-        """Let it keep node id and bit rate over a power cycle."""
+        """Make the selected device store node id and bit rate in non-volatile memory."""
         self._configure(LssCommand.STORE)
 
     def booted(self, node_id: int) -> bool:

@@ -35,12 +35,12 @@ class PdoState(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Its name, such as tpdo1."""
+        """Name of the PDO, such as tpdo1."""
         return f"{'t' if self.object >= TPDO else 'r'}pdo{(self.object & 0x1FF) + 1}"
 
     @property
     def valid(self) -> bool:
-        """Whether it is in use: bit 31 of its COB-ID is 0."""
+        """True if the PDO is in use: bit 31 of its COB-ID is 0."""
         return not (self.parameters["cob_id"] or COB_ID_INVALID) & COB_ID_INVALID
 
 

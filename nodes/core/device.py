@@ -131,7 +131,7 @@ class Device:
         self.pdos.look(now_ns)
 
     def rearm(self, now_ns: int) -> None:
-        """Ask every part anew when it has work, which `poll` otherwise does when the earliest time it knew has come."""
+        """Recompute the time of the next action over all parts of the device."""
         self.wake_ns = FAR_NS
         for part in self._parts if self.state is not NmtState.INITIALISING else (self.lss,):
             self.wake(part.poll(now_ns))

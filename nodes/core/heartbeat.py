@@ -101,7 +101,7 @@ class Consumer(Part):
             yield HEARTBEAT_BASE + watched.node_id, watched.receive
 
     def heard(self, watched: _Watched) -> None:
-        """A heartbeat came: it is awaited again, and no longer lost."""
+        """Process a received heartbeat: restart the consumer time, end a loss."""
         self._device.wake(watched.due_ns)
         if watched.lost:
             watched.lost = False
@@ -133,7 +133,7 @@ class Consumer(Part):
         return min((watched.due_ns for watched in self._watched), default=FAR_NS)
 
     def _read(self) -> None:
-        """Keep watching entries that did not change, begin the others anew."""
+        """Read 0x1016: unchanged entries stay monitored, changed ones restart."""
         before = {(w.node_id, w.timeout_ns): w for w in self._watched}
         wanted = [_entry(word) for word in self._words().values()]
         self._watched = [before.pop(w) if w in before else _Watched(self, *w) for w in wanted if _active(*w)]

@@ -128,7 +128,7 @@ class LssSlave(Part):
             self._answer(LssCommand.SELECTED)
 
     def _identify(self, part: int, value: int) -> None:
-        """Count the bounds that hold in their order: vendor, product, lowest and highest revision and serial."""
+        """Check one field of an LSS identity: vendor, product, lowest and highest revision and serial, in order."""
         vendor, product, revision, serial = self._address
         holds = (value == vendor, value == product, value <= revision, value >= revision,
                  value <= serial, value >= serial)[part]

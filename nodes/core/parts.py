@@ -34,7 +34,7 @@ class Part:
     """One service of the device core; the device asks it for handlers, rules of its objects, and due actions."""
 
     service: Service = Service.NMT
-    """Its handlers are heard where the NMT state lets this service through."""
+    """Service that the NMT state must allow for the part's handlers to be called."""
 
     checks: Mapping[int, Check] = {}
     applied: Mapping[int, Applied] = {}
@@ -42,7 +42,7 @@ class Part:
     """By index: the rules for writing the objects that this part owns."""
 
     def reset(self, now_ns: int) -> None:
-        """The communication objects hold power-on values: begin anew."""
+        """Restart from the power-on values of the communication objects."""
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
         """The NMT state is now `state`."""

@@ -55,7 +55,7 @@ class Drive(ModesOfOperation):
         }
 
     def check_write(self, key: int, value: Value) -> int:
-        """Ask the object's rule."""
+        """Return the abort code of the object's own rule, 0 for an accepted value."""
         return rules.refused(self, key, value)
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
@@ -75,7 +75,7 @@ class Drive(ModesOfOperation):
     refresh = latch
 
     def show_latched(self) -> None:
-        """Put what `law.counts` made into the objects."""
+        """Copy position, velocity and torque in counts into their objects."""
         values = self.values
         (values[POSITION], values[VELOCITY], torque, values[POSITION_DEMAND], values[VELOCITY_DEMAND],
          values[FOLLOWING], values[EFFORT], values[INCREMENTS], flags) = self._out.tolist()

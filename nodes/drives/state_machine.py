@@ -40,7 +40,7 @@ class StateMachine(Application):
         self.emergency_stopped = False
         self.awaits_release = False
         self.changed = False
-        """Something changed at a drive tick that event-driven PDOs should show."""
+        """True after a drive tick that changed a value of event-driven PDOs."""
         self.base = 0
         """The statusword without the bits of mode and motion."""
         self._leaving: Transition | None = None
@@ -113,7 +113,7 @@ class StateMachine(Application):
             action(self, now_ns)
 
     def show(self) -> None:
-        """Work out the statusword's base and the digital inputs anew."""
+        """Update the base of the statusword and the digital inputs."""
         state = self.state or State.NOT_READY_TO_SWITCH_ON
         word = state.value[1] | Status.REMOTE
         if not self.emergency_stopped:
@@ -143,7 +143,7 @@ class StateMachine(Application):
         self._at_rest = at_rest
 
     def rested(self, now_ns: int) -> None:
-        """A stop is over."""
+        """Process the end of a stop: the axis is at rest."""
         at_rest, self._at_rest = self._at_rest, None
         if at_rest is not None:
             at_rest(now_ns)

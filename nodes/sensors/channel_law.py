@@ -35,7 +35,7 @@ def channel(length: int, repeats: bool) -> Any:
 
 
 def restart(c: Any, length: int, repeats: bool) -> None:
-    """Begin anew with an empty filter."""
+    """Restart with an empty filter."""
     c[[SUM, COUNT, HEAD, FILLED, MEAN]] = 0.0
     c[LENGTH], c[REPEATS], c[VERDICT] = length, repeats, NO_VERDICT
 
@@ -72,7 +72,7 @@ def add(c: Any, sample: float) -> None:
 
 @njit(cache=True)
 def sample(c: Any, counts: int, status: int) -> int:
-    """Take a sample; return what 0x6150 is to be, `c[VERDICT]` left as it is."""
+    """Process a converter sample; return the new value of 0x6150. `c[VERDICT]` stays unchanged."""
     add(c, float(counts))
     mean = c[MEAN]
     if status == 0 and c[LOW] <= mean <= c[HIGH] and -FULL_COUNTS < counts < FULL_COUNTS - 1:

@@ -58,7 +58,7 @@ def _placed(m: Any, drum: float, drum_v: float, knee: float, knee_w: float) -> f
 
 @njit(inline="always")
 def _moved(m: Any, surface: float, knee: float, n: int, dt: float) -> None:
-    """Move the nodes between them by one step."""
+    """Advance the cable nodes between the two driven ends by one step."""
     if n % SLOW == 0:
         drift = max(0.05, 1.0 + m[SLOT.friction_drift] * n * dt / m[SLOT.friction_drift_s])
         refresh_friction(m, abs(knee), surface, drift, SLOW * dt)

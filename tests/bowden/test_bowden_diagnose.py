@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import trial as recorded
+from bowden.cli.app import run
 from physics.effects.catalogue import CATALOGUE
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
@@ -91,9 +93,10 @@ def test_where_nothing_can_be_said_it_is_refused(
 
 
 @pytest.mark.parametrize(("spoilt", "says"), [
-    (velocity_in_millimetres, "servo_velocity_m_s is 1000 times the derivative of servo_position_m: it is in mm/s"),
-    (slow_clock, "the clock of time_s runs 1.25 times too slow"),
-    (without_end(np.nan), "tension_end_n is empty"),
+    pytest.param(velocity_in_millimetres, "servo_velocity_m_s is 1000 times the derivative of servo_position_m: it is "
+                 "in mm/s", marks=pytest.mark.exhaustive),
+    pytest.param(slow_clock, "the clock of time_s runs 1.25 times too slow", marks=pytest.mark.exhaustive),
+    pytest.param(without_end(np.nan), "tension_end_n is empty", marks=pytest.mark.exhaustive),
 ], ids=["velocity", "clock", "no END"])
 def test_another_unit_or_clock_is_warned_of_with_its_factor(
     spoilt: Callable[[Columns], Columns], says: str, walked: Columns, bowden: Run, here: Path
@@ -103,6 +106,7 @@ def test_another_unit_or_clock_is_warned_of_with_its_factor(
     assert any(says in text for text in json.loads(told.stdout)["warnings"])
 
 
+@pytest.mark.exhaustive
 def test_a_clock_is_told_from_other_files_where_no_velocity_tells_it(walked: Columns, bowden: Run, here: Path) -> None:
     plain = {name: values for name, values in walked.items() if name != "servo_velocity_m_s"}
     written(here / "a.csv", plain)
@@ -120,21 +124,33 @@ def test_one_file_as_trial_and_holdout_is_refused(walked: Columns, bowden: Run, 
     assert "the same data as a.csv" in json.loads(told.stdout)["warnings"][0]
 
 
-def test_json_has_the_keys_and_the_low_pass_is_stated_everywhere(walked: Columns, bowden: Run, here: Path) -> None:
-    arguments = ("diagnose", written(here / "a.csv", walked), "--lowpass", 20, "-o", "extended.toml", "--report",
-                 "page.html", "--overwrite")
-    told = bowden(*arguments, "--json")
-    assert told.status == 0, told.stderr
-    result = json.loads(told.stdout)
+@pytest.fixture(scope="module")
+def diagnosed(walked: Columns, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the diagnosis of the force path's columns, low-passed at 20 Hz: JSON, bench model and page."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    arguments = ("diagnose", written(folder / "a.csv", walked), "--lowpass", 20, "-o", folder / "extended.toml",
+                 "--report", folder / "page.html", "--json")
+    with (folder / "diagnosis.json").open("w", encoding="utf-8") as file, contextlib.redirect_stdout(file):
+        assert run([str(argument) for argument in arguments]) == 0
+    return folder
+
+
+def test_json_has_the_keys_and_the_low_pass_is_stated_in_every_file(diagnosed: Path) -> None:
+    result = json.loads((diagnosed / "diagnosis.json").read_text(encoding="utf-8"))
     assert tuple(result) == (*KEYS, "lowpass_hz", "simulation", "part", "evidence")
     assert result["lowpass_hz"] == 20.0
     assert set(result["relations"]) == {"tension_start_n", "tension_end_n"}
     assert set(result["relations"]["tension_start_n"]) == {
         "unit", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent", "low", "high"}
     assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent", "was"}
-    assert "lowpass_hz = 20.0" in (here / "extended.toml").read_text(encoding="utf-8")
-    assert "low-passed at 20 Hz" in (here / "page.html").read_text(encoding="utf-8")
-    assert "(low-pass 20 Hz)" in bowden(*arguments).stdout
+    assert "lowpass_hz = 20.0" in (diagnosed / "extended.toml").read_text(encoding="utf-8")
+    assert "low-passed at 20 Hz" in (diagnosed / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.exhaustive
+def test_the_terminal_states_the_low_pass(diagnosed: Path, bowden: Run) -> None:
+    told = bowden("diagnose", diagnosed / "a.csv", "--lowpass", 20)
+    assert "(low-pass 20 Hz)" in told.stdout
 
 
 @pytest.mark.exhaustive
@@ -177,6 +193,7 @@ def test_a_column_that_nothing_can_do_without_is_named(
     assert says in json.loads(told.stdout)["warnings"][0]
 
 
+@pytest.mark.exhaustive
 def test_without_end_it_is_said_what_end_would_tell(whole: Columns, bowden: Run, here: Path) -> None:
     left = {name: values for name, values in whole.items() if name not in ("tension_end_n", "servo_force_n")}
     result = json.loads(bowden("diagnose", written(here / "part.csv.gz", left), "--json").stdout)
@@ -196,10 +213,10 @@ def test_what_each_trial_for_itself_cannot_have(arguments: list[str], says: str,
     assert says in told.stderr
 
 
-def test_what_is_found_runs_in_the_simulator_and_in_the_controller(walked: Columns, bowden: Run, here: Path) -> None:
-    assert bowden("diagnose", written(here / "a.csv", walked), "-o", "extended.toml", "--json").status == 0
+def test_what_is_found_runs_in_the_simulator_and_in_the_controller(diagnosed: Path, bowden: Run, here: Path) -> None:
+    model = diagnosed / "extended.toml"
     told = bowden("trial", "--serial", 0, "--cycles", 1, "--period", 1.1, "--settle", 0, "--controller", "extended",
-                  "--controller-model", "extended.toml", "--plant-model", "extended.toml", "--json", "-o", "t.mcap")
+                  "--controller-model", model, "--plant-model", model, "--json", "-o", "t.mcap")
     assert told.status == 0, told.stderr
     result = json.loads(told.stdout)
     assert result["outcome"] == "completed"
@@ -217,13 +234,19 @@ def test_a_dask_cluster_tells_each_trial_too(walked: Columns, bowden: Run, here:
     assert "2 cycles" in json.loads(told.stdout)["trials"][str(short)]["warnings"][0]
 
 
-def test_on_the_packaged_calibration_no_cause_is_named_anywhere(here: Path, bowden: Run, walked: Columns) -> None:
-    """A trial that ran on it, END 3 N off: terminal, JSON, page and --each say to identify first."""
-    recorder = recorded.Recorder(here / "a.mcap", metadata={"calibration": "nominal"}, attachments={}, threaded=False)
-    for row in range(walked["time_s"].size):
-        values = {name: float(column[row]) for name, column in walked.items()}
+def nominal(path: Path, columns: Columns) -> Path:
+    """Write a trial that ran on the packaged calibration."""
+    recorder = recorded.Recorder(path, metadata={"calibration": "nominal"}, attachments={}, threaded=False)
+    for row in range(columns["time_s"].size):
+        values = {name: float(column[row]) for name, column in columns.items()}
         recorder.cycle(round(values["time_s"] * 1e9), [values.get(name, math.nan) for name in recorded.COLUMNS])
     recorder.close({})
+    return path
+
+
+def test_on_the_packaged_calibration_no_cause_is_named_anywhere(here: Path, bowden: Run, walked: Columns) -> None:
+    """A trial that ran on it, END 3 N off: terminal and page ask for an identification first."""
+    nominal(here / "a.mcap", walked)
     status, out, err = bowden("diagnose", "a.mcap", "--report", "a.html", "-o", "a.toml")
     assert (status, err) == (0, "")
     said = " ".join(out.split())
@@ -232,9 +255,14 @@ def test_on_the_packaged_calibration_no_cause_is_named_anywhere(here: Path, bowd
     page = unescape((here / "a.html").read_text()).partition("<main>")[2]
     assert "Run bowden identify first" in page
     assert [name for name in CATALOGUE if f">{name}<" in page] == []
+    assert "[effects." not in (here / "a.toml").read_text()
+
+
+@pytest.mark.exhaustive
+def test_on_the_packaged_calibration_json_and_each_name_no_cause(here: Path, bowden: Run, walked: Columns) -> None:
+    nominal(here / "a.mcap", walked)
     told = json.loads(bowden("diagnose", "a.mcap", "--json").stdout)
     assert (told["causes"], told["class"], told["experiment"]) == ([], [], None)
     assert "end_offset" in {one["effect"] for one in told["candidates"]}
-    assert "[effects." not in (here / "a.toml").read_text()
     each = bowden("diagnose", "a.mcap", "--each", "--workers", 1).stdout
     assert "run bowden identify first" in " ".join(each.split())

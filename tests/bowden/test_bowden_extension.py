@@ -66,6 +66,7 @@ def test_knowing_what_is_at_work_pays_in_the_loop_and_is_replayed(bowden: Run, h
     assert replayed.status == 0, replayed.stdout + replayed.stderr
 
 
+@pytest.mark.exhaustive
 def test_a_plan_says_the_smallest_of_each_effect(bowden: Run, here: Path) -> None:
     told = bowden("diagnose", "--plan", "two_peaks", "--noise", 0.3, "--json")
     assert told.status == 0, told.stderr

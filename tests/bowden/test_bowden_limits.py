@@ -134,9 +134,10 @@ def test_what_moves_says_first_how_hard_it_pulls(
 
 
 @pytest.mark.parametrize(("what", "sentence"), [
-    ("sensors", "Pulls START to at most 51 N while homing."),
+    pytest.param("sensors", "Pulls START to at most 51 N while homing.", marks=pytest.mark.exhaustive),
     ("stiffness", "Pulls START to at most 51 N while homing, then to at most 68 N."),
-    ("friction", "Pulls START to at most 51 N while homing, then to at most 94 N."),
+    pytest.param("friction", "Pulls START to at most 51 N while homing, then to at most 94 N.",
+                 marks=pytest.mark.exhaustive),
 ])
 def test_an_identification_says_first_how_hard_it_pulls(
     bowden: Callable[..., Any], tmp_path: Path, what: str, sentence: str

@@ -34,6 +34,11 @@ def ran(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return folder
 
 
+ONE_SHAPE = pytest.mark.parametrize(
+    "ran", [pytest.param("bench_two_legs", marks=pytest.mark.exhaustive), "bench_antagonists"], indirect=True)
+"""Tests that run another trial: on one shape in `make test`, on both in CI."""
+
+
 @pytest.fixture
 def figures(ran: Path) -> dict[str, object]:
     """The figures of the trial."""
@@ -95,6 +100,7 @@ def test_a_path_must_be_named(ran: Path, recorded: Trial, bowden: Command) -> No
     assert f"has no path middle; expected one of {one}, {other}" in err
 
 
+@ONE_SHAPE
 def test_a_lost_node_of_one_path_lets_both_paths_go(ran: Path, recorded: Trial, figures: dict[str, object]) -> None:
     """START of the second path loses its power while the first rope is taut: both end slack, every drive disabled."""
     bench = packaged(str(figures["shape"]))
@@ -128,6 +134,7 @@ def test_what_runs_on_one_path_only_is_refused(ran: Path, bowden: Command, optio
     assert options[0] in err
 
 
+@ONE_SHAPE
 def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command) -> None:
     status, out, err = bowden("tare", "start", "--config", ran / "bench.toml", "--interface", "bowden", "--channel",
                               f"tare {ran.name}")
@@ -138,6 +145,7 @@ def test_commissioning_names_a_path(ran: Path, recorded: Trial, bowden: Command)
     assert (status, json.loads(out)["outcome"]) == (0, "completed")
 
 
+@ONE_SHAPE
 def test_every_path_is_identified_in_turn(ran: Path, bowden: Command) -> None:
     status, out, _ = bowden("identify", "sensors", "--config", ran / "bench.toml", "-o", ran / "own.toml", "--json")
     assert status == 0

@@ -86,6 +86,7 @@ def measured() -> tuple[rendered.Rendered, rendered.Rendered]:
     return rendered.measure(study.B, study.K, rendered.NO_FRICTION), rendered.measure(study.B, study.K, {})
 
 
+@pytest.mark.exhaustive
 def test_without_friction_the_bench_renders_what_the_linear_loop_predicts(
         measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
     free, _ = measured
@@ -95,6 +96,7 @@ def test_without_friction_the_bench_renders_what_the_linear_loop_predicts(
     assert free.bandwidth_hz(with_phase=False) >= 6.8
 
 
+@pytest.mark.exhaustive
 def test_friction_hides_a_small_change_at_end_so_that_no_line_is_rendered(
         measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
     _, rubbing = measured
@@ -102,5 +104,6 @@ def test_friction_hides_a_small_change_at_end_so_that_no_line_is_rendered(
     assert 0.5 < rubbing.error_n < 40.0 * (1.0 - np.exp(-study.EXPONENT))
 
 
+@pytest.mark.exhaustive
 def test_the_page_has_the_rendered_impedance(measured: tuple[rendered.Rendered, rendered.Rendered]) -> None:
     assert rendered.section(*measured, study.B, study.K) in PAGE

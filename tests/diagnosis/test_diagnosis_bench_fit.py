@@ -48,6 +48,7 @@ def test_a_bench_with_another_zero_and_a_rope_counted_the_other_way_is_fitted_to
         assert row["rms_n"] <= 1.5 * NOISE_N + 0.005 * row["peak_n"]
 
 
+@pytest.mark.exhaustive
 def test_a_trial_without_end_is_fitted_and_what_it_does_not_say_is_listed(walked: Table) -> None:
     without = dataclasses.replace(walked, columns={n: v for n, v in walked.columns.items() if n != "tension_end_n"})
     found = bench_fit.fit([without])
@@ -55,11 +56,16 @@ def test_a_trial_without_end_is_fitted_and_what_it_does_not_say_is_listed(walked
     assert {"end_gain", "end_offset"} & set(found.undetermined) == {"end_gain", "end_offset"} & set(found.constants)
 
 
-def test_a_model_is_read_as_it_was_written_and_as_a_calibration(walked: Table, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def fitted(walked: Table) -> bench_fit.FittedBench:
+    """The bench that walked."""
+    return bench_fit.fit([walked])
+
+
+def test_a_model_is_read_as_it_was_written_and_as_a_calibration(fitted: bench_fit.FittedBench, tmp_path: Path) -> None:
     from physics import bench_model, calibration
 
-    path = tmp_path / "model.toml"
-    found = bench_fit.fit([walked])
+    path, found = tmp_path / "model.toml", fitted
     path.write_text(found.text(), encoding="utf-8")
     assert bench_fit.read(path).values == pytest.approx(found.values)
     with pytest.warns(Remark, match="says nothing of"):  # of a sensor's lag, for one: no motion of a trial tells it

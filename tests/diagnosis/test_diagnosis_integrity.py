@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data.integrity import examine, shared_rows
+from diagnosis.data.integrity import between, examine, shared_rows
 from diagnosis.data.scales import against_range
 from diagnosis.data.table import Table, low_passed, table
 from diagnosis.finder import diagnose
@@ -89,7 +89,9 @@ def another(given: Table, name: str, **changed: np.ndarray) -> Table:
 def test_a_part_of_another_recording_is_said_and_refused_as_holdout() -> None:
     whole = moved()
     part = table("part.csv", {name: values[25:] for name, values in whole.columns.items()})
-    assert "100 % of the rows of part.csv are in made.csv, too" in " ".join(diagnose([whole, part]).warnings)
+    (finding,) = between([whole, part], [], [])
+    assert "100 % of the rows of part.csv are in made.csv, too" in finding.text
+    assert not finding.refuses
     refused = diagnose([whole], holdout=[part])
     assert refused.verdict == "refused"
     assert "a holdout trial must be another recording" in refused.warnings[0]

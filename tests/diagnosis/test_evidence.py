@@ -91,7 +91,7 @@ def test_the_hidden_effects_are_on_benches_of_several_implementations() -> None:
     assert not any(set_aside(job.serial) for job in HIDDEN)
 
 
-@pytest.fixture(scope="module", params=[pytest.param(HIDDEN[0], marks=pytest.mark.exhaustive), HIDDEN[1]],
+@pytest.fixture(scope="module", params=[pytest.param(job, marks=pytest.mark.exhaustive) for job in HIDDEN],
                 ids=lambda job: job.hidden[0])
 def told(request: pytest.FixtureRequest) -> tuple[Job, dict]:
     """A hidden effect and the answer to it."""
@@ -150,6 +150,7 @@ def _written(folder: Path, name: str, given: Table) -> Path:
     return file
 
 
+@pytest.mark.exhaustive
 def test_the_command_gives_the_same_diagnosis_again(
     healthy: tuple[tuple[Table, ...], Table], nothing: dict, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,6 +172,7 @@ def test_a_gait_without_the_knee_is_refused_with_the_column(healthy: tuple[tuple
     assert "blind.csv: has no column knee_angle_rad" in said.warnings[0]
 
 
+@pytest.mark.exhaustive
 def test_end_is_left_out_where_the_reference_trials_do_not_have_it(healthy: tuple[tuple[Table, ...], Table]) -> None:
     reference, trial = healthy
     blind = table("blind.csv", {n: v for n, v in reference[0].columns.items() if n != "tension_end_n"})

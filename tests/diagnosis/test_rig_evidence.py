@@ -130,6 +130,7 @@ def test_friction_that_doubles_or_halves_is_named(rubs: float, share: float) -> 
     assert told["low"] <= share * 12.0 <= told["high"]
 
 
+@pytest.mark.exhaustive
 def test_friction_between_two_forces_is_named_in_its_part() -> None:
     finder = known([seal(numbered(k)) for k in (1, 2)])
     assert finder.diagnose([seal(numbered(3))]).verdict == "none"

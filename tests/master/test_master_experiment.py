@@ -33,7 +33,7 @@ def test_a_trial_completes_and_the_force_follows(composer: Composer) -> None:
     assert found["true_max_idle_tension_n"] < 1.0
 
 
-@pytest.mark.parametrize("controller", ["paper", "extended"])
+@pytest.mark.parametrize("controller", ["paper", pytest.param("extended", marks=pytest.mark.exhaustive)])
 def test_a_soft_start_raises_the_peak_over_unnumbered_cycles(composer: Composer, controller: str) -> None:
     """Thirds of 40 N, then 40 N, and no target steps further from one control cycle to the next than without."""
     plain, soft = (composer.run(controller=controller, soft_start=cycles) for cycles in (0, 2))

@@ -55,7 +55,8 @@ def test_the_joint_fit_recovers_the_bench() -> None:
     assert all(proof.low <= getattr(fitted, name) <= proof.high for name, proof in evidence.items())
 
 
-@pytest.mark.parametrize("memory_s", [pytest.param(0.01, marks=pytest.mark.exhaustive), 0.05])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("memory_s", [0.01, 0.05])
 def test_what_breakaway_remembers_and_where_grease_drags_is_found(memory_s: float) -> None:
     """Two minima in the memory, a short and a long one: the fit has to end in the bench's own.
 

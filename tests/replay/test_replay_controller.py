@@ -30,7 +30,8 @@ def rewritten(trial: Trial, path: Path, **columns: Any) -> Trial:
     return opened(path)
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("controller", [
+    pytest.param(name, marks=() if name in ("paper", "extended") else pytest.mark.exhaustive) for name in CONTROLLERS])
 def test_every_controller_says_the_same_again(recorded: Callable[..., Trial], controller: str) -> None:
     trial = recorded("--controller", controller, "--cycles", 2)
     found = replay(trial, experiment(trial))

@@ -21,7 +21,8 @@ SECOND_NS = 1_000_000_000
 
 
 @pytest.mark.parametrize("options", [
-    (), ("--serial", 4, "--day", 2, "--seed", 9), ("--controller", "extended", "--cycles", 2),
+    (), ("--serial", 4, "--day", 2, "--seed", 9),
+    pytest.param(("--controller", "extended", "--cycles", 2), marks=pytest.mark.exhaustive),
     ("--rate", 500, "--bitrate", 800_000),
 ], ids=str)
 def test_on_its_own_bench_nothing_is_left_over(

@@ -16,9 +16,8 @@ from virtual_bus.compiled.compiled_cycles import SWITCH
 FEW = {"lost inputs"}
 """Cases whose faults strike all the time: their cycles are run event by event."""
 
-SHORT = ("gait", "1 kHz", "script", "slow bus", "broken wire", "another plant model", "lost inputs",
-         "extended controller", "two faults far apart", "deaf", "stop while the knee moves")
-"""Cases of `make test`: each way into and out of whole cycles; the further faults and rates are exhaustive."""
+SHORT = ("gait", "script", "lost inputs", "two faults far apart", "deaf", "stop while the knee moves")
+"""Cases of `make test`: each way into and out of compiled cycles; further faults, rates and models are exhaustive."""
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in SHORT else pytest.mark.exhaustive)

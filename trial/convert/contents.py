@@ -63,7 +63,7 @@ class Contents:
     remarks: list[str] = field(default_factory=list)
 
     def as_json(self) -> dict[str, object]:
-        """Return it with nothing that JSON lacks."""
+        """Return the content as values that JSON can hold."""
         return {"file": str(self.path), "format": self.format, "begins_ns": self.begins_ns, "seconds": self.seconds,
                 "streams": [one._asdict() for one in self.streams], "columns": [one._asdict() for one in self.columns],
                 "about": self.about, "attachments": self.attachments,

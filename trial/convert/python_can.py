@@ -184,7 +184,7 @@ class Bounded(io.RawIOBase):
         return len(data)
 
     def told(self) -> int:
-        """Return how far into the file on disk it is."""
+        """Return the reading position in the file, bytes."""
         return self._file.tell()
 
     def close(self) -> None:

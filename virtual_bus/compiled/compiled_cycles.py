@@ -32,7 +32,7 @@ SPAN_NS: Final = 20_000
 Too small: a cycle is given up and run event by event; the result is the same.
 """
 ROOM: Final = 32
-"""Places that the computer's queues need for none of them ever to be full."""
+"""Free places in every transmit queue of the computer that a compiled cycle requires."""
 WAITING: Final = 12
 """Frames that may wait at the tap when it begins."""
 _NOBODY: Final[frozenset[int]] = frozenset()

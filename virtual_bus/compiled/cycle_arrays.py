@@ -95,7 +95,7 @@ class Arrays:
         self._adopt()
 
     def _adopt(self) -> None:
-        """Let the objects keep their numbers in the arrays from now on."""
+        """Move the state of plant and devices into the shared arrays, of which they become views."""
         f, i = self.f, self._integers
         self._plant.adopt(f[law.F_PLANT:law.F_PLANT + PLANT])
         for k, (_, _, drive) in enumerate(self.members[:law.AXES]):

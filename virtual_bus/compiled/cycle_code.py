@@ -132,7 +132,7 @@ F_TRUTH: Final = _F["truth"]
 F_ACTION: Final = _F["action"]
 F_SENSOR: Final = _F["sensor"]
 F_KEPT: Final = FLOATS["kept"].itemsize // 8
-"""Up to here, and up to `I_KEPT`, a cycle that is given up is undone."""
+"""Length of the floats that are restored after an abandoned cycle; `I_KEPT` is that of the integers."""
 F_BEFORE: Final = _F["before"]
 F_SIZE: Final = _F["size"]
 
@@ -421,7 +421,7 @@ def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
 def begin(i: Any, rows: Any) -> Any:
     """Move the remaining rows to the front, clear the results of the cycle before, put the targets.
 
-    Return False if something is overdue at once. Deadlines are far beyond a cycle, or else they are its limit.
+    Return False if an event is already due. The nearest deadline limits the cycle.
     """
     kept = i[LAST_ROW] - i[FIRST_ROW]
     for row in range(kept):

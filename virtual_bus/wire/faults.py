@@ -61,7 +61,7 @@ class Fault:
 
     @property
     def start_ns(self) -> int:
-        """Bus time of the first nanosecond it is in effect."""
+        """Bus time of the fault's first nanosecond."""
         return round(self.start_s * 1e9)
 
     @property
@@ -70,7 +70,7 @@ class Fault:
         return round(self.stop_s * 1e9) if math.isfinite(self.stop_s) else NEVER
 
     def concerns(self, station: Station, frame: Frame, now_ns: int) -> bool:
-        """Return whether a frame of `station` is one of those it is about."""
+        """Return whether the fault applies to this frame of `station`."""
         cob_id = 0x080 if self.kind == "late_sync" else self.cob_id
         return (
             self.start_ns <= now_ns < self.stop_ns

@@ -19,7 +19,7 @@ class BusDevice(Protocol):
 
     @property
     def node_id(self) -> int:
-        """Its CANopen node-ID."""
+        """CANopen node id of the station's device."""
 
     @property
     def filters(self) -> frozenset[int]:

@@ -65,7 +65,7 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
 
     @property
     def next_ns(self) -> int:
-        """When it sends next, `NEVER` while it is stopped."""
+        """Bus time of the next transmission, ns; `NEVER` while the task is stopped."""
         return self._next_ns
 
     @property

@@ -47,7 +47,7 @@ class Medium(Protocol):
         """Join a station."""
 
     def detach(self, station: Station) -> list[Waiting]:
-        """Take a station off; return what waited in it."""
+        """Remove a station from the wire; return the frames of its queue."""
 
     def flush(self, station: Station) -> None:
         """Discard what waits in a station."""
@@ -135,7 +135,7 @@ class Station:
         self.state = Confinement.ACTIVE
 
     def count_success(self, sending: bool) -> None:
-        """Count a frame that went well, at either end of it."""
+        """Count an error-free frame in the transmit or receive error counter."""
         if sending:
             self.tec = max(self.tec - 1, 0)
         elif self.rec > PASSIVE_ABOVE:

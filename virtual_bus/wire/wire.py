@@ -25,7 +25,7 @@ from virtual_bus.wire.station import EXTENDED, Confinement, Deliver, ErrorKind, 
 TO_ACKNOWLEDGE_BITS = -8
 """From the end of a frame back to the end of its acknowledge slot: there a missing one is noticed."""
 TO_CRC_ERROR_BITS = -7
-"""From the end of a frame back to the end of its acknowledge delimiter: there a CRC error is flagged."""
+"""Bits from the end of a frame back to the end of its acknowledge delimiter, where a CRC error is flagged."""
 
 
 class FrameFaults(Protocol):

@@ -104,7 +104,7 @@ class LiveAddress(NamedTuple):
         return web.LivePage(feeds.state(name, kind, network, decode_events=kind == "bus"), self.web, None, why)
 
     def say(self, viewer: Viewer | None, page: LivePage | None) -> None:
-        """Say at what addresses it is."""
+        """Print the addresses of the viewer's feed and of the live page."""
         if self.json:
             told = {} if viewer is None else {"url": viewer.url, "port": viewer.port}
             terminal.emit(told | ({} if page is None else {"web": page.url}))

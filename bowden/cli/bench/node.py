@@ -452,7 +452,7 @@ def restore(
 
 def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act: Act,
                    **guarded: bool) -> list[ParameterDifference]:
-    """Return what `act` finds between a node and a DCF of it."""
+    """Return the result of `act` on a node and the node's DCF."""
     from eds.dictionary import read as read_dcf
     from master.network import dcf
 

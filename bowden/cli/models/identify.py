@@ -95,7 +95,7 @@ def identify(
 
 
 def _enter(logbook: Path | None, found: Identified, output: Path) -> None:
-    """Enter the calibration in a logbook, where both are there."""
+    """Enter the calibration in a logbook, if both exist."""
     if logbook is not None and found.calibration is not None:
         from bowden.models import logbook_entries
 

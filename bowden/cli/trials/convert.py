@@ -216,7 +216,7 @@ RARE = 1e-3
 
 
 def _against_history(trial: Path, logbook: Path | None, report: Path | None, json: bool) -> int:
-    """Compare one trial with its bench's history; 1 where it departs from it."""
+    """Compare one trial with its bench's history; return 1 if the trial departs from the history."""
     from bowden.models import logbook_entries
     from parameters import InputError
 

@@ -53,9 +53,7 @@ def sweep(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Run trials over grids and random draws.
-
-    Of any value, into one table; a partial table is continued.
+    """Run trials over grids and random draws of any value. One row a trial; a partial table is continued.
 
     Example: bowden sweep --grid peak=40,50,60 --grid serial=1-20 --identify --grid day=1 -o table.csv
     """
@@ -196,7 +194,7 @@ def _say_resumed(table: Any, resumed: int, total: int) -> None:
 def _crew(
     scheduler: str | None, tls: Path | None, workers: int | None, *, quiet: bool, idle: bool
 ) -> Iterator[Workers | None]:
-    """The workers that were asked for; None where there is nothing to do."""
+    """Workers of the sweep, local or of a scheduler; None if no trial remains to be run."""
     from bowden.sweep import run as sweep_run
     from bowden.trials import session
 

@@ -132,7 +132,7 @@ class Pdos(Part):
             pdo.look(now_ns)
 
     def counter_changed(self, now_ns: int) -> None:
-        """0x1019 or another SYNC object was written: begin counting anew."""
+        """Restart the SYNC counter after a write to 0x1019 or another SYNC object."""
         self.state_entered(self._device.nmt.state, now_ns)
 
     def poll(self, now_ns: int) -> int:
@@ -155,7 +155,7 @@ class Pdos(Part):
         return SteadyPdos(self._cyclic, {pdo.can_id: pdo for pdo in self._receive.values() if pdo.can_id})
 
     def _start_counting(self, counter: int) -> None:
-        """Let the TPDOs begin whose SYNC start value this counter is: it is their first SYNC."""
+        """Start the TPDOs whose SYNC start value equals this counter value."""
         ready = tuple(pdo for pdo in self._waiting if pdo.start == counter)
         for pdo in ready:
             pdo.left = 1

@@ -58,7 +58,7 @@ class TransmitPdo:
         self.left = 0 if counted and self.start else self.every
 
     def send(self, now_ns: int) -> None:
-        """Put the frame into the outbox, whatever the type."""
+        """Put the frame into the outbox, for every transmission type."""
         self._last = data = self.payload(self._device.values)
         self._device.outbox.append(Frame(self.can_id, data))
         if self.event_driven:
@@ -78,7 +78,7 @@ class TransmitPdo:
             self._device.wake(self.poll(now_ns))
 
     def request(self) -> None:
-        """Ask for one transmission as soon as the inhibit time allows."""
+        """Request one transmission, sent as soon as the inhibit time allows."""
         self._requested = True
 
     def poll(self, now_ns: int) -> int:

@@ -54,7 +54,7 @@ class Received:
         self._limit = data_type.size or MAX_BYTES
 
     def append(self, segment: bytes) -> None:
-        """Take a segment; refuse it where it is too much."""
+        """Append a segment; abort the transfer if the data exceed the announced size."""
         self.data += segment
         self._check(len(self.data))
 
