@@ -60,7 +60,7 @@ def _identity(path: Path) -> tuple[int, int]:
 
 
 PICTURES = (".png", ".svg", ".svgz", ".pdf", ".ps", ".eps", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
-"""Endings of pictures that can be drawn."""
+"""File endings of supported pictures."""
 
 
 def refuse_picture(path: Path | None) -> None:

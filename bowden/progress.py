@@ -10,11 +10,11 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 Update = Callable[[float], None]
-"""Takes the share that is done, 0 … 1."""
+"""Function of the completed share, 0 … 1."""
 
 
 def ignore(share: float) -> None:
-    """Take a share that is done and do nothing."""
+    """Ignore the completed share."""
 
 
 class Progress(Protocol):
@@ -24,10 +24,10 @@ class Progress(Protocol):
         """Enter around work whose share done is known; yields what takes that share."""
 
     def waiting(self, what: str) -> AbstractContextManager[None]:
-        """Enter around work of unknown length."""
+        """Return a context for work of unknown length."""
 
     def remark(self, sentence: str) -> None:
-        """Take one sentence that a reader should see, though nothing went wrong."""
+        """Show a sentence that a user should see, though it is no error."""
 
 
 class Silent:

@@ -43,7 +43,7 @@ SEEN: Final = 0.6
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
 FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
-"""Constants that only scale others, so that no trial determines them."""
+"""Constants that only scale others: no trial determines them."""
 SECONDS: Final = 6.0
 """Length, s, of the first part of each trial to which the simulation is fitted."""
 

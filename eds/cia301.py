@@ -98,11 +98,11 @@ EVENT_MANUFACTURER: Final = 254
 EVENT_PROFILE: Final = 255
 
 SIGNATURE_SAVE: Final = 0x65766173
-"""'save', written to 0x1010."""
+"""Signature "save", written to 0x1010."""
 SIGNATURE_LOAD: Final = 0x64616F6C
-"""'load', written to 0x1011."""
+"""Signature "load", written to 0x1011."""
 SIGNATURE_ZERO: Final = 0x6F72657A
-"""'zero', written to 0x6125 (CiA 404)."""
+"""Signature "zero", written to 0x6125 (CiA 404)."""
 
 
 def pdo_type_allowed(transmission_type: int) -> bool:

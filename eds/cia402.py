@@ -25,7 +25,7 @@ class State(Enum):
 
     @property
     def title(self) -> str:
-        """The state's name as the profile writes it."""
+        """Name of the state as the profile writes it."""
         return self.name.replace("_", " ").capitalize()
 
 
@@ -97,7 +97,9 @@ TRANSITIONS: Final = (
     Transition(15, (_S.FAULT,), (_E.FAULT_RESET,), _S.SWITCH_ON_DISABLED, "no fault is present any more"),
     Transition(16, (_S.QUICK_STOP_ACTIVE,), (_E.ENABLE_OPERATION,), _S.OPERATION_ENABLED, "0x605A 5 to 8 only"),
 )
-"""CiA 402-2, figure 4 and table 26. `None` is the state before power-on; a master uses a row's first event."""
+"""Transitions of the CiA 402 state machine (CiA 402-2, figure 4 and table 26). `None` is the state before power-on; a
+master uses a row's first event.
+"""
 
 STEP: Final = MappingProxyType({(s, e): t for t in TRANSITIONS for s in t.sources for e in t.events})
 """(state, event) → the row that it takes; no entry: the event does nothing in that state."""
@@ -181,7 +183,7 @@ class Control(IntFlag):
     SWITCH_ON = 1 << 0
     ENABLE_VOLTAGE = 1 << 1
     QUICK_STOP = 1 << 2
-    """Active low: 0 asks for a quick stop."""
+    """Quick stop, active low: 0 requests it."""
     ENABLE_OPERATION = 1 << 3
     HOMING_START = 1 << 4
     FAULT_RESET = 1 << 7
@@ -200,15 +202,15 @@ class Status(IntFlag):
     SWITCH_ON_DISABLED = 1 << 6
     WARNING = 1 << 7
     STO_ACTIVE = 1 << 8
-    """Manufacturer's bit: the emergency-stop input is active, or its release is outstanding."""
+    """Manufacturer's bit: the emergency-stop input is active, or the operator's release is outstanding."""
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     INTERNAL_LIMIT = 1 << 11
     FOLLOWS_COMMAND = 1 << 12
-    """CSP, CSV, CST: the drive follows the command value."""
+    """Statusword bit 12 in CSP, CSV and CST: the drive follows the command value."""
     HOMING_ATTAINED = 1 << 12
     FOLLOWING_ERROR = 1 << 13
-    """CSP."""
+    """Statusword bit 13 in CSP: following error."""
     HOMING_ERROR = 1 << 13
 
 
@@ -236,7 +238,7 @@ class HomingMethod(IntEnum):
     """Values of 0x6098 in use here; negative ones are the manufacturer's."""
 
     PRELOAD_TENSION = -1
-    """Wind in slowly until START's tension holds 0x2010; that place is home."""
+    """Homing by preload: wind in slowly until START's tension holds 0x2010; that position is home."""
     CURRENT_POSITION_35 = 35
     CURRENT_POSITION_37 = 37
 

@@ -55,12 +55,12 @@ class DataType(IntEnum):
 
     @property
     def real(self) -> bool:
-        """REAL32 or REAL64."""
+        """True for REAL32 and REAL64."""
         return self in (DataType.REAL32, DataType.REAL64)
 
     @property
     def integer(self) -> bool:
-        """A BOOLEAN, INTEGERn or UNSIGNEDn."""
+        """True for BOOLEAN, INTEGERn and UNSIGNEDn."""
         return self.bits > 0 and not self.real and self not in (DataType.TIME_OF_DAY, DataType.TIME_DIFFERENCE)
 
     @property
@@ -80,7 +80,7 @@ class DataType(IntEnum):
 
     @property
     def zero(self) -> Value:
-        """The value of an object whose file gives none."""
+        """Value of an object without a default in its file."""
         return 0 if self.integer else 0.0 if self.real else bytes(self.size)
 
 

@@ -170,7 +170,7 @@ class DeclaredBench:
 
     @property
     def bare(self) -> DeclaredBench:
-        """Return this bench with the devices of this project in every place."""
+        """Return this bench with packaged devices in every place."""
         return self.mapped({device.node_id: device.type.mapping() for device in self.devices})
 
     @property
@@ -185,7 +185,7 @@ class DeclaredBench:
 
     @property
     def observers(self) -> tuple[DeclaredDevice, ...]:
-        """The devices that are recorded and move nothing."""
+        """Devices that are recorded and move nothing."""
         return tuple(device for device in self.devices if device.type.observed)
 
     def nodes_of(self, path: ForcePath) -> PathNodes:

@@ -86,7 +86,7 @@ _SCALED_BY: Final = {"position": "position_scale", "target": "position_scale", "
 
 
 _TAKEN: Final = ("target", "controlword", "tension")
-"""Parts that a device takes from the bus; the others it sends."""
+"""Objects that a device receives from the bus; all others it sends."""
 
 
 class MappedPart(NamedTuple):
@@ -102,7 +102,7 @@ class MappedPart(NamedTuple):
 
     @property
     def dummy(self) -> int:
-        """The mapping word that skips it."""
+        """PDO mapping entry of a dummy object of the same length."""
         return self.entry.data_type << 16 | self.entry.data_type.bits
 
     def unit(self, symbol: str) -> str:

@@ -52,12 +52,12 @@ class Entry:
 
     @property
     def readable(self) -> bool:
-        """SDO may read it."""
+        """True if SDO may read the object."""
         return self.access != "wo"
 
     @property
     def writable(self) -> bool:
-        """SDO may write it."""
+        """True if SDO may write the object."""
         return self.access in ("wo", "rw", "rwr", "rww")
 
     @property

@@ -31,12 +31,12 @@ class Field(NamedTuple):
 
     @property
     def dummy(self) -> bool:
-        """A gap in the frame, that belongs to somebody else."""
+        """A gap in the frame: these bits belong to another node."""
         return self.key >> 8 < FIRST_OBJECT
 
     @property
     def word(self) -> int:
-        """The mapping word, as 0x16xx and 0x1Axx hold it."""
+        """PDO mapping entry, as 0x16xx and 0x1Axx contain it."""
         return self.key << 8 | self.bits
 
 
@@ -68,12 +68,12 @@ class PdoPlan:
 
     @property
     def unpack_si(self) -> Callable[[bytes], tuple[float, ...]]:
-        """Frame → SI values."""
+        """Convert a frame to SI values."""
         return self._conversions()[0]
 
     @property
     def pack_si(self) -> Callable[..., bytes]:
-        """SI values → frame."""
+        """Convert SI values to a frame."""
         return self._conversions()[1]
 
     def _conversions(self) -> tuple[Callable[[bytes], tuple[float, ...]], Callable[..., bytes]]:

@@ -224,7 +224,7 @@ class Logbook:
             return True
 
     def enter_remark(self, trial: int, remark: str) -> None:
-        """Enter why a trial has no estimate."""
+        """Enter the reason why a trial has no estimate."""
         with self._writing() as db:
             db.execute("INSERT OR REPLACE INTO estimate(trial, remark) VALUES (?, ?)", (trial, remark))
 

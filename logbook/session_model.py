@@ -45,7 +45,7 @@ PARTS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 class SessionData(NamedTuple):
-    """One session's information Λ about the constants and its pull Λ·y."""
+    """Information matrix Λ of one session about the constants, and Λ·y."""
 
     id: int
     information: Array
@@ -215,7 +215,7 @@ def resets_named(text: str) -> tuple[str, ...]:
 
 
 def _with_deviation(one: SessionData, sd: Array) -> tuple[Array, Array]:
-    """Return information and pull with the session's own deviation integrated out."""
+    """Return information matrix and vector with the session's own deviation integrated out."""
     inner = np.eye(sd.size) + one.information * sd**2
     solved = np.linalg.solve(inner, np.concatenate([one.information, one.pull[:, None]], axis=1))
     return 0.5 * (solved[:, :-1] + solved[:, :-1].T), solved[:, -1]

@@ -80,7 +80,7 @@ class Limits:
     own: tuple[OwnLimit, ...] = apart(())
 
     def above_packaged(self) -> list[str]:
-        """Return, as texts with both values, the limits of force, angle and speed that the packaged ones forbid."""
+        """Return, as texts with both values, the limits of force, angle and speed beyond the packaged ones."""
         packaged, given = Limits(), [(name, name, getattr(self, name)) for name, _, _ in WIDER]
         given += [(f"{own.of}.{own.name}", own.name, own.value) for own in self.own]
         wider = {name: (unit, sense) for name, unit, sense in WIDER}

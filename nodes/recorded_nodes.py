@@ -19,14 +19,14 @@ SECOND_NS = 1_000_000_000
 _ANSWERS = SDO_REQUEST_BASE - SDO_RESPONSE_BASE
 _NODES = 0x80
 POWER_ON = -1
-"""Anchor of the frames before the first command."""
+"""Reference event of the frames before the first command."""
 
 Hook = tuple[int, int]
-"""COB-ID of a master's frame and how many of it came before."""
+"""COB-ID of a master's frame, and number of frames with that COB-ID before it."""
 
 
 class Heard(NamedTuple):
-    """A frame of the master and when it ended."""
+    """A frame of the master, and the time of its end."""
 
     time_ns: int
     frame: Frame
@@ -92,7 +92,7 @@ class RecordedNodes:
             self._serial += 1
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """Hear the master."""
+        """Receive a frame of the master."""
         self.heard.append(Heard(now_ns, frame))
         self.last_ns = now_ns
         can_id = frame.can_id
@@ -107,11 +107,11 @@ class RecordedNodes:
             self.left -= 1
 
     def next_ns(self) -> int | None:
-        """When something is due."""
+        """Return the time of the next frame."""
         return self._due[0][0] if self._due else None
 
     def bus_off(self, now_ns: int) -> None:
-        """A recording cannot lose the bus."""
+        """Ignore bus-off: a recording has no fault confinement."""
 
     def bus_recovered(self, now_ns: int) -> None:
-        """Nor have it back."""
+        """Ignore the end of bus-off."""

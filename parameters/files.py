@@ -72,7 +72,7 @@ def _unpacked(path: Path) -> bytes:
 
 
 def unpacked_limit(path: Path) -> int:
-    """Return how many bytes a packed file may unpack to."""
+    """Return the largest unpacked size of a packed file, bytes."""
     return max(UNPACKED_FLOOR, UNPACKED_RATIO * path.stat().st_size)
 
 

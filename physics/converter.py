@@ -107,7 +107,7 @@ class Converter:
         self.reset(time_ns)
 
     def reset(self, time_ns: int) -> None:
-        """Forget the signal's history; drift counts from `time_ns`."""
+        """Reset the signal's history; drift counts from `time_ns`."""
         self._state: Array = np.array([0.0, 0.0, 0.0, 0.0, time_ns * 1e-9])
         self._ring: Array = np.zeros((RING, 2))
 

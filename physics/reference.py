@@ -75,7 +75,7 @@ class Reference:
         return a + u * (b + u * (c + u * d))
 
     def at(self, phase: float) -> Desired:
-        """Return everything that is wanted at `phase` (cycles), in one look-up."""
+        """Return motion and force at `phase` (cycles), in one look-up."""
         x = (phase - math.floor(phase)) * CYCLE_POINTS
         i = int(x)
         u = x - i

@@ -54,12 +54,12 @@ class GrowingTrial:
         return np.concatenate(found) if found else np.zeros((0, len(self.columns)))
 
     def _grown(self) -> bool:
-        """Say whether the file has bytes that were not read yet."""
+        """Return whether the file has unread bytes."""
         identity = _identity(self.path)
         return identity is not None and identity != self._older and identity[1] > self._at
 
     def _record(self, view: records.View, opcode: int, begin: int, end: int) -> list[NDArray[np.float64]]:
-        """Take one whole record: descriptions are kept, rows of a chunk returned."""
+        """Read one complete record: descriptions are stored, rows of a chunk returned."""
         try:
             cursor = records.Cursor(view, begin, end)
             if opcode == mcap.SCHEMA:

@@ -27,7 +27,7 @@ Integers = NDArray[np.int64]
 
 
 class Event(NamedTuple):
-    """One thing that happened; `kind` as in `Recorder.event`."""
+    """One event; `kind` as in `Recorder.event`."""
 
     time_ns: int
     kind: str

@@ -100,7 +100,7 @@ class Recorder:
 
     @property
     def failure(self) -> str | None:
-        """Why the recording ended early, or None."""
+        """Reason why the recording ended early, or None."""
         return self._writer.failure
 
     def frame(

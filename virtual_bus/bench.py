@@ -25,7 +25,7 @@ class Mechanics(Protocol):
     """Protocol of plant and measurement behind the devices; see `machine.py`."""
 
     def start(self) -> None:
-        """Put the first tick on the heap."""
+        """Schedule the first tick."""
 
     def close(self) -> None:
         """Finish all files."""

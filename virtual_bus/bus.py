@@ -117,7 +117,7 @@ class BowdenBus(can.BusABC):
 
     @property
     def bench(self) -> Bench:
-        """The bench, up to date."""
+        """The simulated bench, advanced to the present time."""
         self._settle()
         return self._shared.bench
 
@@ -151,7 +151,7 @@ class BowdenBus(can.BusABC):
 
     @property
     def lost(self) -> int:
-        """Messages that found the receive queue full."""
+        """Number of messages lost because the receive queue was full."""
         return self._socket.lost
 
     @property
@@ -244,7 +244,7 @@ class BowdenBus(can.BusABC):
         self._host.submit(frame_of(message), self._kernel.now_ns)
 
     def flush_tx_buffer(self) -> None:
-        """Discard what waits in the computer."""
+        """Discard frames in the computer's transmit queue."""
         self._settle()
         with self._lock:
             if self._host.wire is not None:
@@ -256,7 +256,7 @@ class BowdenBus(can.BusABC):
         self._host.rematch()
 
     def shutdown(self) -> None:
-        """Close this socket; the bench dies with its last one."""
+        """Close this socket; the bench is removed with its last socket."""
         if self._is_shutdown:
             return
         self._settle()

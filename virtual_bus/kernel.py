@@ -17,11 +17,11 @@ NEVER: Final = sys.maxsize
 TICK: Final = 0
 """Plant, drives and converters: before any device acts at an instant, it has measured."""
 END: Final = 1
-"""The last bit of a frame, or of an error frame: everybody receives."""
+"""Priority of the end of a frame or of an error frame: all stations receive."""
 TIMER: Final = 2
-"""Devices' timers and the host's periodic messages."""
+"""Priority of devices' timers and of the host's periodic messages."""
 START: Final = 3
-"""Arbitration: after everything that became ready in the same instant."""
+"""Priority of an arbitration: after every frame that becomes ready at the same instant."""
 
 
 class Kernel:

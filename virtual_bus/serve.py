@@ -39,7 +39,7 @@ class ServeFigures:
 
 
 class Outside:
-    """Joins the bench's stations to a python-can bus; they hear each other directly.
+    """Medium that joins the bench's stations to a python-can bus; stations receive each other directly.
 
     A bus that `echoes` brings their frames back besides, in their order: those are passed over.
     """
@@ -60,21 +60,21 @@ class Outside:
         self.reroute()
 
     def detach(self, station: Station) -> list[Waiting]:
-        """Take a station off; nothing waits here."""
+        """Remove a station; it has no queue here."""
         self._stations.remove(station)
         station.wire = None
         self.reroute()
         return []
 
     def flush(self, station: Station) -> None:
-        """Nothing waits here."""
+        """Do nothing: a station has no queue here."""
 
     def reroute(self) -> None:
-        """Forget who receives what."""
+        """Clear the cached routes from COB-IDs to stations."""
         self._routes.clear()
 
     def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
-        """Send at once: wall time charges its own turnaround."""
+        """Send at once: wall time includes its own turnaround."""
         message = message_of(frame, 0, False, "")
         try:
             self._bus.send(message)

@@ -48,7 +48,7 @@ class BusSettings:
 
     @property
     def bench(self) -> str:
-        """The bench's name in a calibration; "" without one."""
+        """Name of the bench in a calibration; "" without one."""
         return "" if self.serial is None else f"virtual {self.serial}"
 
 

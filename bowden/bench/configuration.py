@@ -38,7 +38,7 @@ ARRAYS = ("device", "joint", "force_path")
 
 
 def declaration(section: str) -> type[Any]:
-    """The dataclass that declares one section."""
+    """Return the dataclass that declares one section."""
     module, name = TABLES[section]
     found: type[Any] = getattr(importlib.import_module(module), name)
     return found
@@ -116,7 +116,7 @@ def refuse_raised(limits: Any, where: str) -> None:
 
 
 def _beside(path: Path | None, mapping: Any) -> Any:
-    """A device's file is named from where the configuration lies."""
+    """Return a device's file, named relative to the folder of the configuration."""
     file = Path(mapping.file)
     return mapping if not mapping.file or path is None else dataclasses.replace(mapping, file=str(path.parent / file))
 
@@ -165,7 +165,7 @@ def _shown(value: Any) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML string: JSON's escapes are among TOML's."""
+    """Return a TOML string: JSON's escapes are among TOML's."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

@@ -37,7 +37,7 @@ MODULES = (
 
 
 def load() -> None:
-    """Register every command; cheap, since commands import their rooms when they run."""
+    """Register every command; the packages behind a command are imported when the command runs."""
     for name in MODULES:
         importlib.import_module(f"bowden.cli.{name}")
 
@@ -115,7 +115,7 @@ def _short_help(arguments: Sequence[str], error: Exception) -> int:
 
 
 def _failed(error: Exception) -> int:
-    """Say where something raised that nobody expected: in a plug-in, or in this program."""
+    """Print where an unexpected exception was raised: in a plug-in, or in this program."""
     import traceback
 
     last = traceback.extract_tb(error.__traceback__)[-1]

@@ -26,7 +26,7 @@ class NothingGivenError(InputError):
 
 
 class ShortHelpCommand(TyperCommand):
-    """A command whose arguments are words."""
+    """A command whose help shows arguments as words."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the parts of the usage line."""
@@ -55,7 +55,7 @@ class Group(TyperGroup):
 
 
 class CommandGroup(typer.Typer):
-    """A Typer application of such commands."""
+    """A Typer application of commands with short help."""
 
     def __init__(self, **given: Any) -> None:
         super().__init__(**{"cls": Group, **given})

@@ -16,7 +16,7 @@ from types import FrameType
 LIKE_CTRL_C = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 CTRL_C = 128 + signal.SIGINT
 INTERRUPTED = "interrupted"
-"""Beginning of the reason of a run that the operator stopped."""
+"""Beginning of the stop reason of a run that the operator stopped."""
 
 
 class Ending:
@@ -26,11 +26,11 @@ class Ending:
         self.number: int | None = None
 
     def status(self, status: int) -> int:
-        """Return the exit status of a command that gave `status`."""
+        """Return the exit status of the process: 128 + signal number after a signal, else `status`."""
         return status if self.number is None or not status else 128 + self.number
 
     def told(self) -> str:
-        """Say what ended it."""
+        """Print which signal ended the command."""
         name = "" if self.number is None else f" by {signal.Signals(self.number).name}"
         return f"bowden: interrupted{name}."
 

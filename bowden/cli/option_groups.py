@@ -31,7 +31,7 @@ class WalkOptions(NamedTuple):
     soft_start: options.SoftStart = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
-        """The configuration's `section`, overridden; `controller` where the command line names none."""
+        """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
         from bowden.bench.configuration import override
 
         return override(section, {
@@ -110,7 +110,7 @@ class Bus(NamedTuple):
         return sections
 
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
-        """The bus to open; raises `InputError` for what contradicts itself.
+        """Return the bus to open; raises `InputError` for contradictory options.
 
         A channel or an option without an interface means a real bus that would not be opened: it is refused, but
         where a command is `always_simulated`.
@@ -151,7 +151,7 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 def grouped(command: Callable[..., int]) -> Callable[..., int]:
-    """Let `command` take groups: its options are theirs, in their place, and each group arrives as one argument."""
+    """Replace each option group in a command's signature by the group's options."""
     hints = get_type_hints(command, include_extras=True)
     groups = {name: kind for name, kind in hints.items() if hasattr(kind, "_field_defaults")}
     spelt: list[inspect.Parameter] = []

@@ -43,7 +43,7 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 
 def remark(text: str) -> None:
-    """Say one line on stderr."""
+    """Print one line on stderr."""
     print(f"bowden: {text}", file=sys.stderr, flush=True)
 
 
@@ -59,7 +59,7 @@ class Terminal:
         self._shown = shown
 
     def running(self, what: str) -> AbstractContextManager[Callable[[float], None]]:
-        """Return a bar."""
+        """Return a progress bar."""
         return progress(what, shown=self._shown)
 
     def waiting(self, what: str) -> AbstractContextManager[None]:
@@ -67,7 +67,7 @@ class Terminal:
         return waiting(what, shown=self._shown)
 
     def remark(self, sentence: str) -> None:
-        """Say one line on stderr."""
+        """Print one line on stderr."""
         remark(sentence)
 
 

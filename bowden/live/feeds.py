@@ -53,7 +53,7 @@ def state(name: str, kind: str, network: Network, *, decode_events: bool = False
 
 
 class TrialFeed:
-    """Stream of a trial to its page."""
+    """Stream of a trial to its live page and to Foxglove."""
 
     def __init__(self, page: PageProcess) -> None:
         self._page = page
@@ -63,11 +63,11 @@ class TrialFeed:
         return _Beside(recording, self._page)
 
     def suspected(self, sentence: str) -> None:
-        """Show the present suspicion of a diagnosis while the trial runs."""
+        """Show the present suspicion of the diagnosis during the trial."""
         self._page.suspected(sentence)
 
     def ended(self, sentence: str) -> None:
-        """Say how the trial ended."""
+        """Show the outcome of the trial."""
         self._page.status("ended", sentence)
 
 
@@ -132,12 +132,12 @@ class PagedViewer:
         self._places = [columns.index(name) if name in columns else None for name in FORCES]
 
     def wanted(self) -> frozenset[str]:
-        """Return what somebody watches: everything, as soon as a page is open."""
+        """Return the topics with a subscriber: all of them while a page is open."""
         others = frozenset[str]() if self._viewer is None else self._viewer.wanted()
         return others | (ALL if self._page.state.watchers else frozenset())
 
     def publish(self, topic: str, payload: bytes, time_ns: int) -> None:
-        """Send one message to both."""
+        """Send one message to the page and to Foxglove."""
         if self._viewer is not None:
             self._viewer.publish(topic, payload, time_ns)
         shown = self._page.state
@@ -153,12 +153,12 @@ class PagedViewer:
             shown.event(time_ns, *cdr.event_strings(payload))
 
     def time(self, time_ns: int) -> None:
-        """Send Foxglove the time; the page takes it from its messages."""
+        """Send the time to Foxglove; the page reads it from its messages."""
         if self._viewer is not None:
             self._viewer.time(time_ns)
 
     def state(self, player: Playback, *, sought: bool = False) -> None:
-        """Tell both where the player stands."""
+        """Send the player's position to the page and to Foxglove."""
         if self._viewer is not None:
             self._viewer.state(player, sought=sought)
         self._page.state.status(STATUS[player.status], "the recording has been played"

@@ -24,20 +24,22 @@ from parameters import InputError
 from trial.mcap_file.cdr import FRAME_STRUCT
 
 BLOCK: Final = struct.Struct("<cI")
-"""Head of a block: its kind and length."""
+"""Header of a block: its kind and length."""
 FRAMES, FORCES, EVENT, STATUS, SUSPICION = b"F", b"R", b"E", b"S", b"D"
 """Kinds of block: rows of `FRAME_ROW`, rows of `FORCE`, and JSON lists of the arguments of `event`, `status` and
 `suspected`."""
 FORCE: Final = struct.Struct("<q3d")
-"""Time, ns, and desired, START and END force, N."""
+"""Layout of a row of forces: time, ns, then desired, START and END force, N."""
 SEND_NS: Final = 20_000_000
-"""Bus time between two sends.  Shorter: more system calls in the control thread.  Longer: the page lags."""
+"""Bus time between two transmissions to the page. Shorter: more system calls in the control thread. Longer: the page
+lags.
+"""
 MOST_WAITING: Final = 1 << 22
 """Bytes that wait for the page; further blocks are left out until it has taken them."""
 NICENESS: Final = 10
 """Added to the page process's niceness: where processors are short the control thread goes first."""
 PATIENCE_S: Final = 3.0
-"""Time that the page has to send its last state."""
+"""Time limit for the last state of the page, s."""
 
 
 class PageSetup(NamedTuple):
@@ -90,16 +92,16 @@ class PageProcess:
         self._send_due(time_ns)
 
     def frames(self, rows: Any) -> None:
-        """Take frames at once: bytes of `cdr.FRAME_ROW`s."""
+        """Add frames: bytes of `cdr.FRAME_ROW`s."""
         self._frames += rows
 
     def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
-        """Take the forces of one control cycle, N, NaN where unknown."""
+        """Add the forces of one control cycle, N; NaN where unknown."""
         self._forces += FORCE.pack(time_ns, desired_n, start_n, end_n)
         self._send_due(time_ns)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
-        """Take what happened, in one sentence."""
+        """Add an event, as one sentence."""
         self._send_rows()
         self._put(EVENT, json.dumps((time_ns, kind, source, text)).encode())
 
@@ -109,16 +111,16 @@ class PageProcess:
         self._put(STATUS, json.dumps((status, sentence)).encode())
 
     def suspected(self, sentence: str) -> None:
-        """Show the present suspicion of a diagnosis while the trial runs."""
+        """Show the present suspicion of the diagnosis during the trial."""
         self._put(SUSPICION, json.dumps((sentence,)).encode())
 
     @property
     def waits(self) -> int:
-        """Bytes that the page has not taken yet."""
+        """Number of bytes that the page has not read yet."""
         return len(self._waiting)
 
     def close(self) -> None:
-        """Have the page send its last state and stop listening."""
+        """Make the page send its last state and stop listening."""
         with contextlib.suppress(OSError):
             self._told.settimeout(PATIENCE_S)
             self._told.sendall(self._waiting)
@@ -176,7 +178,7 @@ def serve(told: socket.socket, answers: socket.socket, setup: PageSetup, where: 
 
 
 def blocks(told: socket.socket) -> Iterator[tuple[bytes, bytes]]:
-    """Give kind and payload of each block, until the sender ends."""
+    """Yield kind and payload of each block, until the sender ends."""
     stream = told.makefile("rb")
     while len(head := stream.read(BLOCK.size)) == BLOCK.size:
         kind, length = BLOCK.unpack(head)
@@ -184,7 +186,7 @@ def blocks(told: socket.socket) -> Iterator[tuple[bytes, bytes]]:
 
 
 def take(state: LiveState, kind: bytes, payload: bytes) -> None:
-    """Put a block into the state of the page."""
+    """Add a block to the state of the page."""
     if kind == FRAMES:
         state.frames(payload)
     elif kind == FORCES:

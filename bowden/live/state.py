@@ -21,18 +21,18 @@ from trial.decode import events as events_of
 from trial.mcap_file import cdr
 
 WINDOW_S: Final = 20.0
-"""Seconds of force that the page shows."""
+"""Length of the force plot of the page, s."""
 ROW_NS: Final = 5_000_000
 """At most one row of force in so much bus time (200 a second)."""
 LOAD_NS: Final = 1_000_000_000
-"""Time over which the bus load is counted."""
+"""Window over which the bus load is computed."""
 EVENTS_KEPT: Final = 200
 QUEUE: Final = 1 << 16
 HEARTBEATS: Final = np.arange(0x701, 0x780)
 NMT_STATES: Final[Mapping[int, str]] = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 
 Force = tuple[int, float, float, float]
-"""Time (ns), desired, START and END force (N); NaN where unknown."""
+"""Time (ns), desired, START and END force (N); NaN for an unknown value."""
 
 
 class LiveState:
@@ -73,21 +73,21 @@ class LiveState:
         self._incoming.append((time_ns, can_id, flags, min(len(data), 8), 0, False, data[:8]))
 
     def frames(self, rows: bytes) -> None:
-        """Take frames at once: bytes of `cdr.FRAME_ROW`s; any thread."""
+        """Add frames: bytes of `cdr.FRAME_ROW`s; callable from any thread."""
         self._heard_at = self._clock()
         self._blocks.append(rows)
 
     def force(self, time_ns: int, desired_n: float, start_n: float, end_n: float) -> None:
-        """Take the forces of one control cycle, NaN where unknown; any thread."""
+        """Add the forces of one control cycle, NaN for unknown ones; callable from any thread."""
         self._heard_at = self._clock()
         self._forces.append((time_ns, desired_n, start_n, end_n))
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
-        """Take what happened, in one sentence; any thread."""
+        """Add an event, as one sentence; callable from any thread."""
         self._told.append((time_ns, kind, source, text))
 
     def suspected(self, sentence: str) -> None:
-        """Set the present suspicion of a diagnosis; any thread."""
+        """Set the present suspicion of a diagnosis; callable from any thread."""
         self._suspicion = sentence
 
     def status(self, status: str, sentence: str = "") -> None:

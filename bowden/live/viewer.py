@@ -17,7 +17,7 @@ BACKLOG = 1 << 16  # messages a client may be behind; at ten times real time a s
 
 
 def installed() -> bool:
-    """Whether foxglove-sdk is installed."""
+    """True if foxglove-sdk is installed."""
     import importlib.util
 
     try:
@@ -76,7 +76,7 @@ class Viewer:
         return frozenset(topic for topic, channel in self._channels.items() if channel.has_sinks())
 
     def publish(self, topic: str, payload: bytes, time_ns: int) -> None:
-        """Send one message to who has subscribed."""
+        """Send one message to its subscribers."""
         self._channels[topic].log(payload, log_time=time_ns)
 
     def time(self, time_ns: int) -> None:
@@ -84,7 +84,7 @@ class Viewer:
         self._server.broadcast_time(time_ns)
 
     def state(self, player: Playback, *, sought: bool = False) -> None:
-        """Tell every client where the player stands."""
+        """Send the player's position to every client."""
         self._server.broadcast_playback_state(self._state(player, sought, None))
 
     def _state(self, player: Playback, sought: bool, request: str | None) -> Any:

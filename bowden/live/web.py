@@ -25,14 +25,14 @@ from parameters import InputError
 
 LOOPBACK: Final = "127.0.0.1"
 TICK_S: Final = 0.1
-"""Between two messages of the stream."""
+"""Period of the messages of the event stream."""
 PATIENCE_S: Final = 10.0
 """Time limit for a client to send its request, or to accept the answer."""
 MOST_WATCHERS: Final = 8
 MOST_PENDING: Final = 32
 """Connections without a complete request; one more closes the oldest of them."""
 BACKLOG: Final = 128
-"""Connections that the kernel keeps until they are taken."""
+"""Connections that the kernel holds until the server accepts them."""
 TOKEN_HEADER: Final = "X-Bowden-Token"
 
 
@@ -104,7 +104,7 @@ class LivePage:
             return name in self._names
 
     def knows(self, token: str) -> bool:
-        """Whether a token is this page's, compared in constant time."""
+        """Return whether a token is this page's, compared in constant time."""
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def ask_to_stop(self) -> None:
@@ -128,7 +128,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__((host, port), _Handler)
 
     def server_bind(self) -> None:
-        """Bind without asking the resolver for this machine's name, as `HTTPServer` does."""
+        """Bind without a name look-up of this computer, which `HTTPServer` would do."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.bound = str(self.server_address[0]), int(self.server_address[1])
@@ -155,7 +155,7 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that has gone away is no error."""
+        """Ignore a client that closed its connection."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -164,7 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "bowden", ""
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing on the terminal."""
+        """Print no log lines."""
 
     def do_GET(self) -> None:
         self.server.heard(self.request)

@@ -31,7 +31,7 @@ WIDTH: Final = 8.0
 """Least 1σ of a session's estimate about the reference model, in published session deviations: wide enough that a
 change is measured and not held back, narrow enough that the model stays linear."""
 REFERENCE_TRIALS: Final = 2
-"""Sessions whose first trial the reference model is fitted to."""
+"""Number of sessions whose first trial the reference model is fitted to."""
 MOST_REFERENCES: Final = 4
 """Reference trials of a diagnosis: the reference fit costs a second each and more add less than sessions scatter."""
 FIGURES: Final = ("relative_rmse_percent", "relative_rmse_window_percent", "max_idle_tension_n", "peak_jump_n")

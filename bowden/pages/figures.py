@@ -34,7 +34,7 @@ def figures(
     serial: int | None, simulated: bool, kept: bool = True, progress: Progress = SILENT,
     paths: Mapping[str, ExperimentSetup] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Every key that the design names for `trial --json`, in its order.
+    """Return every figure that `trial --json` publishes, in the order of the documentation.
 
     `paths`: the experiments of a bench of several force paths; the figures of force are then under `paths`, by path.
     `serial`: of the simulated bench, None on hardware; not `kept`: the disk did not take the whole trial.

@@ -21,7 +21,7 @@ class Comparison(Generic[Difference]):
 
     @property
     def same(self) -> bool:
-        """Everything compared is as recorded, bit for bit."""
+        """True if every compared value is as recorded, bit for bit."""
         return self.first is None
 
     def as_json(self) -> dict[str, Any]:

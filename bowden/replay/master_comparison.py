@@ -84,6 +84,6 @@ def on_wire(frames: Rows, lengths_ns: Integers) -> list[OnWire]:
 
 
 def said(frames: Rows, masters: frozenset[int]) -> list[Heard]:
-    """The master's frames of a recording."""
+    """Return the master's frames of a recording."""
     chosen = frames[np.isin(frames["can_id"], list(masters)) & (frames["flags"] & cdr.ERROR == 0)]
     return [Heard(int(row["time_ns"]), frame_of(row)) for row in chosen]

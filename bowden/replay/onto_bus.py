@@ -46,21 +46,21 @@ class Played:
 
 
 class Playing:
-    """A player on open buses; `opened` makes one."""
+    """A player on open buses; `opened` creates one."""
 
     def __init__(self, player: Player, bus: Any, outlet: Outlet, restored: int) -> None:
         self.player, self._bus, self._outlet, self._restored = player, bus, outlet, restored
         self.clock: Callable[[], int] = getattr(bus, "time_ns", time.monotonic_ns)
 
     def run(self, progress: Callable[[float], None] = lambda share: None) -> None:
-        """Play on, until the end."""
+        """Play to the end."""
         from bowden.replay import playing_bus
 
         self.player.play(self.clock())
         playing_bus.run(self.player, self._bus, self.clock, progress=progress)
 
     def step(self) -> Frame | None:
-        """Send the next frame, whenever it was due; None at the end."""
+        """Send the next frame regardless of its time; None at the end."""
         from bowden.replay import playing_bus
 
         frame = self.player.step()
@@ -72,7 +72,7 @@ class Playing:
         self.player.seek(position_ns, self.clock())
 
     def pause(self) -> None:
-        """Send nothing further."""
+        """Pause the playback."""
         self.player.pause(self.clock())
 
     @property
@@ -82,7 +82,7 @@ class Playing:
 
     @property
     def ended(self) -> bool:
-        """Nothing is left to play."""
+        """True if every frame was played."""
         return self.player.status.value == "ended"
 
     def played(self) -> Played:

@@ -28,7 +28,7 @@ from trial.signals import PDO_NAMES, TRACE
 
 INPUTS = ("servo_statusword", "servo_position_m", "servo_force_n", "knee_statusword", "knee_angle_rad",
           "tension_start_n", "tension_end_n")
-"""Columns of `Inputs` between its stamp and its missing bits."""
+"""Columns of `Inputs` between the time stamp and the bits of missing inputs."""
 ANSWERS = ("gait_percent", "servo_target_m", "knee_target_rad", "desired_force_n", "estimated_end_force_n", "cycle",
            "held")
 OUTPUTS = (*ANSWERS, *(signal.name for signal in TRACE))
@@ -98,7 +98,7 @@ class RecordedInputs:
         self.outputs = (*OUTPUTS, *own)
 
     def advance(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations = NOTHING) -> Inputs:
-        """Keep the targets that answer `inputs`, and return the next row's inputs."""
+        """Store the targets that answer `inputs`, and return the next row's inputs."""
         answers = {**annotations._asdict(), "servo_target_m": servo_m, "knee_target_rad": knee_rad}
         lacks = (math.nan,) * (len(self.outputs) - len(OUTPUTS) - len(annotations.own))
         self.made.append((*(answers[name] for name in OUTPUTS), *annotations.own, *lacks))

@@ -65,7 +65,7 @@ class Residuals:
 
     @property
     def same(self) -> bool:
-        """Every signal is the recorded one in every row, bit for bit."""
+        """True if every signal equals the recorded one in every row, bit for bit."""
         return not any(figure.differing or figure.one_sided for figure in self.figures.values())
 
     def as_json(self) -> dict[str, Any]:

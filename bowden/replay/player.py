@@ -55,7 +55,7 @@ class Player:
 
     @property
     def speed(self) -> float:
-        """Recorded by played time."""
+        """Ratio of recorded time to playing time."""
         return self._playback.speed
 
     def position_ns(self, now_ns: int) -> int:
@@ -100,7 +100,7 @@ class Player:
         return [frame for frame, _ in restored]
 
     def step(self) -> Frame | None:
-        """Send the next frame, whenever it was due; None at the end."""
+        """Send the next frame regardless of its time; None at the end."""
         if (self.status, PlayerControl.STEP) not in TRANSITIONS:
             return None
         last = self._next == len(self._times)

@@ -43,14 +43,14 @@ class Outlet:
 
 
 def message_of(frame: Frame) -> can.Message:
-    """A frame as python-can's message."""
+    """Return a frame as python-can's message."""
     return can.Message(
         arbitration_id=frame.can_id, data=frame.data, is_extended_id=frame.extended, is_remote_frame=frame.remote,
         dlc=len(frame.data) if frame.dlc is None else frame.dlc, is_rx=False)
 
 
 def ignore(message: can.Message) -> None:
-    """Hear nothing."""
+    """Ignore a received frame."""
 
 
 def run(
@@ -70,7 +70,7 @@ def run(
 
 
 def wait(bus: can.BusABC, clock: Callable[[], int], until_ns: int, heard: Heard) -> None:
-    """Receive until a time has come."""
+    """Receive until the given time."""
     while (left_ns := until_ns - clock()) > 0:
         message = bus.recv(left_ns / NS)
         if message is not None:

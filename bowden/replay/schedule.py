@@ -29,7 +29,7 @@ Rows = NDArray[np.void]
 Integers = NDArray[np.int64]
 
 BROADCAST = 0
-"""The node of NMT, SYNC and TIME, which belong to no node."""
+"""Node number of NMT, SYNC and TIME frames, which belong to no node."""
 DIRECTIONS = {"rx": False, "tx": True}
 """Direction as recorded: received from the bus, or sent by the recording computer."""
 _TIME_COB_ID = 0x100
@@ -103,7 +103,7 @@ def plan(frames: Rows, selection: Selection, lead_ns: Integers | int = 0) -> Sch
 
 
 def _window(frames: Rows, selection: Selection) -> tuple[int, int]:
-    """Begin and end, ns from the first frame."""
+    """Return begin and end of the window, ns from the first frame."""
     whole = int(frames["time_ns"].max() - frames["time_ns"].min())
     begin = round(selection.from_s * 1e9)
     end = whole if selection.to_s is None else min(round(selection.to_s * 1e9), whole)
@@ -114,7 +114,7 @@ def _window(frames: Rows, selection: Selection) -> tuple[int, int]:
 
 
 def chosen_by(frames: Rows, selection: Selection) -> NDArray[np.bool_]:
-    """Say which frames pass the filters by node, COB-ID, direction and channel."""
+    """Return a sentence with the filters by node, COB-ID, direction and channel."""
     chosen = np.ones(len(frames), np.bool_)
     if selection.nodes:
         chosen &= np.isin(nodes_of(frames), list(selection.nodes))
@@ -138,7 +138,7 @@ def nodes_of(frames: Rows) -> NDArray[np.int64]:
 
 
 def frame_of(row: np.void) -> Frame:
-    """A recorded row as a frame."""
+    """Return a recorded row as a frame."""
     flags, dlc = int(row["flags"]), int(row["dlc"])
     remote = bool(flags & cdr.REMOTE)
     return Frame(int(row["can_id"]), b"" if remote else row["data"][:dlc].tobytes(), remote,

@@ -34,7 +34,7 @@ FIGURES = (
 )
 """Figures of a row: the keys of `bowden trial --json`, in their order."""
 COMMIT = "commit"
-"""And the commit that it was made by."""
+"""Column of the commit that made a row."""
 BENCH_TABLES = ("bench", "network", "limits", "homing", "plant", "start_sensor", "end_sensor", "servo_drive")
 CHANGING = ("bench.day", "bench.seed", "bench.steady")
 

@@ -39,7 +39,7 @@ NOMINAL, IDENTIFIED = "nominal", "identified"
 SHORT = {"peak": "gait.peak_n", "period": "gait.period_s", "cycles": "gait.cycles", "settle": "gait.settle",
          "controller": "gait.controller", "rate": "network.rate_hz", "serial": "bench.serial", "day": "bench.day",
          "seed": "bench.seed", "calibration": "files.calibration"}
-"""The options of `bowden trial`, by the parameters they set."""
+"""Options of `bowden trial`, by the parameters that they set."""
 LARGEST_SWEEP = 1_000_000
 DECLARED = "network.bench"
 """Key of a row that holds the tables of its bench as JSON text, "" for the packaged bench; it cannot be varied."""

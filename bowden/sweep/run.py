@@ -142,7 +142,7 @@ class _Sweep:
         return f"serial-{bench['bench.serial']}-{row_trial.digest(bench)}.toml"
 
     def all(self) -> None:
-        """Run everything."""
+        """Run all pending rows."""
         while self.jobs or self.under_way:
             while self.jobs and len(self.under_way) <= self.workers.at_once:
                 self._submit(*self.jobs.popleft())

@@ -59,7 +59,7 @@ class SweepTable:
         return tuple(text(row[name]) for name in self.parameters)
 
     def append(self, row: Mapping[str, Any], figures: Mapping[str, Any]) -> None:
-        """Add a finished row; it is in the file when this returns."""
+        """Append a finished row; the file contains the row when this function returns."""
         key = self.key(row)
         line = [*key, *(text(figures[name]) for name in self.columns[len(key):])]
         self.rows[key] = line
@@ -134,7 +134,7 @@ def _parquet_lines(path: Path) -> list[list[str]]:
 
 
 def _typed(cells: Sequence[str]) -> list[Any]:
-    """Return a column's values: whole numbers, numbers or text, whatever all of them are; empty is null."""
+    """Return a column's values as integers, numbers or text, whichever fits all of them; empty is null."""
     for kind in (int, float):
         try:
             values = [kind(cell) if cell else None for cell in cells]

@@ -27,7 +27,7 @@ class StateTable:
     table: Table
 
     def step(self, key: int, value: Value) -> Mapping[int, Value]:
-        """Take one write; return the objects to set. A write that the table does not list changes nothing."""
+        """Return the values to set by object after a write. A write that the table does not list changes nothing."""
         row = self.table.get((self.state, key, value), self.table.get((self.state, key, None)))
         if row is None:
             return {}
@@ -44,7 +44,7 @@ class Refusal:
 
 
 class Behaviour(Application):
-    """The functions of a test in front of a device profile."""
+    """Functions of a test, called before those of a device profile."""
 
     def __init__(self, profile: Application) -> None:
         self.profile = profile
@@ -73,7 +73,7 @@ class Behaviour(Application):
         return refusal.code
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
-        """Tell the profile, the state tables and the functions of the test."""
+        """Report a write to the profile, the state tables and the functions of the test."""
         self.busy += 1
         try:
             if key in self.profile.watched:
@@ -86,7 +86,7 @@ class Behaviour(Application):
             self.busy -= 1
 
     def latch(self, now_ns: int) -> None:
-        """Bring process inputs up to date at a SYNC."""
+        """Update the process inputs at a SYNC."""
         self.profile.latch(now_ns)
         self._read()
 
@@ -100,21 +100,21 @@ class Behaviour(Application):
             self.device.values[key] = function()
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
-        """Tell the profile."""
+        """Report the NMT state to the profile."""
         self.profile.nmt_changed(state, now_ns)
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
-        """Tell the profile."""
+        """Report the loss of communication to the profile."""
         self.profile.communication_lost(reason, now_ns)
 
     def reset(self, now_ns: int) -> None:
-        """Tell the profile."""
+        """Report the reset to the profile."""
         self.profile.reset(now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Let the profile run all due actions."""
+        """Run all due actions of the profile."""
         self.profile.poll(now_ns)
 
     def next_ns(self) -> int | None:
-        """Return when the profile has work."""
+        """Return the time of the profile's next action."""
         return self.profile.next_ns()

@@ -186,7 +186,7 @@ class CanopenNode:
         self._behaviour.writers.setdefault(at, []).append(function)
 
     def on_read(self, name: ObjectName, function: Callable[[], float | bytes | str]) -> None:
-        """Take an object's value from `function()` before every upload and every TPDO."""
+        """Read an object's value from `function()` before every upload and every TPDO."""
         at = self.key(name)
         entry = self.dictionary.entries[at]
         self._behaviour.readers[at] = lambda: self._value(entry, function())

@@ -16,7 +16,7 @@ from virtual_bus.wire.faults import ANY, COPY
 from virtual_bus.wire.station import ErrorKind, Station, Waiting
 
 BITS = 64
-"""Bits in the longest payload: `corrupt` flips one of them."""
+"""Number of bits in the longest payload: `corrupt` flips one of them."""
 
 
 @dataclass
@@ -43,11 +43,11 @@ class CountedFault:
         return self.count is not None and self.struck >= self.count
 
     def stop(self) -> None:
-        """Act on no further frame."""
+        """Disable the fault."""
         self.count = self.struck
 
     def strikes(self, station: Station, frame: Frame, now_ns: int) -> bool:
-        """Decide whether it acts on this frame, and count the frame."""
+        """Return whether the fault applies to this frame, and count the frame."""
         if self.done or self.cob_id not in (ANY, frame.can_id) or self.node_id not in (ANY, station.node):
             return False
         if self.when is not None and not self.when(frame.data):
@@ -71,12 +71,12 @@ class CountedFaults:
 
     def drop(self, cob_id: int | None = None, count: int | None = 1, *, after: int = 0, node_id: int | None = None,
              when: Callable[[bytes], bool] | None = None) -> CountedFault:
-        """Acknowledge the frame on the wire and deliver it to nobody."""
+        """Drop frames: each is acknowledged on the wire and delivered to no station."""
         return self._add("drop", cob_id, count, after, node_id, when)
 
     def delay(self, cob_id: int | None = None, count: int | None = 1, *, delay_ns: int, after: int = 0,
               node_id: int | None = None, when: Callable[[bytes], bool] | None = None) -> CountedFault:
-        """Make the frame ready for arbitration `delay_ns` later."""
+        """Delay frames: each takes part in arbitration `delay_ns` later."""
         if delay_ns < 0:
             raise InputError(f"faults.delay: delay_ns = {delay_ns} is negative; give 0 or more nanoseconds.")
         return self._add("delay", cob_id, count, after, node_id, when, delay_ns)
@@ -90,19 +90,19 @@ class CountedFaults:
 
     def duplicate(self, cob_id: int | None = None, count: int | None = 1, *, after: int = 0,
                   node_id: int | None = None, when: Callable[[bytes], bool] | None = None) -> CountedFault:
-        """Send the frame a second time."""
+        """Duplicate frames: each is sent a second time."""
         return self._add("duplicate", cob_id, count, after, node_id, when)
 
     def shorten(self, cob_id: int | None = None, count: int | None = 1, *, size: int, after: int = 0,
                 node_id: int | None = None, when: Callable[[bytes], bool] | None = None) -> CountedFault:
-        """Deliver only the first `size` bytes of the payload."""
+        """Shorten frames: only the first `size` bytes of the payload are delivered."""
         if not 0 <= size <= 8:
             raise InputError(f"faults.shorten: size = {size} is outside 0 … 8; give a number of bytes.")
         return self._add("shorten", cob_id, count, after, node_id, when, size)
 
     def disturb(self, cob_id: int | None = None, count: int | None = 1, *, after: int = 0,
                 node_id: int | None = None, when: Callable[[bytes], bool] | None = None) -> CountedFault:
-        """End the frame by an error frame; its transmitter repeats it."""
+        """Disturb frames: an error frame ends each, and its transmitter repeats it."""
         return self._add("disturb", cob_id, count, after, node_id, when)
 
     def clear(self) -> None:
@@ -124,7 +124,7 @@ class CountedFaults:
     # ---- what the wire asks: virtual_bus.wire.wire.FrameFaults ----
 
     def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
-        """Return when the frame takes part in arbitration."""
+        """Return the time from which on the frame takes part in arbitration."""
         for fault in self.all:
             if fault.kind == "delay" and fault.strikes(station, frame, ready_ns):
                 ready_ns += fault.number

@@ -10,7 +10,7 @@ from pathlib import Path
 from parameters import InputError
 
 LINES = 12
-"""Lines of differences shown; the rest is counted."""
+"""Greatest number of differences shown; the rest is counted."""
 
 
 def assert_same_frames(frames: Sequence[object], path: Path, *, update: bool = False) -> None:

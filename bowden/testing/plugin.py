@@ -42,7 +42,7 @@ def can_bus(request: pytest.FixtureRequest) -> Iterator[CanBus]:
     update = request.config.getoption("--golden-update")
 
     class GoldenBus(CanBus):
-        """The bus of a test, whose golden files stand beside the test."""
+        """Bus of a test, whose golden files are beside the test."""
 
         def assert_golden(self, path: Any = None, *, update: bool = update) -> None:
             name = path or f"golden/{request.node.name}.txt"

@@ -11,7 +11,7 @@ from eds.pdo_plan import compile_plan
 from parameters import InputError
 
 LONGEST = 64
-"""Bytes of the longest string or domain that a strategy writes."""
+"""Length of the longest string or domain that a strategy writes, bytes."""
 
 
 def values(entry: Entry) -> st.SearchStrategy[Value]:

@@ -69,7 +69,7 @@ class VirtualTime:
 
     @property
     def mine(self) -> bool:
-        """The calling thread is the one that entered."""
+        """True in the thread that entered virtual time."""
         return threading.get_ident() == self._thread
 
     # ---- clocks ----
@@ -122,7 +122,7 @@ class VirtualTime:
                 yield network.bus, network.listeners
 
     def _hand_out(self) -> bool:
-        """Hand the oldest message to its listeners; False where none waits."""
+        """Pass the oldest message to its listeners; return False if no message waits."""
         waiting = [(bus._queue[0].time_ns, place) for place, (bus, _) in enumerate(self._served()) if bus._queue]
         if not waiting:
             return False
@@ -161,7 +161,7 @@ class TurnNotifier:
         return self not in self._time._notifiers
 
     def stop(self, timeout: float = 5.0) -> None:
-        """Hand out no more messages and stop the listeners."""
+        """Pass no more messages on and stop the listeners."""
         if self.stopped:
             return
         self._time._notifiers.remove(self)
@@ -174,11 +174,11 @@ class TurnNotifier:
         self.listeners.append(listener)
 
     def remove_listener(self, listener: Any) -> None:
-        """Take a listener away."""
+        """Remove a listener."""
         self.listeners.remove(listener)
 
     def add_bus(self, bus: Any) -> None:
-        """Listen to a further bus."""
+        """Receive from a further bus."""
         self.buses.append(bus)
 
     def __enter__(self) -> TurnNotifier:

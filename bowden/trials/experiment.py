@@ -54,7 +54,7 @@ class Experiment:
     configuration: str | Path | None = None
 
     def prepared(self, bus: BusSettings, progress: Progress = SILENT) -> session.Prepared:
-        """Check it for a bus; raises `InputError` for whatever can be refused before a frame is sent."""
+        """Check the experiment for a bus; raises `InputError` for unusable input before a frame is sent."""
         sections = configuration.read(None if self.configuration is None else Path(self.configuration))
         sections["network"] = self._overridden(sections["network"], _OF_NETWORK)
         knee, desired = (None if given is None else Path(given) for given in (self.knee, self.desired))

@@ -81,12 +81,12 @@ class Trial:
 
     @property
     def outcome(self) -> str | None:
-        """Outcome: "completed" or "stopped"; None without one in the recording."""
+        """Outcome of the trial: "completed" or "stopped"; None if none was recorded."""
         return self._result("outcome")
 
     @property
     def stop_reason(self) -> str | None:
-        """Why it stopped, in one sentence; None where it did not."""
+        """Reason of the stop, in one sentence; None for a completed trial."""
         return self._result("stop_reason")
 
     def _result(self, key: str) -> str | None:
@@ -189,10 +189,10 @@ class TemporaryFolder:
         self._remove = weakref.finalize(self, shutil.rmtree, self.path, True)
 
     def remove(self) -> None:
-        """Remove it now."""
+        """Remove the trial's temporary folder now."""
         self._remove()
 
     def hand_to(self, owner: object) -> None:
-        """Keep the folder for as long as `owner` lives."""
+        """Keep the temporary folder until `owner` is deleted."""
         self._remove.detach()
         weakref.finalize(owner, shutil.rmtree, self.path, True)

@@ -41,7 +41,7 @@ class Watch(Protocol):
         """Return a recorder that records in `recording` and shows its records."""
 
     def ended(self, sentence: str) -> None:
-        """Take how the trial ended."""
+        """Report the outcome of the trial."""
 
 
 
@@ -218,7 +218,7 @@ def _bench(chosen: BusSettings) -> str:
 
 
 def known_effects(model: Path | BenchModel | None) -> Effects:
-    """The effects that a bench model states; none without one."""
+    """Effects of a bench model; none without a model."""
     found = _read(model)
     return {} if found is None else found.effects
 

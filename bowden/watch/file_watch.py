@@ -27,7 +27,7 @@ from physics.effects.hypotheses import HYPOTHESES
 from trial.growing import GrowingTrial
 
 ANY: Final = "any"
-"""Word of --stop-on for every effect."""
+"""Word for every effect in --stop-on."""
 STOP_PERCENT: Final = 2.0
 """Error of END, % of the peak, that a named effect must cost for a stop."""
 DRIFT_S: Final = 20.0
@@ -52,7 +52,7 @@ def refuse_stop_on(names: Sequence[str], where: str) -> None:
 
 
 class FileWatch:
-    """Watches one file; raises `InputError` for reference trials that cannot be used.
+    """Watch of one file; raises `InputError` for unusable reference trials.
 
     `replaced`: a file that is there already is about to be overwritten.
     """
@@ -66,7 +66,7 @@ class FileWatch:
 
     @property
     def closed(self) -> bool:
-        """Whether the writer has closed the file."""
+        """True if the writer has closed the file."""
         return self._file.closed
 
     def look(self, last: bool = False) -> Iterator[WatchVerdict]:
@@ -93,7 +93,7 @@ class FileWatch:
             yield found
 
     def stops(self, found: WatchVerdict) -> bool:
-        """Say whether a suspicion asks for a safe stop."""
+        """Return whether a suspicion requests a safe stop."""
         asked = self._bench.stop_on
         named = ANY in asked or any(name in asked for name in found.suspected)
         return bool(found.suspected) and named and found.cost_percent >= STOP_PERCENT

@@ -35,7 +35,7 @@ class GaitWindows:
         self._last = -1.0
 
     def add(self, rows: Array) -> Iterator[GaitWindow]:
-        """Take rows and yield the cycles that they complete."""
+        """Add rows and yield the gait cycles that they complete."""
         rows, numbers = self._numbered(rows)
         self._kept = np.concatenate([self._kept, rows])
         self._numbers = np.concatenate([self._numbers, numbers])

@@ -205,7 +205,7 @@ class RunningEvidence:
         return list(chosen.values())
 
     def _beginnings(self, inner: Any, part: EffectColumns) -> tuple[float, int, Array]:
-        """Return evidence, likeliest first cycle and sizes of one variant."""
+        """Return evidence, likeliest first cycle and sizes of one variant, over all first cycles."""
         after = [CycleSums(c.cross[:, part.at], c.square[part.at, part.at], c.pull[part.at]) for c in self._cycles]
         sums = CycleSums(*(np.cumsum(np.stack(parts)[::-1], axis=0)[::-1] for parts in zip(*after, strict=True)))
         found = []
@@ -273,7 +273,7 @@ def _variants(reference: ReferenceFit) -> list[EffectColumns]:
 
 
 def _along(along: Mapping[str, float]) -> Mapping[str, float]:
-    """Return a direction with the friction's drift over the trial as its change now, times the progress."""
+    """Return a direction of the evidence; friction drift is scaled by the progress of the trial."""
     return {"cable": along["drift"], "fabric": along["drift"]} if "drift" in along else along
 
 

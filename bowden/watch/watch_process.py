@@ -79,11 +79,11 @@ class TrialWatch:
         return _HearingRecorder(recording, self)
 
     def ended(self, sentence: str) -> None:
-        """Tell the watch that the trial has ended."""
+        """Report to the watch that the trial has ended."""
         self.say(END)
 
     def say(self, word: str) -> None:
-        """Send a word to the watch, where it still runs."""
+        """Send a word to the watch process, if it still runs."""
         with contextlib.suppress(BrokenPipeError, OSError):
             self._words.send(word)
 

@@ -27,7 +27,7 @@ GAP_STEPS: Final = 5.0
 MOST_MISSING: Final = 0.2
 """Share of missing values of a column above which the trial is refused."""
 SHORTEST_REST: Final = 10
-"""Samples that a saturated signal rests at its extreme at least."""
+"""Least number of samples that a saturated signal stays at its extreme."""
 RUN_UP: Final = 10
 """Samples before the rest over which a saturated signal moves faster than its RMS rate."""
 WIDEST: Final = {"m": (2.0, 1e3, "millimetres"), "rad": (8.0, 57.29578, "degrees")}

@@ -27,7 +27,7 @@ UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION
 """Unit of each signal by its name in CSV headers, in the channel /cycle and on report axes."""
 
 COUNTERS: Final = ("time_s", "gait_percent", "cycle")
-"""Columns that are no signals: they are never filtered."""
+"""Columns that are counters, no signals: they are never filtered."""
 AGE_SUFFIX: Final = "_age_ns"
 """Suffix of a column with the staleness of a signal, ns."""
 NOMINAL: Final = "nominal"

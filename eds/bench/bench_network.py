@@ -60,7 +60,7 @@ class NodeEntry(NamedTuple):
         return part(self.dictionary, self.fitting, name)
 
     def lacks(self, names: Sequence[str]) -> Iterator[str]:
-        """Say in a sentence each which of these parts nobody can play."""
+        """Yield one sentence for each of these parts that the device's dictionary lacks."""
         for name in names:
             try:
                 self.part(name)

@@ -40,7 +40,7 @@ def frame_bits(size: int, worst: bool = True) -> int:
 
 
 class Kind(Enum):
-    """Why a stream is on the bus."""
+    """Purpose of a stream on the bus."""
 
     CYCLIC = "each cycle"
     HEARTBEAT = "heartbeat"
@@ -78,7 +78,7 @@ class Budget:
 
     @property
     def holds(self) -> bool:
-        """The last input is there by its deadline, in every cycle of the sustained traffic."""
+        """Return whether the last input arrives by its deadline in every cycle of the sustained traffic."""
         return self.inputs_ns <= self.deadline_ns
 
 

@@ -50,8 +50,8 @@ class Conditions(NamedTuple):
 
 
 class Controller(Protocol[State]):
-    """One controller, configured. Constants are in the object, memory is in `State`, an argument and a result of
-    `step`.
+    """Controller configured for one gait on one bench. Constants are in the object, memory is in `State`, an argument
+    and a result of `step`.
 
     A class that inherits this writes `step` and `initial`, and a constructor that takes the arguments of `configure`.
 
@@ -118,7 +118,7 @@ def signals(kind: Kind) -> tuple[Signal, ...]:
 
 
 class WithEffects(Controller[State]):
-    """A controller inside a compensation of further effects."""
+    """A controller extended by the compensation of further effects."""
 
     def __init__(self, within: Controller[State], correction: Correction, start_offset_n: float) -> None:
         self._within, self._correction, self._start_offset_n = within, correction, start_offset_n

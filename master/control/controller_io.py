@@ -50,7 +50,7 @@ class Trace(NamedTuple):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Values of all columns, the controller's own last."""
+        """Values of all columns; those of the controller's own columns come last."""
         return (*self[:-1], *self.own)
 
 

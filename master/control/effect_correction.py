@@ -36,7 +36,7 @@ AROUND: Final = frozenset({"load_slope", "viscous", "start_gain"})
 """Quantities that tables around any controller meet, though a calibration has a scalar for them: not every one reads
 it."""
 SMOOTH_S: Final = 0.02
-"""Tables have no steps: a target must not have any."""
+"""Time constant of the smoothing of corrections: tables have steps, a target must not."""
 
 
 def calibrated(calibration: Calibration, found: Effects) -> tuple[Calibration, dict[str, Values]]:
@@ -127,7 +127,7 @@ def _fabric(calibration: Calibration, force: Array) -> Array:
 
 
 def _course(calibration: Calibration, gait: GaitTable) -> Trajectory:
-    """The gait as the calibration meets it, over `LAPS` gait cycles."""
+    """The gait under the identified calibration, over `LAPS` gait cycles."""
     desired, knee = np.tile(gait.desired, LAPS), np.tile(gait.knee, LAPS)
     path = inverse.path(inverse.law(calibration, gait.period_s), desired, knee, laps=1)
     still = np.zeros(desired.size)

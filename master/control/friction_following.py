@@ -25,15 +25,15 @@ LEAST_SHARE = 0.3
 """Share of the greatest force of the gait below which START and stretch are too uncertain."""
 STEP = 0.5
 NOISE_N = 0.5
-"""Error of START against the model that is believed of one sample."""
+"""Standard deviation of START against the model for one sample, N."""
 EFFECTIVE_SAMPLES = 25.0
-"""Effective sample size of a gait cycle of observations."""
+"""Effective number of independent samples in the observations of one gait cycle."""
 HUBER = 1.5
 ROUNDS = 5
 PRIOR: Final = (0.025, 0.025, 0.05, 0.1e-3, 0.015, 0.1e-3)
 """Standard deviations from homing: fs, fk, β, z (m), w, p (m)."""
 AS_HOMED: Final = (0.01, 0.01, 0.05, 0.1e-3, 0.015, 0.1e-3)
-"""Prior σ while homing has just measured friction; as `PRIOR`."""
+"""Prior standard deviations just after homing measured the friction; as `PRIOR`."""
 LEAST_ROWS = 10
 LEAST_BOTH = 0.1
 """Least share of the observations with slip in the opposite direction: one direction cannot separate friction from
@@ -73,7 +73,7 @@ class CycleEvidence(NamedTuple):
 
 
 def at(law: Law, followed: Followed) -> Law:
-    """The law of homing with its friction as it was followed."""
+    """Return the controller's model with the friction as it is followed."""
     sheath, knee, breakaway = followed[:3]
     return law._replace(
         cable_exponent=sheath * law.cable_exponent, fabric_offset=knee * law.fabric_offset,
@@ -150,7 +150,7 @@ def follow(followed: Followed, evidence: list[CycleEvidence]) -> Followed:
 
 
 def evidence_of(history: Any) -> list[CycleEvidence]:
-    """The evidence in a linked list (sample, feedback, tracked, evidence, older)."""
+    """Return the evidence of a linked list (sample, feedback, tracked, evidence, older)."""
     found = []
     while history is not None:
         *_, one, history = history

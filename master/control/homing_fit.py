@@ -27,7 +27,7 @@ STEPS = 6
 SOFT_M = 60e-6
 """Residual beyond which a point counts less (Huber): reversals, where the lumped model is poorest."""
 EFFECTIVE_SAMPLES = 40.0
-"""Effective sample size of one motion."""
+"""Effective number of independent samples in one motion of homing."""
 _PRIOR: Final = np.array((0.2, 0.04, 1e-2, 2e-6))
 """Standard deviations: friction, stretch, zero (m), creep (m/(N·s))."""
 _DIFFERENCES: Final = np.array((0.02, 0.01, 1e-4, 1e-7))
@@ -36,7 +36,7 @@ _NEUTRAL: Final = np.array((1.0, 1.0, 0.0, 0.0))
 
 
 class HomingFit(NamedTuple):
-    """Today against the calibration.
+    """Deviation of this session's bench from the calibration, as homing measured it.
 
     Friction and stretch as factors, the encoder zero's shift, m, START's reading when slack, N; START's lag beyond the
     calibration's, s.
@@ -50,7 +50,7 @@ class HomingFit(NamedTuple):
 
 
 def smoothed(column: Array, points: int = SMOOTHED) -> Array:
-    """Means of `points` samples each; a remainder at the end is dropped."""
+    """Means of `points` samples each; a remainder at the end is omitted."""
     return np.asarray(column[: len(column) // points * points].reshape(-1, points).mean(axis=1))
 
 

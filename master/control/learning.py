@@ -42,7 +42,7 @@ def design(samples: int, period_s: float, lead: int, cutoff_hz: float = CUTOFF_H
 
 
 def passes(frequency_hz: Array, cutoff_hz: float) -> Array:
-    """Magnitude of Q."""
+    """Magnitude of the filter Q at a frequency."""
     return np.asarray(np.exp(-math.log(2.0) * (frequency_hz / cutoff_hz) ** 2), dtype=np.float64)
 
 

@@ -25,7 +25,7 @@ class _OfThePaper(Controller[paper.PaperState]):
             model, gait, conditions.impedance, compensates=self.compensates, listens=self.listens)
 
     def initial(self) -> paper.PaperState:
-        """Return no deviation."""
+        """Return the controller's memory before the first cycle: no deviation."""
         return paper.PaperState()
 
     def step(self, seen: ControllerInput, state: paper.PaperState) -> tuple[ControllerOutput, paper.PaperState, Trace]:
@@ -34,19 +34,19 @@ class _OfThePaper(Controller[paper.PaperState]):
 
 
 class Uncompensated(_OfThePaper):
-    """Stretch and swing fed forward, nothing else."""
+    """Feedforward of stretch and swing only."""
 
     compensates, listens = False, False
 
 
 class FrictionCompensation(_OfThePaper):
-    """Friction in the feedforward."""
+    """Feedforward of stretch, swing and friction."""
 
     compensates, listens = True, False
 
 
 class ImpedanceLaw(_OfThePaper):
-    """The impedance law on the estimated END force."""
+    """Impedance law on the estimated END force."""
 
     compensates, listens = False, True
 

@@ -32,7 +32,7 @@ class PaperState(NamedTuple):
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """Constants of `step`, folded once from calibration, gait and impedance."""
+    """Constants of `step`, computed once from calibration, gait and impedance."""
 
     gait: GaitTable
     swing_k: float

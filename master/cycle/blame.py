@@ -49,7 +49,7 @@ SUSPECTS: Final = (
     Suspect(START, "START, servo position, knee angle, or the calibration's swing_k", frozenset({BY_START})),
     Suspect(END, "END, servo position, knee angle, or the calibration's swing_k", frozenset({BY_END})),
 )
-"""In the order of their naming where patterns are equally near."""
+"""Suspects, in the order in which they are named if patterns are equally near."""
 _TEXTS: Final[Mapping[int, tuple[str, float, str]]] = MappingProxyType({
     RATIO: ("START against END by friction", 1.0, "N"),
     FORCE: ("servo force beyond START", 1.0, "N"),
@@ -99,7 +99,7 @@ def blamed(finding: Implausibility, path: PathNodes) -> StopError:
 
 
 def _both_off(finding: Implausibility) -> bool:
-    """Whether both axes are far from where their targets lead."""
+    """Return whether both axes are far from the position that their targets lead to."""
     return min(abs(finding.ratios[SERVO_TRACK]), abs(finding.ratios[KNEE_TRACK])) > _TOGETHER
 
 

@@ -124,12 +124,12 @@ class Exchange:
 
     @property
     def guards(self) -> tuple[Guard, ...]:
-        """The guard, as of each force path."""
+        """The guard, as a list of one for each force path."""
         return (self.guard,)
 
     @property
     def heard(self) -> tuple[int, ...]:
-        """COB-IDs that this path receives: its inputs and its observers."""
+        """COB-IDs that this path receives: inputs and observers."""
         return (*self._slots, *self._observers)
 
     def forget_misses(self) -> None:
@@ -137,16 +137,16 @@ class Exchange:
         self.missed_cycles = self.stale_inputs = 0
 
     def end(self) -> None:
-        """End the cycle: SDOs wait by receiving again."""
+        """End the cyclic exchange: SDO transfers wait by receiving again."""
         self.link.pump = self.link.receive
         self.log.drain()
 
     def hold(self) -> Inputs:
-        """One cycle with the targets of the last one."""
+        """Run one cycle with the targets of the last one."""
         return self.advance(*self.targets)
 
     def rehomed(self, by_m: float) -> None:
-        """The servo's position reads `by_m` more from now on."""
+        """Shift the servo's position by `by_m` after homing."""
         self.rehoming = False
         self.plausibility.shift(by_m)
 
@@ -185,7 +185,7 @@ class Exchange:
         return self._latch(sync_ns)
 
     def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
-        """Take the targets that answer `inputs`; nothing is sent."""
+        """Accept the targets that answer `inputs`; nothing is sent."""
         inputs = self.inputs
         if annotations is not None:
             self.guard.check_gait(inputs, annotations)
@@ -213,7 +213,7 @@ class Exchange:
         return self._latch(sync_ns, complete.inputs)
 
     def _record(self, sync_ns: int, sent: bool, annotations: CycleAnnotations | None) -> None:
-        """Record the cycle that a SYNC has ended."""
+        """Record the cycle that the newest SYNC has ended."""
         if self.log.taps and sent:
             sent = self.inputs.sync_ns <= self.log.target_stamp_ns <= sync_ns
         self.note(sent)
@@ -246,7 +246,7 @@ class Exchange:
         return -1
 
     def hear_late(self, message: can.Message) -> None:
-        """Take a TPDO that comes after the deadline of its cycle."""
+        """Process a TPDO that arrives after the deadline of its cycle."""
         can_id = message.arbitration_id
         if can_id in self._observers:
             self._observe(message)
@@ -334,7 +334,7 @@ class Exchange:
         return missing
 
     def _keep(self, i: int, values: tuple[float, ...], sync_ns: int, stamp: int) -> None:
-        """Keep the values of place i, latched by `sync_ns`."""
+        """Store the values of input i, latched by the SYNC at `sync_ns`."""
         kept, latched, arrival = list(self._values), list(self._latched_ns), list(self._arrival_ns)
         kept[i], latched[i], arrival[i] = values, sync_ns, stamp - sync_ns
         self._values, self._latched_ns, self._arrival_ns = kept, latched, arrival
@@ -363,7 +363,7 @@ class Exchange:
         return self.checked()
 
     def begin_latch(self, sync_ns: int) -> None:
-        """Begin a cycle: nothing of this SYNC has been heard."""
+        """Begin a cycle: no input of this SYNC has been received."""
         self._arrival_ns, self.observed = UNHEARD, self._unknown
         self.told = self._doubled_sync = False
         overdue_ns = self._overdue_ns + sync_ns - self.inputs.sync_ns - self.wire.period_ns
@@ -383,7 +383,7 @@ class Exchange:
             self._overdue_inputs = [n + (missing >> i & 1) for i, n in enumerate(self._overdue_inputs)]
 
     def checked(self) -> Inputs:
-        """Check the inputs of this cycle against safety's table, and return them."""
+        """Return the inputs of this cycle, checked against the table of `safety`."""
         self.guard.check(self.inputs, self._late_in_row, self.targets, self.rehoming, self._reception)
         self._answered_ns = self.link.clock()
         return self.inputs

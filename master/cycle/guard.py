@@ -117,7 +117,7 @@ class Guard:
                 raise repetition.stop(found)
 
     def _supervise(self, inputs: Inputs, targets: tuple[float, float], rehoming: bool) -> None:
-        """Limits of the knee, the drives' own words about their motion, and every signal against the others."""
+        """Check the knee's limits, the drives' status and the plausibility of every signal."""
         words = inputs.servo_status | inputs.knee_status
         if words & _REPORTED or any(self._limited_ns):
             self._refuse_reported(inputs, rehoming)

@@ -21,7 +21,7 @@ _FAILURES = (RecordingError, OSError)
 
 
 class CycleSink(Protocol):
-    """The part of `trial.record.Recorder` that the master uses."""
+    """Interface of `trial.record.Recorder` that the master uses."""
 
     def frame(
         self, time_ns: int, can_id: int, data: bytes, flags: int = 0, channel: int = 0, sent: bool = False
@@ -39,7 +39,7 @@ Row = tuple[int, int, bytes, int, bool]
 
 
 def _rows(tap: can.BusABC | None) -> Iterator[Row]:
-    """Every frame that waits at a bus which hands over no blocks."""
+    """Receive every waiting frame of a bus that delivers no blocks."""
     while tap is not None and (message := tap.recv(0)) is not None:
         flags, data = 0, bytes(message.data)
         if message.is_remote_frame or message.is_extended_id or message.is_error_frame:
@@ -50,7 +50,7 @@ def _rows(tap: can.BusABC | None) -> Iterator[Row]:
 
 
 class Log:
-    """The recorder and its tap; both may be absent.
+    """The recorder and its monitor socket; both may be absent.
 
     `target_stamp_ns` is when the last frame `targets_cob_id` was on the bus, −1 before any.  After the recorder
     has failed, which raises `StopError` once unless `quiet`, frames are still drained and nothing is recorded.
@@ -66,7 +66,7 @@ class Log:
         self.quiet = False
 
     def drain(self) -> None:
-        """Record every frame that waits at the tap; raises `StopError` or `LinkError`."""
+        """Record every frame that waits at the monitor socket; raises `StopError` or `LinkError`."""
         if not self.taps:
             return
         recorder, targets = self._recorder, self._targets_cob_id
@@ -110,7 +110,7 @@ class Log:
                 self._give_up(error)
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
-        """Record what happened, to whom, in one sentence; raises `StopError`."""
+        """Record an event: kind, source and one sentence; raises `StopError`."""
         if self._recorder is not None:
             try:
                 self._recorder.event(time_ns, kind, source, text)

@@ -28,7 +28,7 @@ from numba import njit
 
 SERVO_TRACK, KNEE_TRACK, RATIO, FORCE, BY_START, BY_END, STILL_START, STILL_END, STILL_SERVO, STILL_KNEE, \
     RELATIONS = range(11)
-"""Relations, in the order of their slots; `RELATIONS` is their number."""
+"""Compared relations, in the order of their array slots; `RELATIONS` is their number."""
 
 WINDOW: Final = 64
 """Greatest number of cycles in the window of `force`."""
@@ -41,12 +41,12 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 and since the window's beginning, repeated values; the window's place and sums; the results of homing so far;
 `MOST_FLOW`: the greatest speed of its windows, m/s."""
 RATIOS = 33
-"""The normalised residual of each relation, signed: 1 is its tolerance."""
+"""Slots of the normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 READINGS = COUNTS + RELATIONS
-"""Reading and expected value of each relation, pairs."""
+"""Slots of measured and expected value of each relation, in pairs."""
 RING = READINGS + 2 * RELATIONS
-"""Ring of START/servo-force differences, then of positions, signs and speeds."""
+"""Slot of the ring of START/servo-force differences, then of positions, signs and speeds."""
 NORMAL_FORCE = RING + 4 * WINDOW
 NORMAL_STRETCH = NORMAL_FORCE + FORCE_TERMS * (FORCE_TERMS + 1)
 STATES = NORMAL_STRETCH + STRETCH_TERMS * (STRETCH_TERMS + 1)
@@ -67,12 +67,14 @@ AGREES, ALONE = 0.6, 2.5
 WIDE: Final = 0.95
 """|ln(START/END)| that no healthy path passes; assumed for benches that have not been homed."""
 LEAST_FRICTION: Final = 0.1
-"""ln(START/END) of sliding that is assumed where homing shows less."""
+"""Least assumed ln(START/END) of sliding, if homing shows less."""
 SLOW_M_S: Final = 5e-3
 TAUT_N: Final = 3.0
 SAME_FOR_S: Final = 0.012
 FROZEN, FROZEN_M = 3.0, 0.1e-3
-"""Cycles of one servo position, and way of its target meanwhile, m, from which on it explains another finding."""
+"""Frozen servo position: cycles at one value, and motion of the target meanwhile, m, from which another finding is
+explained.
+"""
 STILL_M, STILL_RAD, STILL_CYCLES = 0.5e-3, 3e-3, 6.0
 DOUBT: Final = 0.8
 """Normalised residual from which on a limit that was passed may be the consequence of something else."""
@@ -125,7 +127,7 @@ def _standing(s: Any, g: Any, relation: int, same: int, value: float, target: fl
 
 @njit(inline="always")
 def _ratio(s: Any, g: Any, position: float, start: float, end: float) -> float:
-    """START against END by friction; returns the expected ln(START/END)."""
+    """Return the expected ln(START/END) of sliding friction, and compare START with END."""
     travel = position - g[ROPE_COMPLIANCE] * start
     step = travel - s[LAST_TRAVEL] if s[FRESH] > 1.0 else 0.0
     s[LAST_TRAVEL] = travel
@@ -330,7 +332,7 @@ class Implausibility(NamedTuple):
 
 @dataclass
 class Learned:
-    """Results of homing for this bench.
+    """Results of homing for this bench's plausibility checks.
 
     `stretch_ratio`: its stretch from a quarter of `top_n`, N, to there by the calibration's; NaN without END.
     """
@@ -381,7 +383,7 @@ class Plausibility:
         s[T2], s[T1], s[K2], s[K1] = s[T1], targets[0], s[K1], targets[1]
 
     def follow(self, targets: tuple[float, float], inputs: Any) -> None:
-        """Keep comparing without drawing conclusions: while a stop is under way."""
+        """Continue the comparison without drawing conclusions, during a stop."""
         if inputs.missing:
             self.coast(targets)
             return
@@ -395,7 +397,7 @@ class Plausibility:
         return beyond if beyond > FORCE_N else 0.0
 
     def doubt(self) -> Implausibility | None:
-        """The relation nearest to its tolerance, where it is beyond `DOUBT` of it."""
+        """The relation nearest to its tolerance, if it is beyond `DOUBT` of the tolerance."""
         ratios = np.abs(self.s[RATIOS:RATIOS + RELATIONS])
         worst = int(np.argmax(ratios))
         return self.finding(worst) if ratios[worst] > DOUBT else None

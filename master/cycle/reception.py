@@ -14,7 +14,7 @@ from master.settings import Limits
 
 ENOUGH: Final = 5
 SPAN_N: Final = 230.0
-"""Reach of the tension sensors, with room for their offset."""
+"""Range of the tension sensors, N, with a margin for their offset."""
 TENSION_STEP_N: Final = 25.0
 TENSION_RATE_N_S: Final = 30_000.0
 """Rate of the stiffest path (27 N/mm, stuck) at the drum's greatest speed, plus a tenth."""
@@ -24,7 +24,7 @@ POSITION_STEP_M: Final = 1e-3
 KNEE_REACH_RAD: Final = 3.2
 KNEE_STEP_RAD: Final = 0.03
 NEW: Final = [0, 0, 0, 0]
-"""Ages of values that were all taken in the cycle before."""
+"""Ages of values that were all accepted in the cycle before."""
 
 
 class Bounds(NamedTuple):
@@ -70,7 +70,7 @@ class Reception:
         return False
 
     def begin(self) -> None:
-        """Begin another cycle: the last values are a cycle older."""
+        """Begin a cycle: the age of every last value increases by one."""
         age = self._age
         age[0] += 1
         age[1] += 1

@@ -28,13 +28,13 @@ DESIRED, FIRST, SECOND, WOUND_FIRST, WOUND_SECOND, COMPARISONS = range(6)
 """Comparisons, in the order of their counts and results; `COMPARISONS` is their number."""
 
 BINS: Final = 1024
-"""Phases of a gait cycle at which cycles are compared."""
+"""Number of phases of a gait cycle at which cycles are compared."""
 MEAN_S: Final = 0.05
 """Time over which END and the desired force are averaged, s: longer than any noise, a quarter of the fastest pull."""
 RING: Final = 64
 """Greatest number of control cycles in the mean."""
 PERSIST: Final = 4
-"""Phases in a row beyond a tolerance that make a finding."""
+"""Consecutive phases beyond a tolerance that make a finding."""
 SAME_FORCE_N, SAME_KNEE_RAD = 0.05, 0.01
 """Differences of desired force and knee angle up to which two gait cycles count as alike at a phase."""
 
@@ -54,7 +54,7 @@ WORST = COUNTS + COMPARISONS
 RINGS = WORST + COMPARISONS
 STATES = RINGS + 2 * RING
 (M_DESIRED, M_KNEE, M_ERROR, M_START, M_ROPE, KEPT) = range(6)
-"""Columns of the memory: signals of a gait cycle at a phase."""
+"""Columns of the memory: signals of a gait cycle by phase."""
 
 
 @njit(inline="always")

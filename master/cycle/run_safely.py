@@ -38,7 +38,7 @@ from parameters import InputError
 
 ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
                       if hasattr(signal, name))
-"""Signals that end a run by the safe stop."""
+"""Operating-system signals that end a run by the safe stop."""
 ESTABLISHED, PATIENCE = 20, 400
 """Cycles in a row that show the exchange to run, and after how many it is taken as it is."""
 

@@ -17,7 +17,7 @@ from master.cycle.inputs import END, KNEE, SERVO, START
 
 
 class Condition(Enum):
-    """Why a trial stops."""
+    """Reason of a stop."""
 
     START_LIMIT = "START tension above its limit"
     END_LIMIT = "END tension above its limit"
@@ -61,7 +61,7 @@ class StopError(Exception):
 
 _UNWIND, _RELEASE = Reaction.UNWIND, Reaction.RELEASE
 NOBODY: Final = -1
-"""Number used for a condition that names no device."""
+"""Number of a condition that names no device."""
 _BY_PLACE: Final = {SERVO: _RELEASE, KNEE: _RELEASE, START: _RELEASE, END: _UNWIND}
 """Reaction to the loss of each node: without START no signal shows when the rope is slack; without the servo nothing
 can unwind it; a knee without torque loads the rope faster than it is unwound."""
@@ -89,7 +89,7 @@ REACTIONS: Final = MappingProxyType({
     (Condition.REFUSED, NOBODY): _UNWIND,
     (Condition.FAILED, NOBODY): _UNWIND,
 })
-"""(condition, place of the named device) → reaction.  A node that is not of the bench unwinds."""
+"""Reaction by condition and kind of the named device. A node that is not of the bench unwinds."""
 
 
 def place_of(node_id: int, paths: Sequence[PathNodes]) -> int | None:

@@ -64,14 +64,14 @@ class PathExchange(Exchange):
         return self.inputs
 
     def answer(self, servo_m: float, knee_rad: float, annotations: CycleAnnotations | None) -> None:
-        """Take the targets that answer `inputs`; nothing is sent."""
+        """Accept the targets that answer `inputs`; nothing is sent."""
         try:
             super().answer(servo_m, knee_rad, annotations)
         except StopError as stop:
             raise self._located(stop) from stop
 
     def checked(self) -> Inputs:
-        """Check the inputs of this cycle against safety's table, and return them."""
+        """Return the inputs of this cycle, checked against the table of `safety`."""
         try:
             return super().checked()
         except StopError as stop:
@@ -84,7 +84,7 @@ class PathExchange(Exchange):
         return StopError(stop.condition, f"{stop.detail} (force path {self.name})", stop.node_id)
 
     def command(self, servo_word: int, knee_word: int) -> None:
-        """Send the controlwords of this path's drives; those of the others stay."""
+        """Send the controlwords of this path's drives; other drives keep theirs."""
         self._shared.command({self.path.servo: servo_word, self.path.knee: knee_word})
 
 
@@ -125,7 +125,7 @@ class SharedExchange:
 
     @property
     def stale_inputs(self) -> int:
-        """PDOs older than a cycle that a step saw, of all paths."""
+        """Number of PDOs older than a cycle that reached a step, of all paths."""
         return sum(path.stale_inputs for path in self.paths)
 
     def forget_misses(self) -> None:
@@ -147,12 +147,12 @@ class SharedExchange:
         self._latch(sync_ns)
 
     def end(self) -> None:
-        """End the cycle: SDOs wait by receiving again."""
+        """End the cyclic exchange: SDO transfers wait by receiving again."""
         self.link.pump = self.link.receive
         self.log.drain()
 
     def hold(self) -> None:
-        """One cycle with the targets of the last one."""
+        """Run one cycle with the targets of the last one."""
         self.advance({})
 
     def command(self, words: Mapping[int, int]) -> None:

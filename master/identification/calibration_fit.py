@@ -29,7 +29,7 @@ from physics.calibration import Calibration, ScalarEvidence
 from physics.laws import Array
 
 POINT_M = 0.4e-3
-"""Rope travel averaged into one point of the joint fit."""
+"""Rope travel, m, that is averaged into one point of the joint fit."""
 TAUT_N = 3.0
 ROBUST_N = 0.5
 STIFFNESS_AT_N = 30.0
@@ -102,13 +102,13 @@ _UNKNOWNS = (
     _Unknown(END_LAG, 5e-4, 0.0, 0.02, 1e-3),
 )
 WEIGHT = 20.0
-"""Root of the residuals that one segment counts for."""
+"""Square root of the number of residuals as which one segment counts."""
 SLID_M = 2e-3
 BELIEVED_N = 0.3
 """Error, N, of the model over a segment, against which a doubt about an unknown counts."""
 NORMAL_95 = 1.96
 MEMORY_S, SEEN_BREAKAWAY = 0.05, 0.02
-"""Second start of the search, in the memory of breakaway, s, and the breakaway from which on there is one.
+"""Second start of the search: memory of breakaway, s, and least breakaway for which this start is tried.
 
 A long memory makes a hump of friction after each reversal, which a short one puts into the fabric's breakaway: two
 minima, and no step leads from one to the other.
@@ -291,7 +291,7 @@ def _place(name: str) -> int:
 
 
 def _ended(found: Array, low: Array, high: Array) -> Any:
-    """Unknowns that ended at a non-zero limit of the search."""
+    """Return the unknowns whose estimate is at a non-zero limit of the search."""
     near = 1e-4 * (high - low)
     return ((found <= low + near) & (low != 0.0)) | (found >= high - near)
 

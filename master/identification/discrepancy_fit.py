@@ -34,10 +34,10 @@ LOWPASS_HZ: Final = 25.0
 LOADED: Final = 0.15
 """Share of the peak from which a control cycle counts: below, offsets of START and END decide."""
 TURNING_S: Final = 0.3
-"""Time, s, by which START and END may be apart per unit of y: where friction turns over, an instant's error counts."""
+"""Assumed time shift between START and END, s: it weighs samples near a friction reversal less."""
 WORTH: Final = 60.0
 LEAST: Final = 2e-3
-"""Least standard deviation of the noise: START's gain is not known better."""
+"""Least standard deviation of the noise, relative: the uncertainty of START's gain."""
 ROUNDS: Final = 4
 OF_A_TRIAL: Final = ("cable", "fabric", "start_offset")
 OF_END: Final = ("end_gain", "end_offset")
@@ -148,6 +148,6 @@ def _end_lag(segments: Sequence[Segment], calibration: Calibration, still: Rest)
 
 
 TAUT_N: Final = 3.0
-"""END from which a ramp counts."""
+"""END tension, N, above which a ramp is used."""
 MOST_LAG_S: Final = 5e-3
-"""Largest lag of END that is believed."""
+"""Largest accepted lag of END, s."""

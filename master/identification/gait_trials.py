@@ -40,7 +40,7 @@ class _Recorded(Planned):
         self._record, self._segments = record, segments
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
-        """Run the gait and keep its columns."""
+        """Run the gait and return its recorded columns."""
         self._segments.append(self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before)))
 
 

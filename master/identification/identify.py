@@ -57,7 +57,7 @@ PROCEDURES: Mapping[str, tuple[str, ...]] = {
     "friction": ("rest", "stiffness", "ramp"), "gait": ("rest", "pull"), "all": KINDS,
 }
 WALKED = ("gait", "all")
-"""Procedures that end with gait trials."""
+"""Identification procedures that end with gait trials."""
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
 SLACK_N = 3.0
 TOP_END_N, TOP_SHARE, HALF_N = 62.0, 0.7, 45.0
@@ -74,7 +74,7 @@ REST_S, REACH_M, SLACK_M, SAME_KNEE_RAD = 1.0, 0.12, 4e-3, 0.05
 
 COLUMNS = ("servo_target_m", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",
            "desired_force_n", "estimated_end_force_n")
-"""Columns of a segment, in a trial."""
+"""Columns of the trial that a segment contains."""
 
 Progress = Callable[[str, float], None]
 
@@ -349,7 +349,7 @@ class _Experiments:
 
 
 def _swings(period_s: float) -> Iterator[float]:
-    """The knee's angles, rad, by control cycle."""
+    """Return the knee angles, rad, by control cycle."""
     for step in range(round(SWINGS * SWING_S / period_s)):
         share = 0.5 * (1.0 - math.cos(2.0 * math.pi * step * period_s / SWING_S))
         yield SWING_FROM_RAD + share * (SWING_TO_RAD - SWING_FROM_RAD)

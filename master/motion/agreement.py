@@ -24,7 +24,7 @@ CENTRE: Final = 0.45
 """|mean of ln(START/END)| of pull and release, zero by friction alone; ln 2 is a gain of two."""
 FORCE_RMS_N: Final = 6.0
 PACKAGED_SWING_K: Final = nominal().swing_k
-"""m/rad: the lever of the rope at a knee of human size."""
+"""Rope per knee angle, m/rad, of a human-sized knee: the packaged calibration's swing_k."""
 SWING_UNLIKE: Final = 0.25
 """Relative departure from it beyond which homing measures; day, leg and identification stay within 0.15."""
 SWING: Final = 0.2

@@ -28,7 +28,7 @@ from parameters import InputError
 from physics.calibration import Calibration, nominal
 
 Procedure = Callable[[Exchange], Mapping[str, float]]
-"""Runs inside the cycle; returns its results, by name with their unit."""
+"""Motion in the control cycle; returns results by name, with their unit."""
 
 AXES: Final = {"servo": SERVO, "knee": KNEE}
 SENSORS: Final = {"start": START, "end": END}
@@ -59,7 +59,7 @@ def home_pulls(homing: Homing) -> str:
 
 
 def tare(sensor: str) -> Procedure:
-    """Zero one sensor where it stands; no drive is enabled.  Raises `InputError` for an unknown sensor."""
+    """Zero one sensor at its present reading; no drive is enabled. Raises `InputError` for an unknown sensor."""
     place = _one_of(sensor, SENSORS, "sensor")
 
     def procedure(exchange: Exchange) -> Mapping[str, float]:
@@ -78,7 +78,7 @@ def tare(sensor: str) -> Procedure:
 
 
 FURTHEST: Final = {SERVO: 0.15, KNEE: math.radians(110.0)}
-"""The longest way that one jog may go."""
+"""Greatest distance of one jog, by axis."""
 JOG_START_N: Final = 20.0
 """START tension at which a jog stops: a rope that is being tightened unseen."""
 JOG_SHARE: Final = 0.5
@@ -207,7 +207,7 @@ def _one_of(name: str, known: Mapping[str, int], what: str) -> int:
 
 
 def _mean(exchange: Exchange, place: int) -> float:
-    """Mean reading, N, of a sensor over a rest."""
+    """Return the mean reading, N, of a sensor at rest."""
     bit, readings = 1 << place, []
     for _ in range(max(1, round(REST_S * 1e9 / exchange.wire.period_ns))):
         inputs = exchange.hold()

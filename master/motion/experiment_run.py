@@ -90,7 +90,7 @@ def run(link: Link, tap: can.BusABC | None, recorder: CycleSink | None, experime
 
 
 def result_of(outcome: Outcome, trial: Planned) -> Result:
-    """Say how a planned experiment ended."""
+    """Return the outcome of a planned experiment."""
     return Result(
         outcome="completed" if outcome.reason is None else "stopped",
         stop_reason=outcome.reason,
@@ -157,14 +157,14 @@ class Planned:
 
     @property
     def pulls(self) -> str:
-        """The largest forces that it will pull, as a sentence."""
+        """Return a sentence with the largest forces of the experiment."""
         if self.experiment.dry_run:
             return "The drives stay off: nothing is pulled."
         return (f"Pulls START to at most {reached_n(self.homing.top_n):.0f} N while homing, then to about "
                 f"{self.start_n:.0f} N, END to {self.experiment.reference.peak_n:g} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
-        """Run it on the bus of `link`, as `run` does."""
+        """Run the experiment on the bus of `link`."""
         experiment = self.experiment
         return result_of(
             run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform), self)
@@ -202,7 +202,7 @@ class Planned:
         self.walk(exchange)
 
     def warn(self, exchange: Exchange) -> None:
-        """Record where the experiment is run otherwise than asked for."""
+        """Record each difference between the requested and the run experiment."""
         if self.warning is not None:
             exchange.log.event(exchange.inputs.sync_ns, "warning", exchange.name, self.warning)
 
@@ -218,7 +218,7 @@ class Planned:
                                                with_rope=exchange.knee_driven)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
-        """Run in, start softly, walk and run out; `before` cycles were walked."""
+        """Run in, start softly, run the gait and run out; `before` cycles came earlier."""
         gait.run(exchange, self.steps(exchange, before))
 
     def steps(self, exchange: gait.Cycle, before: int = 0) -> Work[None]:

@@ -27,7 +27,7 @@ from physics.reference import Reference
 ENDS_A_STEP: Final = (Exception, SystemExit)
 """Exceptions of a controller that end in the safe stop; Ctrl-C is handled elsewhere."""
 HURRY = 5.0
-"""The approach to the run-in runs slack, this much faster than homing."""
+"""Speed of the slack approach to the run-in, relative to homing."""
 
 
 class Cycle(Protocol):

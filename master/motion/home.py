@@ -32,7 +32,7 @@ AROUND = 0.2
 HOLD_GAIN_M_S_N, HOLD_FILTER_S = 3e-3, 5e-3
 """Rope speed per newton that START lacks while the knee swings: 2 Hz at 20 N, stable against a stuck rope."""
 BRISK = 4.0
-"""Without tension the rope is led this much faster than it is reeled."""
+"""Speed of a slack rope relative to that of a rope under tension."""
 SWING_CHECK_RAD = 0.15
 """Shift of the rope by a swing of 6 mm at the packaged swing_k: ten times the error of a loop's middle by friction,
 within any knee's limits."""
@@ -169,7 +169,7 @@ def swing_to(exchange: Exchange, knee_rad: float, calibration: Calibration, homi
 
 
 def slack_reading(exchange: Exchange) -> float:
-    """START's mean reading, N, over a rest with the rope slack."""
+    """Return START's mean reading, N, at rest with a slack rope."""
     readings = []
     for _ in range(round(REST_S * 1e9 / exchange.wire.period_ns)):
         inputs = exchange.hold()

@@ -21,7 +21,7 @@ PATIENCE_S, REMINDED_S = 60.0, 2.0
 """Time limit, s, for a hand to bring a joint to the desired angle; time after which an event names the awaited angle.
 """
 PEAK_TO_MEAN = 1.5
-"""Greatest by mean speed of the smooth step 3u² − 2u³."""
+"""Ratio of greatest to mean speed of the smooth step 3u² − 2u³."""
 
 
 def smooth(share: float) -> float:
@@ -71,7 +71,7 @@ def _joint(exchange: Exchange) -> str:
 
 
 def settle(exchange: Exchange, duration_s: float) -> Inputs:
-    """Hold the last targets for a while."""
+    """Hold the last targets for some time."""
     inputs = exchange.inputs
     for _ in range(round(duration_s * 1e9 / exchange.wire.period_ns)):
         inputs = exchange.hold()

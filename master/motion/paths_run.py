@@ -66,7 +66,7 @@ class PlannedPaths:
 
     @property
     def pulls(self) -> str:
-        """The largest forces that it will pull, as a sentence."""
+        """Return a sentence with the largest forces of the experiment."""
         return " ".join(f"{name}: {planned.pulls}" for name, planned in self.planned.items())
 
     @property
@@ -75,7 +75,7 @@ class PlannedPaths:
         return max(reached_n(planned.homing.top_n) for planned in self.planned.values())
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> PathsResult:
-        """Run it on the bus of `link`."""
+        """Run the experiment on the bus of `link`."""
         outcome = run_safely(link, tap, recorder, self._whole.network, self._whole.limits, self.perform)
         first = next(iter(self.planned.values()))
         warning = " ".join(f"{name}: {planned.warning}" for name, planned in self.planned.items() if planned.warning)

@@ -62,20 +62,20 @@ class Scripted:
 
     @property
     def pulls(self) -> str:
-        """The largest forces that it will pull, as a sentence."""
+        """Return a sentence with the largest forces of the experiment."""
         planned = self.planned
         walks = any(isinstance(part, ScriptedWalk) for part in self.script)
         return (f"Pulls START to at most {reached_n(planned.homing.top_n):.0f} N while homing, then to about "
                 f"{max(self.pull_n, planned.start_n if walks else 0.0):.0f} N.")
 
     def run(self, link: Link, tap: can.BusABC | None, recorder: CycleSink | None) -> Result:
-        """Run it on the bus of `link`."""
+        """Run the experiment on the bus of `link`."""
         experiment = self.planned.experiment
         outcome = run_safely(link, tap, recorder, experiment.network, experiment.limits, self.perform)
         return result_of(outcome, self.planned)
 
     def perform(self, exchange: Exchange) -> None:
-        """Enable, home, and run every part."""
+        """Enable the drives, home, and run every part."""
         planned = self.planned
         bench = MotionContext(planned.calibration, planned.homing)
         drives.enable(exchange)

@@ -34,13 +34,13 @@ class RivalError(BringUpError):
 
 
 class BringUpLog(Protocol):
-    """The part of `master.cycle.log.Log` that a bring-up writes to."""
+    """Interface of `master.cycle.log.Log` that a bring-up uses."""
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
-        """Record what happened, at `time_ns` on the bus's clock."""
+        """Record an event at `time_ns` on the bus's clock."""
 
     def drain(self) -> None:
-        """Record the frames that wait at the tap."""
+        """Record the frames that wait at the monitor socket."""
 
 
 def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
@@ -70,7 +70,7 @@ def bring_up(link: Link, wire: WireLayout, log: BringUpLog) -> dict[int, int]:
 
 
 def leave(link: Link) -> None:
-    """Put every node back to PRE-OPERATIONAL: no PDO moves, SDO stays."""
+    """Return every node to PRE-OPERATIONAL: PDOs stop, SDO stays."""
     link.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 0)
 
 

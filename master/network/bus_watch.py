@@ -78,7 +78,7 @@ class BusWatch:
         self._told: set[str] = set()
 
     def sent(self, can_id: int, data: bytes) -> None:
-        """Keep a frame that the master is about to send."""
+        """Remember a frame that the master is about to send."""
         if self._returned is not None:
             self._returned.append((can_id, bytes(data)))
         if can_id in self.own:

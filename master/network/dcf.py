@@ -24,14 +24,14 @@ VERIFY: Final = 0x1020
 SAVE: Final = 0x1010
 _COMMANDS: Final = frozenset({0x1003, SAVE, 0x1011, VERIFY, 0x2020, 0x6040, 0x6060, 0x6125})
 _PDOS: Final = range(0x1400, 0x1C00)
-"""Bring-up writes them, in the order that the standard asks for."""
+"""PDO objects, which bring-up writes in the order of the standard."""
 _EPOCH: Final = datetime(1984, 1, 1)
 _SECTION: Final = re.compile(r"^\s*\[([^\]]*)\]")
 _GIVEN: Final = re.compile(r"^\s*ParameterValue\s*=", re.IGNORECASE)
 
 
 class DescribedNode(Protocol):
-    """A node with its dictionary, such as `eds.bench.bench_network.NodeEntry`; `name` is for messages."""
+    """Interface of a node with its dictionary, such as `eds.bench.bench_network.NodeEntry`; `name` is for messages."""
 
     @property
     def node_id(self) -> int: ...
@@ -52,7 +52,7 @@ class NamedNode(NamedTuple):
 
 
 class ParameterDifference(NamedTuple):
-    """A parameter whose value on the node is not the file's."""
+    """A parameter whose value on the node differs from the file."""
 
     object: int
     subindex: int

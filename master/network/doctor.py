@@ -79,7 +79,7 @@ def _controller(channel: str, bitrate: int, data: dict[str, Any], setup: str) ->
 
 
 def computer() -> Iterator[DoctorFinding]:
-    """Kernel, clock source, permissions for a cycle in wall time, receive buffers."""
+    """Check kernel, clock source, permissions for a cycle in wall time, and receive buffers."""
     preempt = "PREEMPT_RT" in os.uname().version or _read(Path("/sys/kernel/realtime")) == "1"
     yield DoctorFinding("kernel", True, f"Linux {os.uname().release}, {'PREEMPT_RT' if preempt else 'not PREEMPT_RT'}")
     source = _read(CLOCK_SOURCE)

@@ -69,14 +69,14 @@ def _pages() -> Callable[[], object]:
 
 
 def _scheduling() -> Callable[[], object]:
-    """Return how to undo real-time scheduling of the calling thread; other threads keep theirs."""
+    """Schedule the calling thread in real time (SCHED_FIFO); return how to undo it."""
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     return lambda: os.sched_setscheduler(0, policy, parameters)
 
 
 def _memory() -> Callable[[], object]:
-    """Pages stay once they are touched; nothing is filled in advance."""
+    """Lock touched memory pages; no page is touched in advance."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_FUTURE_ONFAULT):
         code = ctypes.get_errno()
@@ -85,7 +85,7 @@ def _memory() -> Callable[[], object]:
 
 
 def _affinity() -> Callable[[], object]:
-    """A processor that the kernel keeps free (isolcpus), where there is one."""
+    """Bind the cycle to a processor that the kernel keeps free (isolcpus), if one exists."""
     before = os.sched_getaffinity(0)
     isolated = processors(ISOLATED.read_text(encoding="ascii")) if ISOLATED.exists() else set()
     if isolated:
@@ -100,7 +100,7 @@ _NAMES: Final[dict[Callable[[], Callable[[], object]], str]] = {
 
 
 def processors(text: str) -> set[int]:
-    """Numbers of a kernel's list such as "2-3,6"."""
+    """Return the numbers of a kernel's list such as "2-3,6"."""
     found: set[int] = set()
     for part in text.strip().split(","):
         first, _, last = part.partition("-")

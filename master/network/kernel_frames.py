@@ -17,18 +17,18 @@ from eds.cia301 import HEARTBEAT_BASE, SYNC_COB_ID, NmtState
 from trial.mcap_file.cdr import ERROR, EXTENDED, REMOTE
 
 SLOT, HEADER, ROW = 10, 8, 3
-"""Words of a slot, of a header, of a `cdr.FRAME_ROW`."""
+"""Sizes, in words, of a slot, a header and a `cdr.FRAME_ROW`."""
 ROW_BYTES: Final = 8 * ROW
 BATCH: Final = 32
-"""Slots of one `recvmmsg`, and as many headers."""
+"""Number of slots, and of headers, of one `recvmmsg`."""
 SLOTS: Final = BATCH * HEADER
 KNOWN: Final = SLOTS + BATCH * SLOT
 """Words that a socket is read into: headers, then slots, then the state of the rows."""
 EFF, RTR, ERR, ID = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
 HERE: Final = 4
-"""MSG_DONTROUTE: the frame was sent by this computer."""
+"""MSG_DONTROUTE: a program on this computer sent the frame."""
 OWN: Final = 0x800
-"""MSG_CONFIRM: it was sent by the very socket that receives it."""
+"""MSG_CONFIRM: the receiving socket itself sent the frame."""
 ANCILLARY: Final = 64
 DONT_WAIT: Final = 0x40
 PLAIN: Final = 32
@@ -49,7 +49,7 @@ FRAMES: Final = BEAT + 3 * MOST_BEATS
 HEEDED: Final = FRAMES + 2 * INPUTS
 OPERATIONAL: Final = int(NmtState.OPERATIONAL)
 DONE, WAITING, STRANGE = 1, 0, -1
-"""All inputs are there; some are not yet; something else came."""
+"""Results of a reception: all inputs complete; some missing; another frame arrived."""
 
 
 @njit(cache=True)
@@ -80,7 +80,7 @@ def rows(slots: Any, headers: Any, count: int, block: Any, told: Any) -> None:
 
 @njit(cache=True)
 def to_front(block: Any, told: Any) -> None:
-    """Move the rows that nobody has taken to the front."""
+    """Move the rows that were not fetched to the front."""
     first, left = told[FIRST], told[TAKEN] - told[FIRST]
     for n in range(left if first else 0):
         for word in range(ROW):
@@ -150,7 +150,7 @@ IDS: Final = BEAT_FRAME + 2
 SIZES: Final = IDS + INPUTS
 HEED: Final = SIZES + INPUTS
 NUMBERS: Final = HEED + HEEDED
-"""Further indices: identifiers of the inputs, their least sizes, results of `heed`."""
+"""Further indices: COB-IDs of the inputs, their least sizes, results of `heed`."""
 COMPLETE, FETCHED, NOT_SENT, FAILED = range(4)
 """Result of a cycle: complete; not, or not yet, a complete cycle in the frames read; nothing was sent; a socket
 failed."""

@@ -56,7 +56,7 @@ class EmcyMessage(NamedTuple):
 
 
 class Beat(NamedTuple):
-    """A node's last sign of life: its NMT state byte."""
+    """Last sign of life of a node: its NMT state byte."""
 
     time_ns: int
     state: int
@@ -131,7 +131,7 @@ class Link:
 
     @property
     def heartbeat(self) -> tuple[int, int, int]:
-        """This master's heartbeat: identifier, its byte, period in ns (`NEVER` for none)."""
+        """This master's heartbeat: COB-ID, state byte, period in ns (`NEVER` for none)."""
         message, period_ns = self._heartbeat, self._heartbeat_ns
         return message.arbitration_id, message.data[0], NEVER if period_ns is None else period_ns
 
@@ -141,7 +141,7 @@ class Link:
         return self._beat_due_ns if not self._pace_ns else 0
 
     def heed(self, beats: Iterable[tuple[int, int, int]]) -> None:
-        """Take heartbeats of cycles that the bus has run: identifier, time, state; of the own one when it was sent."""
+        """Process heartbeats of compiled cycles: identifier, time, state; that of the master at its time of sending."""
         for can_id, time_ns, state in beats:
             if can_id == self._heartbeat.arbitration_id:
                 self._beat_due_ns = self._due_ns = time_ns + (self._heartbeat_ns or NEVER)
@@ -215,7 +215,7 @@ class Link:
         raise LinkError(f"sending failed: {failure}") from failure
 
     def wait(self, duration_ns: int) -> None:
-        """Pump the bus for `duration_ns`; what comes is noticed and otherwise dropped."""
+        """Process the bus for `duration_ns`; frames without a handler are discarded."""
         deadline = self.clock() + duration_ns
         while self.receive(deadline) is not None:
             pass
@@ -251,7 +251,7 @@ class Link:
         return self.responses.pop(can_id)
 
     def await_state(self, node_id: int, state: int, timeout_ns: int) -> bool:
-        """Whether a heartbeat with `state` comes from the node within `timeout_ns`."""
+        """Return whether a heartbeat with `state` arrives from the node within `timeout_ns`."""
         deadline = self.clock() + timeout_ns
         since = self.clock()
         while True:

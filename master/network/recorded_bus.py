@@ -61,7 +61,7 @@ class RecordedBus(KernelBus):
         return self.row_bytes[:frames.ROW_BYTES * count], count, last_ns, told[frames.MARKED_NS]
 
     def _make_room(self, count: int) -> None:
-        """Have memory for so many rows, with the rows that are there."""
+        """Enlarge the memory to `count` rows; present rows are kept."""
         before = getattr(self, "block_rows", np.zeros((0, frames.ROW), np.uint64))
         self.block_rows: Any = np.zeros((count, frames.ROW), np.uint64)
         self.block_rows[:len(before)] = before

@@ -22,7 +22,7 @@ class SdoError(Exception):
 
 
 class Pump(Protocol):
-    """Needs of the client from the link."""
+    """Interface of the link towards the SDO client."""
 
     def send(self, can_id: int, data: bytes) -> None: ...
 

@@ -93,7 +93,7 @@ class KernelBus(SocketcanBus):
 
     @property
     def receive_buffer(self) -> int:
-        """Bytes of the receive queue as the kernel granted them."""
+        """Size of the receive queue that the kernel granted, bytes."""
         return self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def recv(self, timeout: float | None = None) -> KernelMessage | None:
@@ -126,7 +126,7 @@ class KernelBus(SocketcanBus):
             self.waiting.append(self._message(*frame))
 
     def fetch(self) -> int:
-        """Take what waits into memory, at most `BATCH` frames; returns how many."""
+        """Receive waiting frames into memory, at most `BATCH`; returns their number."""
         self._headers[:] = self._template
         count: int = _recvmmsg(self._number, self._address, BATCH, _NOW, None)
         if count >= 0:

@@ -16,8 +16,9 @@ from master.node_access.remote_node import BOOT_NS, SENT_NS, NodeAccess
 from parameters import InputError
 
 ANSWER_NS: Final = 100_000_000
-"""Time for an answer; CiA 305 states none. Too short: a slow slave's yes counts as no. Every 1 bit of an identity
-takes this long in a fastscan."""
+"""Time-out of an LSS answer; CiA 305 states none. Too short: a slow slave's yes counts as no. Every 1 bit of an
+identity takes this long in a fastscan.
+"""
 SETTLE_NS: Final = 10_000_000
 """Time for further slaves' answers to one question, which must not count for the next."""
 _REFUSALS: Final = {

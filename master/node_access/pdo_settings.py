@@ -27,7 +27,7 @@ PROBED: Final = 8
 
 
 class PdoState(NamedTuple):
-    """One PDO: its communication parameters (None: not there) and its mapping words."""
+    """One PDO: its communication parameters (None: absent) and its mapping words."""
 
     object: int
     parameters: Mapping[str, int | None]
@@ -76,7 +76,7 @@ def words(text: str, dictionary: Dictionary | None) -> list[int]:
 
 
 def read(link: Link, node_id: int, index: int) -> PdoState | None:
-    """Read one PDO's settings; None where the node has no such PDO."""
+    """Read one PDO's settings; None if the node lacks the PDO."""
     def number(at: int, sub: int) -> int | None:
         try:
             return int.from_bytes(link.sdo_read(node_id, at, sub), "little")

@@ -26,13 +26,13 @@ MASTER: Final = 127
 LISTEN_NS: Final = 1_200_000_000
 """Time for which another master is listened for: longer than the heartbeat of 1 s that most masters send."""
 SENT_NS: Final = 10_000_000
-"""Time for a frame to be transmitted before its bus is closed."""
+"""Time reserved for a frame's transmission before its bus is closed."""
 BOOT_NS: Final = 3_000_000_000
 COMMANDS: Final = {
     "start": NmtCommand.START, "stop": NmtCommand.STOP, "preop": NmtCommand.ENTER_PRE_OPERATIONAL,
     "reset": NmtCommand.RESET_NODE, "reset-comm": NmtCommand.RESET_COMMUNICATION,
 }
-"""NMT commands by their words of the command line."""
+"""NMT commands by the words of the command line."""
 _KNOWN: Final = {key(0x1000): DataType.UNSIGNED32, key(0x1001): DataType.UNSIGNED8,
                  key(0x1008): DataType.VISIBLE_STRING, key(0x1009): DataType.VISIBLE_STRING,
                  key(0x100A): DataType.VISIBLE_STRING, key(0x1017): DataType.UNSIGNED16,
@@ -160,7 +160,7 @@ class NodeAccess:
                                       pdo_settings.words(objects, self.dictionary))
 
     def number(self, index: int, sub: int = 0) -> int | None:
-        """Read an unsigned number; None where the node has none."""
+        """Read an unsigned number; None if the node lacks the object."""
         try:
             return int.from_bytes(self.link.sdo_read(self.node_id, index, sub), "little")
         except SdoError:
@@ -181,7 +181,7 @@ class NodeAccess:
         self.link.sdo_write(self.node_id, 0x1003, 0, b"\0")
 
     def identity(self) -> dict[str, int]:
-        """Read 0x1000 and 0x1018; raises `SdoError` where the node does not answer."""
+        """Read 0x1000 and 0x1018; raises `SdoError` without an answer."""
         found = {"device_type": int.from_bytes(self.link.sdo_read(self.node_id, 0x1000), "little")}
         for sub, name in enumerate(("vendor", "product", "revision", "serial"), 1):
             value = self.number(0x1018, sub)

@@ -17,7 +17,7 @@ class Application:
     """
 
     watched: frozenset[int] = frozenset()
-    """Keys whose writes `written` hears of; read once, after `attach`."""
+    """Keys of the objects whose writes are reported to `written`; read once, after `attach`."""
 
     unstored: frozenset[int] = frozenset()
     """Keys that 0x1010 never saves, beyond those that an RPDO may write; read once, after `attach`."""
@@ -30,7 +30,7 @@ class Application:
         return 0
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
-        """A watched object was written, by SDO or RPDO; `device.values` already holds it."""
+        """Process a write to a watched object, by SDO or RPDO; `device.values` already holds the value."""
 
     def latch(self, now_ns: int) -> None:
         """Bring process inputs into `device.values`: at SYNC, before the TPDOs are packed (OPERATIONAL only)."""
@@ -39,7 +39,7 @@ class Application:
         """Bring process values up to date without a SYNC: before an SDO upload, an event-driven or requested TPDO."""
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
-        """The NMT state is now `state`; INITIALISING occurs at either reset."""
+        """Process a change of the NMT state to `state`; INITIALISING occurs at either reset."""
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
         """A heartbeat, an RPDO deadline or the bus itself was lost; 0x1029 acts on the NMT state afterwards."""
@@ -51,5 +51,5 @@ class Application:
         """Run all actions that are due."""
 
     def next_ns(self) -> int | None:
-        """Say when `poll` has work, or None."""
+        """Return the time of the next action of `poll`, or None."""
         return None

@@ -117,7 +117,7 @@ class Device:
             self.rearm(now_ns)
 
     def next_ns(self) -> int | None:
-        """Say when `poll` has work; None for never."""
+        """Return the time of the next action of `poll`; None for never."""
         due_ns = self.wake_ns
         if self._polled and self.state is not NmtState.INITIALISING:
             application_ns = self.application.next_ns()
@@ -145,14 +145,14 @@ class Device:
         self.emcy.clear(code)
 
     def bus_off(self, now_ns: int) -> None:
-        """The controller went bus-off: nothing queued is sent; 0x1029 and the application act."""
+        """Process bus-off of the CAN controller: the queue is discarded; 0x1029 and the application react."""
         self.now_ns = now_ns
         self.outbox.clear()
         self.application.communication_lost(Emcy.BUS_OFF_RECOVERED, now_ns)
         self.nmt.communication_error(now_ns)
 
     def bus_recovered(self, now_ns: int) -> None:
-        """The controller is back on the bus: EMCY 0x8140 (CiA 301, table 26)."""
+        """Process the end of bus-off: EMCY 0x8140 (CiA 301, table 26)."""
         self.now_ns = now_ns
         self.emcy.set(Emcy.BUS_OFF_RECOVERED, Emcy.BUS_OFF_RECOVERED.register)
         self.emcy.clear(Emcy.BUS_OFF_RECOVERED)
@@ -176,7 +176,7 @@ class Device:
             self.filters = wanted
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Tell parts and application of a new NMT state."""
+        """Report a new NMT state to parts and application."""
         for part in self._parts:
             part.state_entered(state, now_ns)
         self.listen()
@@ -196,7 +196,7 @@ class Device:
             self.application.reset(now_ns)
 
     def _renumber(self) -> None:
-        """Put the node id that LSS configured in force."""
+        """Activate the node id that LSS configured."""
         if self.lss.pending != self.node_id:
             self.objects.renumber(self.lss.pending - self.node_id)
             self.node_id = self.lss.pending

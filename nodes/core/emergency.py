@@ -24,7 +24,7 @@ COB_ID: Final = 0x1014
 INHIBIT: Final = 0x1015
 
 QUEUE: Final = 16
-"""Messages kept while the inhibit time holds them back; the oldest give way."""
+"""Messages kept during the inhibit time; the oldest are discarded first."""
 
 _LAYOUT: Final = struct.Struct("<HB5s")
 
@@ -43,7 +43,7 @@ class Emergency(Part):
 
     @property
     def silent(self) -> bool:
-        """Whether no EMCY message waits for its inhibit time."""
+        """True if no EMCY message waits for its inhibit time."""
         return not self._pending
 
     def reset(self, now_ns: int) -> None:
@@ -55,7 +55,7 @@ class Emergency(Part):
         self._forget()
 
     def forget_all(self) -> None:
-        """Power-on and reset node: no error is active."""
+        """Clear every error at power-on and reset node."""
         self._active.clear()
 
     def set(self, code: int, register: int, vendor: bytes = b"", source: int = 0) -> None:
@@ -80,7 +80,7 @@ class Emergency(Part):
         self._send(Emcy.NO_ERROR, left.to_bytes(2, "little") if left else b"")
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Send what INITIALISING or STOPPED held back."""
+        """Send the messages that were held back in INITIALISING or STOPPED."""
         if self._pending:
             self._device.wake(self.poll(now_ns))
 
@@ -91,7 +91,7 @@ class Emergency(Part):
         return self._free_ns if self._pending and self._may_send() else FAR_NS
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Return the identifier in use."""
+        """Yield the COB-ID in use with its object."""
         word = self._device.objects.number(key(COB_ID), cob_id.INVALID)
         if cob_id.exists(word):
             yield key(COB_ID), word & cob_id.CAN_ID
@@ -144,7 +144,7 @@ class Emergency(Part):
 
 
 def _check_history(_subindex: int, value: Value) -> Abort | None:
-    """0x1003:00 takes only 0, which clears it (CiA 301, 7.5.2.4)."""
+    """Check a write to 0x1003:00: only 0, which clears the history (CiA 301, 7.5.2.4)."""
     return None if value == 0 else Abort.INVALID_VALUE
 
 

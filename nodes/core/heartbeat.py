@@ -28,7 +28,7 @@ class Producer(Part):
         self.applied = {PRODUCER: self._configured}
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Start counting from the boot-up."""
+        """Start the heartbeat period at the boot-up."""
         if state is NmtState.INITIALISING:
             self._due_ns = FAR_NS
         elif self._due_ns == FAR_NS:
@@ -36,11 +36,11 @@ class Producer(Part):
 
     @property
     def due(self) -> tuple[int, int]:
-        """When the next heartbeat is due, and the period, ns."""
+        """Time of the next heartbeat, and the period, ns."""
         return self._due_ns, self._period_ns()
 
     def sent(self, due_ns: int) -> None:
-        """Hear that all heartbeats up to `due_ns` were sent elsewhere."""
+        """Advance the period beyond the heartbeats up to `due_ns`, which a compiled cycle sent."""
         self._due_ns = due_ns
 
     def poll(self, now_ns: int) -> int:
@@ -64,7 +64,7 @@ class Producer(Part):
 
 
 class _Watched:
-    """One node whose heartbeat is awaited."""
+    """State of the consumer for one node in 0x1016."""
 
     __slots__ = ("_consumer", "due_ns", "lost", "node_id", "timeout_ns")
 
@@ -96,7 +96,7 @@ class Consumer(Part):
         self._read()
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
-        """Listen to the heartbeats of the nodes listed."""
+        """Yield COB-ID and handler of each heartbeat in 0x1016."""
         for watched in self._watched:
             yield HEARTBEAT_BASE + watched.node_id, watched.receive
 
@@ -126,7 +126,7 @@ class Consumer(Part):
         return all(watched.due_ns != FAR_NS for watched in self._watched)
 
     def poll(self, now_ns: int) -> int:
-        """Report who is overdue."""
+        """Report the nodes whose heartbeat is overdue."""
         for watched in [w for w in self._watched if w.due_ns <= now_ns]:
             watched.due_ns, watched.lost = FAR_NS, True
             self._device.communication_lost(Emcy.HEARTBEAT, now_ns, watched.node_id)

@@ -49,7 +49,7 @@ class CanListen(Protocol):
 
 
 class NmtStateOf(Protocol):
-    """The NMT part, as far as others read it."""
+    """Interface of the NMT part towards the other parts."""
 
     @property
     def state(self) -> NmtState: ...
@@ -101,7 +101,7 @@ class HasSync(Protocol):
 
 
 class SyncListener(Protocol):
-    """The PDO part, as far as SYNC calls it."""
+    """Interface of the PDO part towards SYNC."""
 
     def synchronise(self, counter: int, now_ns: int) -> None: ...
 
@@ -116,7 +116,7 @@ class HasPdos(Protocol):
 
 
 class Profile(Protocol):
-    """The application, as far as the core's parts call it (`application.Application`)."""
+    """Interface of the application towards the core's parts (`application.Application`)."""
 
     @property
     def unstored(self) -> frozenset[int]: ...
@@ -138,7 +138,7 @@ class HasProfile(Protocol):
 
 
 class HeartbeatWatch(Protocol):
-    """The heartbeat consumer, as far as a profile asks it."""
+    """Interface of the heartbeat consumer towards a profile."""
 
     def all_live(self) -> bool: ...
 
@@ -157,7 +157,7 @@ class ProfileHost(HasObjects, Protocol):
 
 
 class NmtHost(HasObjects, CanSend, Protocol):
-    """Needs of the NMT part: restart the node, and report a new state."""
+    """Interface of the device towards its NMT part: restart the node, and report a new state."""
 
     def state_entered(self, state: NmtState, now_ns: int) -> None: ...
 
@@ -165,32 +165,32 @@ class NmtHost(HasObjects, CanSend, Protocol):
 
 
 class EmergencyHost(HasObjects, CanSend, CanWake, CanListen, HasState, Protocol):
-    """Needs of the EMCY part."""
+    """Interface of the device towards its EMCY part."""
 
     @property
     def now_ns(self) -> int: ...
 
 
 class HeartbeatHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, ReportsLoss, Protocol):
-    """Needs of heartbeat producer and consumer."""
+    """Interface of the device towards heartbeat producer and consumer."""
 
 
 class SyncHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, HasPdos, Protocol):
-    """Needs of the SYNC part."""
+    """Interface of the device towards its SYNC part."""
 
 
 class StoreHost(HasObjects, CanSend, HasErrors, HasProfile, Protocol):
-    """Needs of storing and restoring parameters."""
+    """Interface of the device towards the storage of parameters."""
 
 
 class NmtRestart(NmtStateOf, Protocol):
-    """The NMT part, as far as LSS calls it."""
+    """Interface of the NMT part towards LSS."""
 
     def initialise(self, whole_node: bool, now_ns: int) -> None: ...
 
 
 class LssHost(HasObjects, CanSend, CanWake, Protocol):
-    """Needs of the LSS slave."""
+    """Interface of the device towards its LSS slave."""
 
     @property
     def nmt(self) -> NmtRestart: ...
@@ -205,7 +205,7 @@ class SdoHost(HasObjects, CanSend, CanWake, Protocol):
 
 
 class PdoHost(HasObjects, CanSend, CanWake, CanListen, HasState, HasErrors, ReportsLoss, HasSync, HasProfile, Protocol):
-    """Needs of the PDO part.
+    """Interface of the device towards its PDO part.
 
     `watched`: keys whose writes are reported to the application; `guarded`: keys whose writes it may refuse.
     """

@@ -72,7 +72,7 @@ class LssSlave(Part):
         return self._speak_ns != FAR_NS
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
-        """Listen to the LSS master."""
+        """Yield COB-ID and handler of the LSS master's frames."""
         yield LSS_REQUEST, self.receive
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -173,7 +173,7 @@ class LssSlave(Part):
             self._answer(command, self._device.node_id)
 
     def _store(self) -> int:
-        """Keep node id and bit timing; return the error code of the answer."""
+        """Store node id and bit timing; return the error code of the answer."""
         if self._path is not None:
             try:
                 self._path.write_text(json.dumps({"node_id": self.pending, "bitrate": self._pending_rate}) + "\n",

@@ -15,7 +15,7 @@ from eds.dictionary import Dictionary, Entry
 from parameters import InputError
 
 MAX_BYTES: Final = 1 << 16
-"""The longest string or domain that a device takes."""
+"""Greatest length of a string or domain, bytes, that a device stores."""
 
 
 class Objects:

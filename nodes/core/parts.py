@@ -12,13 +12,13 @@ from eds.cia301 import Abort, NmtState, Service
 from eds.datatype import Value
 
 FAR_NS: Final = 1 << 62
-"""Later than any time: nothing is due."""
+"""Time of an action that never comes due."""
 
 US: Final = 1_000
 MS: Final = 1_000_000
 
 Handler = Callable[[bytes, int], None]
-"""Takes the data of a frame and the time of its arrival, ns."""
+"""Function of the data of a received frame and the time of its arrival, ns."""
 
 Check = Callable[[int, Value], Abort | None]
 """(sub-index, value) → None or the abort that refuses a write."""
@@ -45,7 +45,7 @@ class Part:
         """Restart from the power-on values of the communication objects."""
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """The NMT state is now `state`."""
+        """Process a change of the NMT state to `state`."""
 
     def handlers(self) -> Iterable[tuple[int, Handler]]:
         """Return the COB-IDs listened to, each with its handler."""

@@ -48,7 +48,7 @@ class Store(Part):
         self.commands = {SAVE: self._save, LOAD: self._load}
 
     def load(self) -> None:
-        """Power-on: read the file, if there is one."""
+        """Read the stored parameters at power-on, if a file exists."""
         if self._path is None or not self._path.exists():
             return
         try:
@@ -72,7 +72,7 @@ class Store(Part):
         self._changed = False
 
     def reset(self, now_ns: int) -> None:
-        """Say once that the stored values could not be trusted."""
+        """Report once that the stored values were corrupt."""
         if self._damaged:
             self._damaged = False
             self._device.emcy.set(Emcy.DATA_SET, Emcy.DATA_SET.register)

@@ -39,22 +39,22 @@ class Sync(Part):
         self._configure()
 
     def reset(self, now_ns: int) -> None:
-        """Read the objects again."""
+        """Read the SYNC objects again."""
         self._fault = False
         self._due_ns = FAR_NS
         self._configure()
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
-        """Listen to the SYNC, unless this device makes it."""
+        """Yield COB-ID and handler of SYNC frames, unless this device produces them."""
         if self.can_id and not self._making:
             yield self.can_id, self.receive
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Return the identifier in use."""
+        """Yield the COB-ID in use with its object."""
         yield key(COB_ID), self.can_id
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Obey a SYNC from the bus."""
+        """Process a received SYNC."""
         if (len(data) != self._length or self._fault) and not self._right_length(data):
             return
         if self._window_ns:
@@ -62,14 +62,14 @@ class Sync(Part):
         self._device.pdos.synchronise(data[0] if data else 0, now_ns)
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Start or stop making SYNCs; the counter begins at 1 (CiA 301, 7.2.5)."""
+        """Start or stop the SYNC producer; the counter begins at 1 (CiA 301, 7.2.5)."""
         if Service.SYNC not in SERVICES[state]:
             self._counter = 0
         if Service.SYNC not in SERVICES[state] or self._due_ns == FAR_NS:
             self._start(now_ns)
 
     def poll(self, now_ns: int) -> int:
-        """Make the SYNC that is due."""
+        """Produce the SYNC that is due."""
         if self._due_ns <= now_ns:
             self._counter = self._counter % self._overflow + 1 if self._overflow else 0
             data = bytes((self._counter,)) if self._overflow else b""
@@ -116,7 +116,7 @@ class Sync(Part):
 
     @property
     def counted(self) -> bool:
-        """SYNCs carry a counter."""
+        """True if SYNC frames carry a counter (0x1019)."""
         return self._overflow > 0
 
     def _check_cob_id(self, _subindex: int, value: Value) -> Abort | None:

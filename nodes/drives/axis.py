@@ -19,7 +19,7 @@ from nodes.drives import axis_law as law
 from nodes.drives import set_point_law
 
 NO_WINDOW: Final = 0xFFFFFFFF
-"""0x6065: the following error is not monitored."""
+"""Value of 0x6065 that switches the monitoring of the following error off."""
 STOP_MARGIN_S: Final = 0.5
 """Time beyond a ramp's own in which an axis must come to rest; then the stop counts as done all the same."""
 
@@ -34,9 +34,9 @@ class Units:
         gear = scale_factors.gear_ratio(dictionary)
         feed = dictionary.initial(0x6092, 1) / dictionary.initial(0x6092, 2) * self.position
         self.motor_speed = feed / gear / 60.0
-        """m/s or rad/s at the axis per 1/min of the motor."""
+        """Axis speed, m/s or rad/s, per 1/min of the motor."""
         self.torque = scale_factors.torque_unit(dictionary) * gear
-        """N·m at the output per ‰ of 0x6076."""
+        """Torque at the output, N·m, per ‰ of 0x6076."""
         self.arm_m = feed / (2.0 * math.pi)
         """Drum radius of a linear axis; 1 of a rotary one."""
         self.apart = law.APART_SHARE * dictionary.initial(0x6065) * self.position
@@ -59,7 +59,7 @@ class Axis:
         """Memory view of `g` for access to single numbers: a third of the cost of indexing an array."""
 
     def configure(self, values: Mapping[int, Value]) -> None:
-        """Take over every setting from the objects."""
+        """Read every setting from its object."""
         number = partial(_number, values)
         units, g = self.units, self.g
         self._sign = -1.0 if int(number(0x607E)) & 0x80 else 1.0
@@ -98,7 +98,7 @@ class Axis:
         return self._sign * self.units.position
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
-        """Keep state, settings and counts in this memory from now on."""
+        """Use this memory for state, settings and counts from now on."""
         s[:], g[:], out[:] = self.s, self.g, self.out
         self.s, self.g, self.out = s, g, out
         self.state, self.settings = memoryview(s), memoryview(g)
@@ -111,7 +111,7 @@ class Axis:
     # ---- cyclic set-points ----
 
     def target_position(self, raw: int) -> None:
-        """Begin the straight line to a new target."""
+        """Begin a straight line to a new position target."""
         set_point_law.target(self.s, self.unit, self.origin, raw)
 
     def step_to(self, raw: int) -> float:
@@ -123,15 +123,15 @@ class Axis:
         self.settings[law.TARGET_VELOCITY] = self._velocity(raw)
 
     def target_torque(self, raw: int) -> None:
-        """Take over a torque in ‰."""
+        """Set the target torque from ‰."""
         self.settings[law.TARGET_TORQUE] = raw * self.units.torque
 
     def offset_velocity(self, raw: int) -> None:
-        """Take over the velocity offset."""
+        """Set the velocity offset from its object's raw value."""
         self.settings[law.VELOCITY_OFFSET] = self._velocity(raw)
 
     def offset_torque(self, raw: int) -> None:
-        """Take over the torque offset in ‰."""
+        """Set the torque offset from ‰."""
         self.settings[law.TORQUE_OFFSET] = raw * self.units.torque
 
     def _velocity(self, raw: int) -> float:
@@ -141,33 +141,33 @@ class Axis:
 
     @property
     def on(self) -> bool:
-        """The drive function is on: the axis gives torque."""
+        """Switch the drive function on: the controller produces torque."""
         return bool(self.settings[law.MODE] != law.OFF)
 
     def off(self) -> None:
-        """Take the torque away."""
+        """Switch the torque off."""
         self.s[[law.POSITION_INTEGRAL, law.VELOCITY_INTEGRAL, law.TORQUE, law.LIMITED, law.EVENTS]] = 0.0
         self.settings[law.MODE] = law.OFF
 
     def hold(self) -> None:
-        """Stay here, until a target comes."""
+        """Hold the present position until a target arrives."""
         state = self.state
         state[law.DEMAND] = state[law.TARGET] = state[law.POSITION]
         state[law.FRESH] = state[law.SEGMENT_LEFT_S] = state[law.SEGMENT_VELOCITY] = 0.0
         self._begin(law.FOLLOW)
 
     def speed(self) -> None:
-        """Follow velocities; none until the first comes."""
+        """Control velocity; the set-point is 0 until the first target arrives."""
         self.settings[law.TARGET_VELOCITY] = 0.0
         self._begin(law.SPEED)
 
     def push(self) -> None:
-        """Give torques; none until the first comes."""
+        """Control torque; the set-point is 0 until the first target arrives."""
         self.settings[law.TARGET_TORQUE] = 0.0
         self._begin(law.PUSH)
 
     def brake(self, deceleration: float) -> None:
-        """Slow down to rest, `deceleration` in velocity units per second."""
+        """Decelerate to rest by `deceleration`, velocity units per second."""
         slower = deceleration * self.units.velocity
         state = self.state
         state[law.RAMP] = state[law.VELOCITY]
@@ -176,7 +176,7 @@ class Axis:
         self._begin(law.STOP)
 
     def tighten(self) -> None:
-        """Wind in to the preload."""
+        """Wind the rope in until the homing preload is reached."""
         self.state[law.START] = self.state[law.POSITION]
         self.state[law.RAMP] = 0.0
         self._begin(law.TIGHTEN)

@@ -42,7 +42,7 @@ STOPPED, LOST_TRACK, TIGHT, NOT_TIGHT, DISAGREE = 1, 2, 4, 8, 16
 found within the travel, or without a trusted tension; velocity and position contradict each other."""
 
 COUNTS: Final = 9
-"""Integers that `counts` writes."""
+"""Integers that the function `counts` writes."""
 IS_LIMITED, IS_OFF_TRACK, IS_YIELDING, IS_MOVING = 1, 2, 4, 8
 """Bits of the last integer of `counts`."""
 
@@ -81,7 +81,7 @@ def arrays() -> tuple[Any, Any]:
 
 @njit
 def tell(s: Any, event: int) -> None:
-    """Note an event for the reader."""
+    """Set an event flag for the drive."""
     s[EVENTS] = float(int(s[EVENTS]) | event)
 
 
@@ -278,7 +278,7 @@ velocity, following error, the position loop's output, encoder increments, and t
 
 
 def prepare() -> bool:
-    """Compile both, or load them from numba's cache, before time matters; return whether they had to be compiled."""
+    """Compile both functions, or load them from numba's cache, before the cycle; return whether they were compiled."""
     s, g = arrays()
     step(s, g, 0, 0.0, 0.0)
     counts(s, g, np.zeros(COUNTS, np.int64))

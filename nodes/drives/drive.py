@@ -59,7 +59,7 @@ class Drive(ModesOfOperation):
         return rules.refused(self, key, value)
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
-        """Act on a command or set-point; anything else is a setting."""
+        """Process a written command or set-point; every other object is a setting."""
         writer = self._writers.get(key)
         if writer is None:
             self.configure()
@@ -68,7 +68,7 @@ class Drive(ModesOfOperation):
         self.poll(now_ns)
 
     def latch(self, now_ns: int) -> None:
-        """Bring position, velocity, torque, errors and statusword into the objects."""
+        """Copy position, velocity, torque, errors and statusword into the objects."""
         law.counts(self._s, self._g, self._out)
         self.show_latched()
 
@@ -83,7 +83,7 @@ class Drive(ModesOfOperation):
         values[STATUSWORD] = self.base | self.mode_bits(flags)
 
     def reset(self, now_ns: int) -> None:
-        """Row 0: everything but home and a wired emergency stop is forgotten."""
+        """Reset (row 0): only the home position and a wired emergency stop are kept."""
         self.switch_off(now_ns)
         self._errors.clear()
         if self.phase is not Phase.ATTAINED:
@@ -109,7 +109,7 @@ class Drive(ModesOfOperation):
     _nmt = NmtState.INITIALISING
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
-        """A heartbeat, an RPDO or the bus was lost: 0x6007."""
+        """React to a lost heartbeat, RPDO or bus as 0x6007 selects."""
         self.disconnected(reason, now_ns)
 
     def poll(self, now_ns: int) -> None:
@@ -138,7 +138,7 @@ class Drive(ModesOfOperation):
 
     @property
     def steady(self) -> bool:
-        """Nothing but values changes from tick to tick."""
+        """True if a tick changes process values only."""
         return not self.changed and self.hold_ends_ns is None and not self._state[law.EVENTS]
 
     def steady_words(self) -> list[int]:
@@ -150,12 +150,12 @@ class Drive(ModesOfOperation):
         return self.position_taker() if at == TARGET_POSITION else None
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:
-        """Keep the axis' numbers in this memory from now on."""
+        """Use this memory for the axis' numbers from now on."""
         self.axis.adopt(s, g, out)
         self._s, self._g, self._out, self._state = s, g, out, self.axis.state
 
     def _notice(self, now_ns: int) -> float:
-        """Handle the events of a tick; return the torque after them."""
+        """Process the events of a tick; return the torque after them."""
         events = int(self._state[law.EVENTS])
         self._state[law.EVENTS] = 0.0
         self.device.now_ns = now_ns

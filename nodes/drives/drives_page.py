@@ -19,7 +19,7 @@ _BLOCK: Final = re.compile(r"(<!-- (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def states() -> str:
-    """Draw the state machine."""
+    """Return the diagram of the CiA 402 state machine."""
     return f"```mermaid\nstateDiagram-v2\n{diagram()}```\n"
 
 
@@ -37,7 +37,7 @@ def rows() -> str:
 
 
 def homing() -> str:
-    """List the statusword bits of homing."""
+    """Return the table of the statusword bits of homing."""
     lines = ["| homing | axis | bit 10 | bit 12 | bit 13 |", "|---|---|---|---|---|"]
     for (phase, moving), bits in BITS.items():
         shown = " | ".join(str(int(bits) >> bit & 1) for bit in (10, 12, 13))

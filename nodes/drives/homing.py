@@ -12,7 +12,7 @@ from eds.cia402 import HomingMethod, Status
 
 
 class Phase(Enum):
-    """Phase of homing."""
+    """Phase of a homing run."""
 
     IDLE = "not started, or interrupted"
     SEEKING = "in progress"

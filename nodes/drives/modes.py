@@ -33,25 +33,25 @@ class ModesOfOperation(StateMachine):
         self.phase = Phase.IDLE
         self._word = 0
         self._open = Mode.NONE
-        """The cyclic mode whose set-points are followed now."""
+        """The cyclic mode whose set-points are in effect."""
         self._halted = False
         self._stepped = False
-        """The last target was refused for its step."""
+        """True if the last target was refused because its step is too large."""
 
     @property
     def seeking(self) -> bool:
-        """Homing is under way."""
+        """True while homing runs."""
         return self.phase is Phase.SEEKING
 
     @property
     def _at_will(self) -> bool:
-        """The drive function is on, and neither stops nor is halted."""
+        """True if the drive function is on and neither a stop nor a halt is active."""
         return self.state is _ENABLED and self._at_rest is None and not self._halted
 
     # ---- the controlword ----
 
     def control(self, word: int, now_ns: int) -> None:
-        """Act on 0x6040: the command first, then the bits of the mode."""
+        """Process 0x6040: the command first, then the bits of the mode."""
         previous, self._word = self._word, word
         event = command_of(word, previous, self.state) if self.state is not None else None
         if event is not None:
@@ -146,12 +146,12 @@ class ModesOfOperation(StateMachine):
         return Taker(FOLLOWS, self.axis.unit, self.axis.origin, self.number(0x2017) or math.inf)
 
     def to_velocity(self, value: int, _now_ns: int) -> None:
-        """Take 0x60FF."""
+        """Apply a write to 0x60FF, target velocity."""
         if self._open is Mode.CSV and self._commanded:
             self.axis.target_velocity(value)
 
     def to_torque(self, value: int, _now_ns: int) -> None:
-        """Take 0x6071."""
+        """Apply a write to 0x6071, target torque."""
         if self._open is Mode.CST and self._commanded:
             self.axis.target_torque(value)
 
@@ -168,7 +168,7 @@ class ModesOfOperation(StateMachine):
             self.phase = Phase.SEEKING
 
     def homed(self, now_ns: int) -> None:
-        """The present position is home: it reads 0x607C from now on."""
+        """Complete homing: the present position becomes 0x607C."""
         if self.seeking:
             self.axis.hold()
         self.phase = Phase.ATTAINED
@@ -176,19 +176,19 @@ class ModesOfOperation(StateMachine):
         self.configure()
 
     def not_homed(self, now_ns: int) -> None:
-        """Homing failed: the axis stops and holds."""
+        """End a failed homing run: the axis stops and holds."""
         self.brake(Stop.SLOW_DOWN_RAMP, self._hold)
         self.phase = Phase.ERROR
         self.device.emergency(Emcy.HOMING, Emcy.HOMING.register)
 
     def configure(self) -> None:
-        """Bring all settings from the objects to the axis."""
+        """Copy all settings from the objects to the axis."""
         self.axis.configure(self.values)
 
     # ---- the statusword ----
 
     def mode_bits(self, flags: int) -> int:
-        """Give bits 10 to 13 of the statusword for the axis' flags."""
+        """Return statusword bits 10 to 13 for the axis' flags."""
         bits = 0
         if self.mode is Mode.HOMING:
             bits = homing.bits(self.phase, bool(flags & law.IS_MOVING))

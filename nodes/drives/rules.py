@@ -31,7 +31,7 @@ class RuledDrive(Protocol):
 
 
 RELEASE: Final = 0x736C6572
-"""'rels', the operator's release, written to 0x2020."""
+"""Signature "rels", written to 0x2020: the operator's release."""
 
 _MODES: Final = frozenset(int(mode) for mode in Mode)
 _STOPS: Final = frozenset(int(stop) for stop in Stop)

@@ -31,13 +31,13 @@ class ServoDrive(Drive):
         self._limit = self._trip = math.inf
 
     def attach(self, device: ProfileHost) -> None:
-        """Listen to START's tension besides."""
+        """Register for START's tension in addition to the axis' objects."""
         super().attach(device)
         self._writers[TENSION] = self._feel
         self.unstored |= {TENSION}
 
     def configure(self) -> None:
-        """Bring the tension objects to the axis besides."""
+        """Copy the tension objects to the axis in addition to its settings."""
         super().configure()
         g, units = self.axis.g, self.axis.units
         self._limit = NEWTON * self.number(0x2012) or math.inf
@@ -54,15 +54,15 @@ class ServoDrive(Drive):
         return super().ready() and not self._no_tension
 
     def cured(self) -> bool:
-        """A rope above the trip level is a fault still present."""
+        """Return whether no fault is present; a rope above the trip level is one."""
         return super().cured() and not self._tripped
 
     def warned(self) -> bool:
-        """Warn while the rope is above its limit."""
+        """Return whether the statusword warns: the rope tension is above its limit."""
         return self._above
 
     def _feel(self, raw: int, now_ns: int) -> None:
-        """Take START's tension."""
+        """Receive START's tension."""
         if raw == NO_TENSION:
             self._feel_nothing(now_ns)
             return
@@ -88,7 +88,7 @@ class ServoDrive(Drive):
             self.show()
 
     def _feel_nothing(self, now_ns: int) -> None:
-        """The sensor has no value: that is START lost."""
+        """React to START's value "not valid" as to a lost START."""
         self._state[law.TENSION_AGE_S] = math.inf
         if not self._no_tension:
             self._no_tension = True

@@ -13,7 +13,7 @@ from numba import njit
 from nodes.drives.axis_law import FRESH, TARGET, TENSION, TENSION_AGE_S
 
 NEWTON: Final = 0.01
-"""Newton per count of the tension objects."""
+"""Newtons per count of the tension objects."""
 NO_TENSION: Final = -(1 << 15)
 """Process value of a sensor without a valid measurement."""
 

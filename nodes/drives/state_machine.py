@@ -23,7 +23,7 @@ HOLD_TIME, MS_NS = 0x2018, 1_000_000
 POWERED: Final = (
     State.READY_TO_SWITCH_ON, State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 _OPTION: Final = MappingProxyType({5: 0x605C, 8: 0x605B})
-"""Rows that brake first where their option code is 1."""
+"""Transitions that brake first if their option code is 1."""
 _HOLDING: Final = (Stop.SLOW_DOWN_RAMP_HOLD, Stop.QUICK_STOP_RAMP_HOLD)
 _SLOWLY: Final = (Stop.SLOW_DOWN_RAMP, Stop.SLOW_DOWN_RAMP_HOLD)
 
@@ -42,7 +42,7 @@ class StateMachine(Application):
         self.changed = False
         """True after a drive tick that changed a value of event-driven PDOs."""
         self.base = 0
-        """The statusword without the bits of mode and motion."""
+        """Statusword without the bits of mode and motion."""
         self._leaving: Transition | None = None
         self._at_rest: Callable[[int], None] | None = None
         self._errors: list[Emcy] = []
@@ -57,10 +57,10 @@ class StateMachine(Application):
     # ---- the drive function: what a mode of operation adds ----
 
     def begin(self, now_ns: int) -> None:
-        """The drive function goes on."""
+        """Start the drive function."""
 
     def cease(self) -> None:
-        """The drive function goes off, or a stop takes over."""
+        """End the drive function, or let a stop replace it."""
 
     def ready(self) -> bool:
         """Return whether row 4 may turn the drive function on: no release outstanding, and its master is alive."""
@@ -71,7 +71,7 @@ class StateMachine(Application):
         return not self.awaits_release
 
     def warned(self) -> bool:
-        """Return whether the statusword warns."""
+        """Return whether the warning bit of the statusword is set."""
         return False
 
     # ---- rows ----
@@ -131,13 +131,13 @@ class StateMachine(Application):
         return int(active | Input.RELEASE_OUTSTANDING if self.awaits_release else active)
 
     def switch_off(self, now_ns: int) -> None:
-        """Take the torque away at once."""
+        """Switch the torque off at once."""
         self._at_rest = None
         self.cease()
         self.axis.off()
 
     def brake(self, ramp: int, at_rest: Callable[[int], None]) -> None:
-        """Slow down by 0x6084 or 0x6085; `at_rest` is called when the axis stands."""
+        """Brake by 0x6084 or 0x6085; `at_rest` is called once the axis stands."""
         self.cease()
         self.axis.brake(self.number(0x6084 if ramp in _SLOWLY else 0x6085))
         self._at_rest = at_rest

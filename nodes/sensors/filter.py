@@ -37,5 +37,5 @@ class Filter:
         return float(self._channel[law.MEAN]) if self._channel[law.FILLED] else None
 
     def add(self, sample: int) -> None:
-        """Take a sample."""
+        """Add a sample."""
         law.add(self._channel, float(sample))

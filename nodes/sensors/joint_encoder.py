@@ -23,7 +23,7 @@ class JointEncoder(Application):
     watched = frozenset({PRESET})
 
     def attach(self, device: ProfileHost) -> None:
-        """Keep the device's objects; the joint stands at 0."""
+        """Initialise the objects; the joint is at 0."""
         self.values = device.values
         self.angle_rad = 0.0
         self._offset = 0
@@ -33,17 +33,17 @@ class JointEncoder(Application):
         self.angle_rad = felt.knee_angle_rad
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
-        """Count from the preset on, where the joint stands."""
+        """Apply a preset: the present joint angle reads this value from now on."""
         self._offset = int(value) - self._counts()
 
     def latch(self, now_ns: int) -> None:
-        """Show the position, signed and within one revolution."""
+        """Copy the position into its objects, signed and within one revolution."""
         counts = self._counts() + self._offset
         self.values[SIGNED_POSITION] = counts
         self.values[POSITION] = counts % int(self.values[UNITS])
 
     def refresh(self, now_ns: int) -> None:
-        """Show the position before an upload."""
+        """Copy the position into its objects before an upload."""
         self.latch(now_ns)
 
     def _counts(self) -> int:

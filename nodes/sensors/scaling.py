@@ -38,7 +38,7 @@ def integer(value: float, bits: int) -> int:
 
 
 def real32(value: float) -> float:
-    """Hold a finite value at the ends of REAL32."""
+    """Clip a finite value to the range of REAL32."""
     return min(_REAL32_MAX, max(-_REAL32_MAX, value))
 
 

@@ -30,7 +30,7 @@ SPAN_START, SPAN_END, SPAN_START_32, SPAN_END_32 = key(0x6148, 1), key(0x6149, 1
 
 OVERLOAD: Final = POSITIVE_OVERLOAD | NEGATIVE_OVERLOAD
 ON: Final = 1
-"""0x6112: the channel measures."""
+"""Value of 0x6112 of a measuring channel."""
 _OTHER_END: Final = {FV_1: FV_2, FV_2: FV_1, PV_1: PV_2, PV_2: PV_1}
 """A line through two points needs both coordinates of them to differ."""
 _LINKED: Final = {SPAN_START: SPAN_START_32, SPAN_END: SPAN_END_32}
@@ -41,7 +41,7 @@ class TensionSensor(Application):
     """One channel; `sample` is called every `interval_ns` with the converter's counts, frames do the rest."""
 
     def attach(self, device: ProfileHost) -> None:
-        """Listen to the channel's settings."""
+        """Register for the channel's settings."""
         self.device, self.values = device, device.values
         self.watched = frozenset(k for k, e in device.objects.entries.items() if k >= key(0x6000) and e.writable)
         self.unstored = frozenset({AUTOZERO})
@@ -55,7 +55,7 @@ class TensionSensor(Application):
     # ---- what the device core asks ----
 
     def check_write(self, key: int, value: Value) -> int:
-        """Refuse values that give the channel no line, no span or no zero."""
+        """Refuse settings without a valid line, span or zero."""
         number = value if not isinstance(value, bytes) else math.nan
         if key in _REALS and not math.isfinite(number):
             return Abort.INVALID_VALUE
@@ -77,7 +77,7 @@ class TensionSensor(Application):
         return 0
 
     def written(self, key: int, value: Value, now_ns: int) -> None:
-        """Take a setting; 0x6125 sets the zero here and now."""
+        """Apply a setting; a write to 0x6125 zeroes the present value."""
         if key == AUTOZERO:
             self.values[OFFSET] = real32(self._real(OFFSET) - self._process(self._mean))
         elif key in _LINKED.values():
@@ -95,14 +95,14 @@ class TensionSensor(Application):
         self.latch(now_ns)
 
     def latch(self, now_ns: int) -> None:
-        """Bring field value, process value and status into the objects."""
+        """Copy field value, process value and status into the objects."""
         law.process(self.channel)
         self.show_latched()
 
     refresh = latch
 
     def show_latched(self) -> None:
-        """Put what `law.process` made into the objects."""
+        """Copy the results of `law.process` into the objects."""
         values, channel = self.values, self.channel
         values[STATUS] = status = self._status()
         if status & NOT_VALID:
@@ -115,13 +115,13 @@ class TensionSensor(Application):
         values[FIELD] = round(mean)
 
     def poll(self, now_ns: int) -> None:
-        """Show a change of status."""
+        """Send a change of the status."""
         if self._changed:
             self._changed = False
             self.latch(now_ns)
 
     def next_ns(self) -> int | None:
-        """At once, after a sample that changed the status."""
+        """Return the present time after a sample that changed the status, else None."""
         return self.device.now_ns if self._changed else None
 
     # ---- what the converter tells ----
@@ -141,7 +141,7 @@ class TensionSensor(Application):
             self._judge(verdict, now_ns)
 
     def _status(self) -> int:
-        """0x6150: not valid before the first sample, and while the channel is off."""
+        """Return 0x6150: not valid before the first sample, and while the channel is off."""
         return NOT_VALID if self._verdict is None else self._verdict
 
     def _judge(self, verdict: int, now_ns: int) -> None:
@@ -218,6 +218,6 @@ class TensionSensor(Application):
         return self._measuring and not self._changed and self._verdict in (0, POSITIVE_OVERLOAD, NEGATIVE_OVERLOAD)
 
     def adopt(self, channel: Any) -> None:
-        """Keep the channel's numbers in this memory from now on."""
+        """Use this memory for the channel's numbers from now on."""
         channel[:] = self.channel
         self.channel = channel

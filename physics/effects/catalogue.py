@@ -62,7 +62,7 @@ def register(effect: Effect) -> None:
 
 @contextmanager
 def registered(effect: Effect) -> Iterator[Effect]:
-    """Have `effect` in the catalogue for as long as the context lasts."""
+    """Add `effect` to the catalogue inside this context."""
     register(effect)
     try:
         yield effect

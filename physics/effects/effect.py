@@ -33,7 +33,9 @@ class EffectParameter(NamedTuple):
 
 
 def of_table(name: str) -> EffectParameter:
-    """Return a parameter of the table as an effect's: its bounds are those of a fit on a bench like the nominal one."""
+    """Return a parameter of the table as an effect's parameter, with the bounds of a fit on a bench like the nominal
+    one.
+    """
     p = PARAMETERS[name]
     if p.likely is None:
         raise ValueError(f"{name}: the table says no likely range under a fault")

@@ -33,7 +33,7 @@ class Release:
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind a length at constant speed, whatever the tension; negative: unwind it."""
+    """Wind a length of rope at constant speed, at any tension; a negative length is unwound."""
 
     length_m: float
     speed_m_s: float

@@ -33,7 +33,7 @@ ANGLES: Final = tuple(math.radians(angle) for angle in (-10.0, -30.0, -60.0))
 SLOW, CREEP, EASY, BRISK = 0.002, 0.010, 0.030, 0.080
 """Rope speeds, m/s, beside the paper's 0.06 (4.1)."""
 ROUND: Final = 1.25 * 2.0 * math.pi * 0.020
-"""A turn and a quarter of the drum, m of rope."""
+"""Rope length, m, of 1¼ turns of the drum."""
 SLACK_M: Final = 4 * MM
 """Rope, m, that is paid out beyond slack."""
 SETTLE_S: Final = 0.5

@@ -23,7 +23,7 @@ from physics.plant.state_layout import CABLE_NODES, NODES, SLOT
 STEP_NS: Final = 10_000
 STEP_S: Final = STEP_NS * 1e-9
 SLOW: Final = 10
-"""Steps between refreshes of what changes slowly: grip, creep, drift."""
+"""Steps between updates of the slow states: grip, creep, drift."""
 
 
 @njit(inline="always")
@@ -74,7 +74,7 @@ def knee(m: Any, demand_nm: float, rope_nm: float) -> None:
 
 @njit(inline="always")
 def slow(m: Any, seconds: float) -> None:
-    """Refresh what changes slowly, `SLOW` steps after the last time."""
+    """Update the slow states, `SLOW` steps after the last update."""
     flexion = abs(m[SLOT.leg_q])
     drift = max(0.05, 1.0 + m[SLOT.friction_drift] * seconds / m[SLOT.friction_drift_s])
     refresh_friction(m, flexion, m[SLOT.v + NODES + 1], drift, SLOW * STEP_S)

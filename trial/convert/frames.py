@@ -63,7 +63,7 @@ class Gathered:
         return sum(len(block) for block in self._blocks) + len(self._loose)
 
     def add(self, row: Row) -> None:
-        """Take one frame."""
+        """Add one frame."""
         self._loose.append(row)
         if len(self._loose) == 65_536:
             self._blocks.append(rows_of(self._loose))

@@ -37,7 +37,7 @@ def is_time(cell: str) -> bool:
 
 
 def told(begins_ns: int) -> str:
-    """Say when a column begins."""
+    """Return a sentence with the start of a column's times."""
     if begins_ns < 0:
         return "a time of day, taken from the first on"
     seconds, rest = divmod(begins_ns, SECOND_NS)

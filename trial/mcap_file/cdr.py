@@ -164,7 +164,7 @@ def frame_records(rows: NDArray[np.void], channel: int, first_sequence: int) -> 
 
 
 def frame_rows(records: NDArray[np.void]) -> NDArray[np.void]:
-    """Turn message records of `/can/frames` back into `FRAME_ROW`s."""
+    """Convert message records of `/can/frames` to `FRAME_ROW`s."""
     rows = np.empty(len(records), FRAME_ROW)
     rows["time_ns"] = records["log_time"]
     rows["can_id"] = records["id"]
@@ -179,7 +179,7 @@ def frame_rows(records: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def cycle_records(rows: NDArray[np.void], channel: int, first_sequence: int) -> NDArray[np.void]:
-    """Turn rows of time and values into message records of `/cycle`."""
+    """Convert rows of time and values to message records of `/cycle`."""
     records = headed(cycle_record(rows["values"].shape[1]), channel, first_sequence, rows["time_ns"])
     records["values"] = rows["values"]
     return records

@@ -43,7 +43,7 @@ class Writer:
             self._thread.start()
 
     def put(self, block: Block) -> None:
-        """Hand over a block that will not be filled further."""
+        """Pass a complete block to the writer thread."""
         if self._thread is None:
             self._take(block)
         else:
@@ -55,7 +55,7 @@ class Writer:
         return spare.pop() if spare else None
 
     def join(self) -> None:
-        """Wait until everything handed over is written, and end the thread."""
+        """Wait until every block is written, and end the thread."""
         if self._thread is not None:
             self._queue.put(None)
             self._thread.join()

@@ -34,7 +34,9 @@ KINDS = (
 
 
 def timing(page: Page, trial: Trial, setting: TrialSetting, *, on_bus: bool = True) -> None:
-    """Add age and arrival of the PDOs, SYNC, misses and the step's duration; of a table the steps of its time."""
+    """Add age and arrival of the PDOs, SYNC, misses and the step's duration; for an imported table, the steps of its
+    time.
+    """
     if not on_bus and not _timed(trial):
         _sampling(page, trial)
         return
@@ -56,7 +58,7 @@ def timing(page: Page, trial: Trial, setting: TrialSetting, *, on_bus: bool = Tr
 
 
 def _sampling(page: Page, trial: Trial) -> None:
-    """Say how evenly the rows of a table lie."""
+    """Return a sentence on the regularity of a table's time steps."""
     if len(trial.time_ns) < 3:
         return
     page.section("Sampling")

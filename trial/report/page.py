@@ -107,7 +107,7 @@ class Page:
             self.text(f"The first {ROWS_SHOWN} of {len(rows)} rows.", "note")
 
     def attachment(self, name: str, text: str) -> None:
-        """Add a file's text, folded up under its name."""
+        """Add a file's text, collapsed under its name."""
         self._add(f"<details><summary>{_text(name)}</summary><pre>{_text(text)}</pre></details>")
 
     def plot(

@@ -25,7 +25,7 @@ from virtual_bus.wire.periodic import PeriodicTask
 from virtual_bus.wire.wire import Wire
 
 SWITCH: Final = "BOWDEN_STEADY"
-"""The environment's variable that turns it off: 0."""
+"""Environment variable that turns compiled cycles off if it is 0."""
 SPAN_NS: Final = 20_000
 """Margin over the duration of the last cycle, ns, within which a compiled cycle is tried.
 
@@ -34,7 +34,7 @@ Too small: a cycle is given up and run event by event; the result is the same.
 ROOM: Final = 32
 """Free places in every transmit queue of the computer that a compiled cycle requires."""
 WAITING: Final = 12
-"""Frames that may wait at the tap when it begins."""
+"""Greatest number of frames waiting at the monitor socket when a compiled cycle begins."""
 _NOBODY: Final[frozenset[int]] = frozenset()
 
 
@@ -50,7 +50,7 @@ def possible(bench: Bench) -> bool:
 
 
 class Steady:
-    """Compiled cycles of one bench; `cycles` counts them. `warm`: the arrays are newer than the objects."""
+    """Compiled cycles of one bench; `cycles` is their number. `warm`: the arrays are newer than the objects."""
 
     def __init__(self, bench: Bench) -> None:
         law.prepare()
@@ -64,7 +64,8 @@ class Steady:
         self._sync: PeriodicTask | None = None
 
     def cycle(self, asked: CycleRequest, data: bytes, beat_ns: int, after_ns: int) -> CompleteCycle | None:
-        """Send the targets `data` and run to the last input of the next SYNC; None where that is not for here.
+        """Send the targets `data` and run to the last input of the next SYNC; None if the cycle must run event by
+        event.
 
         `beat_ns` is when the master's heartbeat is due; the SYNC has to end after `after_ns`.
         """
@@ -102,7 +103,7 @@ class Steady:
         return tuple(found)
 
     def leave(self) -> None:
-        """Write everything back to the objects, which go on by themselves."""
+        """Copy the state back to the objects, which continue event by event."""
         if self.warm and self._asked is not None and self._sync is not None:
             self.warm = False
             self.cycles += self._ran
@@ -121,7 +122,7 @@ class Steady:
         return True
 
     def _quiet(self, asked: CycleRequest) -> bool:
-        """Nothing is on the wire, and every device is at work and undisturbed."""
+        """Return whether the wire is idle and every device is operational without a fault."""
         bench, now_ns = self._bench, self._kernel.now_ns
         return (
             bench.wire.steady and bench.medium is bench.wire and self._machine.steady

@@ -30,7 +30,7 @@ from virtual_bus.wire import bits
 from virtual_bus.wire.bits import INTERMISSION_BITS, TRAILER_BITS
 
 _Part = tuple[str, tuple[int, ...]]
-"""Name and shape of a part of a memory."""
+"""Name and shape of one field of a memory layout."""
 AXES: Final = 2
 GAUGES: Final = 2
 NODES: Final = AXES + GAUGES
@@ -45,18 +45,18 @@ _STATE, _SET = axis_law.STATES, axis_law.SETTINGS
 CONVERTER, SENSOR = 5, 11
 """Numbers of a converter's history, and of its parameters."""
 TRUTHS: Final = 128
-"""Rows of the truth that are collected before they are written."""
+"""Rows of true signals that are collected before they are written."""
 TRUTH_WIDTH: Final = len(truth_row.NAMES)
 ACTION_WIDTH: Final = 3
 """Unit, origin and range of an RPDO object's effect: `set_point_law.Taker`."""
 TOOK_WIDTH: Final = 5
-"""Per RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
+"""Fields of an RPDO: waiting (1), data that waits, taken (1), data taken last, deadline."""
 PENDING_WIDTH: Final = 5
 """Frames that wait for the wire: ready, identifier, size, data, sender (a TPDO's place, or one of those below)."""
 WAIT: Final = SENDS + 2 * NODES + 6
-"""Frames that can wait; one more place has the frame on the wire."""
+"""Greatest number of waiting frames; one more place holds the frame on the wire."""
 SEND_WIDTH: Final = 4 + 3 * 4
-"""Per TPDO: node, identifier, size, fields; each field its source, bits, signed."""
+"""Fields of a TPDO: node, identifier, size, fields; each field its source, bits, signed."""
 TAKE_WIDTH: Final = 12
 """Per RPDO: node, identifier, size, synchronous, deadline, action, shift, bits, signed, bounded, least, greatest."""
 
@@ -90,7 +90,7 @@ FLOATS: Final = _memory("f8", [
 ], [
     ("truth", (TRUTHS, TRUTH_WIDTH)), ("action", (TAKES, ACTION_WIDTH)), ("sensor", (GAUGES, SENSOR)),
 ])
-"""Layout of `f`."""
+"""Layout of the floating-point memory `f`."""
 INTEGERS: Final = _memory("i8", [
     # now; the plant's time; next tick of the drives, sample of each converter, SYNC
     ("now", ()), ("plant_ns", ()), ("tick_ns", ()), ("sample_ns", (GAUGES,)), ("sync_ns", ()),
@@ -119,7 +119,7 @@ INTEGERS: Final = _memory("i8", [
     ("send_count", ()), ("send", (SENDS, SEND_WIDTH)), ("take_count", ()), ("take", (TAKES, TAKE_WIDTH)),
     ("truth_ns", (TRUTHS,)),
 ])
-"""Layout of `i`; `returned` is how the cycle ended."""
+"""Layout of the integer memory `i`; `returned` is how the cycle ended."""
 
 _F, _I = places(FLOATS), places(INTEGERS)
 F_PLANT: Final = _F["plant"]
@@ -191,7 +191,7 @@ I_BEFORE: Final = _I["before"]
 I_SIZE: Final = _I["size"]
 
 STATUS_SOURCE: Final = axis_law.COUNTS - 1
-"""The statusword's place among an axis' counts, where the flags are."""
+"""Index of the statusword among an axis' counts."""
 FROM_TARGETS, FROM_SYNC, FROM_OWN, FROM_NODE = -1, -2, -3, -4
 """Senders: the master's targets, SYNC, the master's heartbeat; from `FROM_NODE` down, nodes' heartbeats."""
 NEVER: Final = 1 << 62
@@ -247,7 +247,7 @@ def act(f: Any, i: Any, rings: Any, now: int) -> bool:
 
 @njit(inline="always")
 def put(i: Any, ready: int, can_id: int, size: int, data: Any, sender: int) -> None:
-    """Let a frame wait for the wire."""
+    """Queue a frame for the wire."""
     at = PENDING + i[WAITING] * PENDING_WIDTH
     i[at], i[at + 1], i[at + 2], i[at + 3], i[at + 4] = ready, can_id, size, data, sender
     i[WAITING] += 1
@@ -348,7 +348,7 @@ def synchronise(f: Any, i: Any, now: int) -> bool:
 
 @njit(inline="always")
 def beat(i: Any, now: int) -> None:
-    """Let every node whose heartbeat is due send it."""
+    """Queue the heartbeat of every node that is due."""
     for node in range(NODES):
         if i[BEAT_NS + 2 * node] == now:
             at = BEAT + 4 * node
@@ -359,7 +359,7 @@ def beat(i: Any, now: int) -> None:
 
 @njit(inline="always")
 def watch(i: Any, now: int) -> None:
-    """Let every node that watches over the master hear its heartbeat."""
+    """Restart the heartbeat consumer of every node that monitors the master."""
     for node in range(NODES):
         if i[BEAT + 4 * node + 3]:
             i[TOLD + node] = now
@@ -408,7 +408,7 @@ def earliest(i: Any) -> Any:
 
 @njit(inline="always")
 def write_row(i: Any, rows: Any, now: int, at: int, data: int) -> None:
-    """Keep a frame for the recorder."""
+    """Store a frame for the recorder."""
     row = i[LAST_ROW]
     rows[row, 0] = np.uint64(now)
     sent = np.uint64(1) << np.uint64(56) if FROM_NODE < i[at + 4] < 0 else np.uint64(0)
@@ -445,7 +445,7 @@ def begin(i: Any, rows: Any) -> Any:
 
 @njit(inline="always")
 def beat_own(i: Any, now: int) -> None:
-    """Send the master's heartbeat, now."""
+    """Queue the master's heartbeat now."""
     i[OWN_NS], i[OWN_AT] = now + i[OWN_PERIOD], now
     put(i, now + i[MASTER_NS], i[OWN_ID], 1, i[OWN_DATA], FROM_OWN)
 
@@ -479,7 +479,7 @@ def deliver(f: Any, i: Any, rows: Any, now: int, at: int) -> Any:
 
 @njit(inline="always")
 def next_beat(i: Any) -> Any:
-    """Return when the first of the nodes' heartbeats is due."""
+    """Return the time of the first due heartbeat of a node."""
     first = NEVER
     for node in range(NODES):
         first = min(first, i[BEAT_NS + 2 * node])
@@ -488,7 +488,7 @@ def next_beat(i: Any) -> Any:
 
 @njit
 def arbitrate(i: Any, now: int, sending: int) -> Any:
-    """Let the winner of an arbitration begin; return when it ends."""
+    """Start the winner of an arbitration; return the time of its end."""
     place = winner(i, now)
     for word in range(PENDING_WIDTH):
         i[sending + word] = i[PENDING + place * PENDING_WIDTH + word]

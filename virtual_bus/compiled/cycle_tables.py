@@ -15,11 +15,11 @@ from nodes.drives.set_point_law import Taker
 from virtual_bus.compiled import cycle_code as law
 
 WIDEST = 32
-"""Bits of the widest field."""
+"""Width of the widest field, bits."""
 
 
 class Taking(NamedTuple):
-    """An RPDO's row, and what taking it does."""
+    """An RPDO's row, and the effect of its data."""
 
     row: list[int]
     taker: Taker

@@ -15,7 +15,7 @@ from physics.drive_loops import DRIVE_TICK_NS, KNEE_GAINS, loop, loop_state
 from virtual_bus.wire.station import Station
 
 PLACE: Final = 1
-"""Place of the asked angle among the values of the frame of targets."""
+"""Index of the requested angle in the frame of targets."""
 
 
 class Hand(Station):

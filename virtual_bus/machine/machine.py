@@ -25,7 +25,7 @@ class TickedDrive(Protocol):
         """Return the torque demand, N·m."""
 
     def emergency_stop(self, active: bool, now_ns: int) -> None:
-        """Take the wired emergency-stop input."""
+        """Set the wired emergency-stop input."""
 
 
 class Tension(Protocol):
@@ -36,14 +36,14 @@ class Tension(Protocol):
         """Sampling interval."""
 
     def sample(self, now_ns: int, counts: int, status: int = 0) -> None:
-        """Take the converter's counts."""
+        """Receive the converter's counts."""
 
 
 class SensorConverter(Protocol):
     """Protocol of a bridge and its converter; `physics.converter.SensorConverter` implements it."""
 
     def sample(self, time_ns: int, force_n: float) -> int:
-        """Return counts."""
+        """Return the converter's counts at this time."""
 
 
 class MountedDrive(NamedTuple):
@@ -66,7 +66,7 @@ class Feeling(Protocol):
     """Protocol of the application of an observer's simulated device."""
 
     def feel(self, now_ns: int, felt: Outputs) -> None:
-        """Take the plant's outputs, at every drive tick."""
+        """Receive the plant's outputs, at every drive tick."""
 
 
 class Observer(NamedTuple):
@@ -114,7 +114,7 @@ class Machine:
         self.truth: Truth | None = None
 
     def start(self) -> None:
-        """Put the first tick and the first samples on the heap, now."""
+        """Schedule the first tick and the first samples now."""
         self._tick_ns = self._kernel.now_ns
         self._sample_ns = [self._kernel.now_ns] * len(self._gauges)
         self._kernel.at(self._tick_ns, TICK, self._act)
@@ -150,12 +150,12 @@ class Machine:
 
     @property
     def axes(self) -> tuple[MountedDrive, ...]:
-        """Servo and knee, or the servo alone."""
+        """Servo and knee axis, or the servo axis alone."""
         return (self._servo, self._knee) if isinstance(self._knee, MountedDrive) else (self._servo,)
 
     @property
     def felt(self) -> frozenset[int | None]:
-        """Nodes whose devices act on this machine, or measure it."""
+        """Node ids of the devices that act on this machine or measure it."""
         stations = [*(axis.station for axis in self.axes), *(gauge.station for gauge in self._gauges),
                     *(observer.station for observer in self._observers)]
         return frozenset(station.node for station in stations)
@@ -185,7 +185,7 @@ class Machine:
         self._kernel.at(next_ns, TICK, self._act)
 
     def _felt(self, now_ns: int) -> Outputs:
-        """Bring the plant up to now, and return what devices feel."""
+        """Advance the plant to the present; return the quantities that devices measure."""
         if self._leader is None:
             return self.plant.advance(now_ns, self._servo_nm, self._knee_nm)
         angle, speed, acceleration = self._leader.joint_at(now_ns)
@@ -234,7 +234,7 @@ class Machines:
         self.machines, self._truth = tuple(machines), truth
 
     def start(self) -> None:
-        """Put every machine's first tick on the heap."""
+        """Schedule the first tick of every machine."""
         for machine in self.machines:
             machine.start()
 

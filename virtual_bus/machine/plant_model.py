@@ -35,7 +35,7 @@ class PlantModel(NamedTuple):
     faults: tuple[Fault, ...]
 
     def at_work(self, tables: Tables) -> Tables:
-        """Return `tables` with the effects in them."""
+        """Return `tables` with the effects included."""
         return {group: values | self.effects.get(group, {}) for group, values in tables.items()}
 
 

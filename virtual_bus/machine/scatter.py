@@ -46,9 +46,9 @@ def _spreads(tolerance: Callable[[Parameter], Tolerance | None]) -> tuple[Spread
 
 
 SERIAL: Final = _spreads(lambda p: p.made)
-"""Manufacturing tolerances."""
+"""Manufacturing tolerances, drawn by the serial number."""
 DAY: Final = _spreads(lambda p: p.daily)
-"""Parameters that change from session to session."""
+"""Parameters that change from session to session, drawn by `--day`."""
 
 Tables = dict[str, dict[str, float]]
 
@@ -69,7 +69,7 @@ def scattered(
 
 
 def draw(occasion: str, spread: Spread, *numbers: int) -> float:
-    """Return this parameter's u, −1 … 1, of an occasion with its numbers."""
+    """Return this parameter's random number, −1 … 1, for the numbers of one draw."""
     return 2.0 * float(stream(f"{occasion} {spread.group} {spread.name}", *numbers).random()) - 1.0
 
 

@@ -42,7 +42,7 @@ class Truth(Station):
             self._recorder.cycle(now_ns, [value for plant in self._plants for value in plant.truth().values()])
 
     def rows(self, times_ns: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write rows of SYNCs that were computed elsewhere: n times, (n, columns) values."""
+        """Write rows of true signals at n SYNCs: n times, (n, columns) values."""
         with suppress(RecordingError):
             self._recorder.cycles(times_ns, values)
 

@@ -25,7 +25,7 @@ class Contention:
         self._serial = 0
 
     def add(self, station: Station, frame: Frame, ready_ns: int, origin: object) -> None:
-        """Let `frame` contend from `ready_ns` on."""
+        """Add `frame` to the arbitration from `ready_ns` on."""
         serial = self._serial
         self._serial = serial + 1
         station.waiting += 1
@@ -66,7 +66,7 @@ class Contention:
         return list(first.values())
 
     def again(self, entry: Waiting) -> None:
-        """Let a frame that an error ended contend once more."""
+        """Add a frame to the arbitration again after an error frame."""
         heappush(self.contending, entry)
 
     def follow(self, station: Station) -> None:

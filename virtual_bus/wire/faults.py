@@ -42,7 +42,7 @@ OF_A_FRAME = frozenset({"drop", "duplicate", "corrupt", "shorten", "disturb"})
 OF_TIME = frozenset({"delay", "late_sync"})
 ANY = -1
 COPY = object()
-"""Marks, as its origin, the second sending of a duplicated frame."""
+"""Origin that marks the second transmission of a duplicated frame."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Fault:
 
     @property
     def stop_ns(self) -> int:
-        """Bus time of the first nanosecond it no longer is."""
+        """Bus time of the first nanosecond after the fault."""
         return round(self.stop_s * 1e9) if math.isfinite(self.stop_s) else NEVER
 
     def concerns(self, station: Station, frame: Frame, now_ns: int) -> bool:
@@ -123,7 +123,7 @@ class InjectedFaults:
         return late_ns
 
     def quiet_until(self, now_ns: int) -> int:
-        """Say when the next fault begins; `now_ns` while one is in effect."""
+        """Return the begin of the next fault; `now_ns` during a fault."""
         quiet_ns = NEVER
         for fault, _ in (*self._of_time, *self._of_a_frame):
             if fault.stop_ns > now_ns:

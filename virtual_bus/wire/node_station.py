@@ -23,29 +23,29 @@ class BusDevice(Protocol):
 
     @property
     def filters(self) -> frozenset[int]:
-        """COB-IDs that it receives now; a new object whenever they change."""
+        """COB-IDs that the device receives now; a new object after every change."""
 
     @property
     def outbox(self) -> deque[Frame]:
         """Frames to send, oldest first."""
 
     def power_on(self, now_ns: int) -> None:
-        """Boot."""
+        """Boot the device."""
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """Take a frame at its end."""
+        """Receive a frame at its end."""
 
     def poll(self, now_ns: int) -> None:
         """Run all actions that are due."""
 
     def next_ns(self) -> int | None:
-        """Say when `poll` has work."""
+        """Return the time of the next action of `poll`."""
 
     def bus_off(self, now_ns: int) -> None:
-        """Lose the bus."""
+        """Process bus-off."""
 
     def bus_recovered(self, now_ns: int) -> None:
-        """Have it back."""
+        """Process the end of bus-off."""
 
 
 class NodeStation(Station):
@@ -104,7 +104,7 @@ class NodeStation(Station):
         self.settle(now_ns)
 
     def confined(self, previous: Confinement, now_ns: int) -> None:
-        """Tell the device that it lost the bus, or has it back."""
+        """Report bus-off, or its end, to the device."""
         if not self.on:
             return
         if self.state is Confinement.BUS_OFF:
@@ -114,7 +114,7 @@ class NodeStation(Station):
         self.settle(now_ns)
 
     def powered(self, on: bool, now_ns: int) -> None:
-        """Boot the device or take its supply away."""
+        """Boot the device or switch its supply off."""
         self.on = on
         if on:
             self.device.power_on(now_ns)

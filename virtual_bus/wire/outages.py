@@ -87,7 +87,7 @@ _EFFECTS = {"deaf": _deaf, "power_off": _power_off}
 
 
 class _Babbler(Station):
-    """A station that sends one frame over and over."""
+    """A babbling station: it sends one frame over and over."""
 
     def __init__(self, kernel: Kernel, fault: Fault) -> None:
         super().__init__("babbler", lambda frame, now_ns: None, filters=frozenset(), limit=2)

@@ -54,12 +54,12 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
         self._sleep(-(-now_ns // self.period_ns) * self.period_ns)
 
     def stop(self) -> None:
-        """Send no more; may be started again."""
+        """Stop sending; `start` begins again."""
         self._touched()
         self._next_ns = NEVER
 
     def modify_data(self, messages: Sequence[can.Message] | can.Message) -> None:
-        """Send other data under the same identifiers."""
+        """Change the data of the messages; identifiers stay."""
         self._touched()
         super().modify_data(messages)
 
@@ -70,13 +70,13 @@ class PeriodicTask(LimitedDurationCyclicSendTaskABC, ModifiableCyclicTaskABC, Re
 
     @property
     def sync(self) -> bool:
-        """Whether the task sends SYNC without data, and nothing else, without end."""
+        """True if the task sends only SYNC without data, without end."""
         message, *more = self.messages
         return not more and self._modifier is None and self._stop_ns == NEVER and message.arbitration_id == SYNC \
             and not (message.is_extended_id or message.is_remote_frame or message.dlc or message.data)
 
     def go_on(self, next_ns: int) -> None:
-        """Send again, from `next_ns` on, after somebody else had taken its events off the heap."""
+        """Continue the transmissions from `next_ns`, after compiled cycles took over their events."""
         self._sleep(next_ns)
 
     def _sleep(self, until_ns: int) -> None:

@@ -53,7 +53,7 @@ class Medium(Protocol):
         """Discard what waits in a station."""
 
     def reroute(self) -> None:
-        """Forget who receives what."""
+        """Clear the cached routes from COB-IDs to stations."""
 
     def submit(self, station: Station, frame: Frame, ready_ns: int, origin: object = None) -> bool:
         """Queue a frame."""
@@ -118,19 +118,19 @@ class Station:
         return self.filters is None or route in self.filters
 
     def sent(self, frame: Frame, origin: object, now_ns: int) -> None:
-        """Hear that its own frame was transmitted and acknowledged."""
+        """Process the acknowledged transmission of the station's own frame."""
 
     def errs(self, kind: ErrorKind, sending: bool, now_ns: int) -> None:
         """Hear that an error frame ended, in a frame it was `sending` itself or not."""
 
     def confined(self, previous: Confinement, now_ns: int) -> None:
-        """Hear that `state` has changed from `previous`."""
+        """Process a change of the fault confinement state from `previous`."""
 
     def powered(self, on: bool, now_ns: int) -> None:
-        """Hear that the supply has come or gone."""
+        """Process a change of the power supply."""
 
     def reset_counters(self) -> None:
-        """Begin error active, as at power-on and after bus-off (ISO 11898-1, 12.1.4.4)."""
+        """Reset the error counters to error active, as at power-on and after bus-off (ISO 11898-1, 12.1.4.4)."""
         self.tec = self.rec = self.resume_ns = 0
         self.state = Confinement.ACTIVE
 
@@ -144,7 +144,7 @@ class Station:
             self.rec = max(self.rec - 1, 0)
 
     def count_error(self, kind: ErrorKind, sending: bool) -> None:
-        """Count an error frame; a passive transmitter whom nobody acknowledges counts no further."""
+        """Count an error frame; a passive transmitter without an acknowledge counts no further."""
         if not sending:
             self.rec = min(self.rec + 1, PASSIVE_ABOVE + 1)
         elif kind is not ErrorKind.ACKNOWLEDGE or self.state is not Confinement.PASSIVE:

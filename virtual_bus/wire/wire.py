@@ -32,13 +32,13 @@ class FrameFaults(Protocol):
     """Protocol of faults on frames; see `faults.py`."""
 
     def ready(self, station: Station, frame: Frame, ready_ns: int) -> int:
-        """Return when the frame takes part in arbitration."""
+        """Return the time from which on the frame takes part in arbitration."""
 
     def heard(self, entry: Waiting, now_ns: int) -> Frame | ErrorKind | None:
         """Return the frame that receivers get, `None` where none does, or the error that ends it."""
 
     def quiet_until(self, now_ns: int) -> int:
-        """Say up to when it does nothing to any frame."""
+        """Return the time up to which no frame is affected."""
 
 
 class Wire:
@@ -65,7 +65,7 @@ class Wire:
         self._hurt = False
 
     def retime(self, bitrate: int) -> None:
-        """Use another bit rate from the next frame on."""
+        """Change the bit rate from the next frame on."""
         self.bit_ns = 1_000_000_000 // bitrate
         self._gap_ns = INTERMISSION_BITS * self.bit_ns
 
@@ -107,7 +107,7 @@ class Wire:
 
     @property
     def steady(self) -> bool:
-        """Nothing is being sent or waits, and no station has counted an error."""
+        """True if the wire is idle, no frame waits, and no station has counted an error."""
         queue = self._queue
         return not (self._busy or self._hurt or queue.contending or queue.next_ns(0) != NEVER)
 
@@ -117,7 +117,7 @@ class Wire:
 
     @property
     def idle_ns(self) -> int:
-        """From when on a frame may start."""
+        """Time from which on a frame may start."""
         return self._idle_ns
 
     def carried(self, frames: int, busy_bits: int, idle_ns: int) -> None:
@@ -139,7 +139,7 @@ class Wire:
         return True
 
     def flush(self, station: Station) -> None:
-        """Discard what waits in a station, except the frame it is sending."""
+        """Discard the waiting frames of a station, except the frame on the wire."""
         station.lost += len(self._queue.withdraw(station))
         station.waiting = station.contending = sum(entry[2] is station for entry in self._senders)
 

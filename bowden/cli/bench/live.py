@@ -83,7 +83,7 @@ class LiveAddress(NamedTuple):
     json: bool
 
     def viewer(self, name: str, units: Mapping[str, str], **played: Any) -> Viewer | None:
-        """Return Foxglove's server; None where its SDK is not installed and there is a page in its place."""
+        """Return Foxglove's server; None if its SDK is not installed and the live page replaces it."""
         from bowden.live.viewer import Viewer, installed
 
         if self.web is not None and not installed():

@@ -133,7 +133,7 @@ def store(
 
 @contextmanager
 def _master(reached: Bus, config: Path | None, timeout_ms: int, *, acts: bool = False) -> Iterator[LssMaster]:
-    """Give an LSS master; a device's refusal is bad input."""
+    """Return an LSS master; a refusal by the device is reported as bad input."""
     from bowden.bench.any_node import linked
     from master.node_access.lss_master import LssMaster, LssRefusalError
     from parameters import InputError

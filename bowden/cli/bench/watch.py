@@ -88,7 +88,7 @@ def _looked(watched: FileWatch, ended: Callable[[], bool]) -> Iterator[WatchVerd
 
 def _bus(reached: Bus, config: Path | None, output: Path | None, bench: WatchedBench, seconds: float | None, *,
          overwrite: bool, json: bool) -> int:
-    """Record the bus here, and watch the recording in another process."""
+    """Record the bus in this process, and watch the recording in another one."""
     import can
 
     from bowden import output_files

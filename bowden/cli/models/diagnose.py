@@ -47,11 +47,11 @@ Planned = Annotated[str | None, typer.Option(
 Noise = Annotated[float | None, typer.Option(metavar="N", help="With --plan: noise of both tension sensors, 1σ.")]
 
 READING, SEARCHING, WRITING = 0.15, 0.2, 0.95
-"""Shares of a diagnosis that are done when its steps begin."""
+"""Shares of the diagnosis that are complete when reading, searching and writing begin."""
 ENTERED = ("verdict", "causes", "class", "experiment")
-"""Keys of a diagnosis that its logbook keeps."""
+"""Keys of a diagnosis that the logbook stores."""
 WIDTH = 80
-"""Columns of a terminal that every line but a table's fits in."""
+"""Greatest width of a line outside tables, columns of the terminal."""
 
 
 @app.command()

@@ -26,7 +26,7 @@ Model = Annotated[Path | None, typer.Option(
 @app.command("plan")
 def plan_experiment(trials: Trials = None, healthy: options.Healthy = None, logbook: Book = None, model: Model = None,
                     json: options.Json = False) -> int:
-    """Find the experiment that decides.
+    """Find the shortest experiment that separates the effects of an ambiguity set.
 
     Predicted by simulating this bench under the motion of each experiment of the catalogue.
 

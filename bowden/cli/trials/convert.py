@@ -139,7 +139,7 @@ def compare(
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Compare two trials: their four figures, and in five lines what differs.
+    """Compare two trials: their four figures, and the differences in five lines.
 
     Exit status 1 if any channel differs.  With --controllers: a sweep's controllers, the best first.  With --logbook:
     the bench's constants in A against their scatter between sessions; exit status 1 if fewer than 1 in 1,000 healthy

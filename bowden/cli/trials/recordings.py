@@ -144,7 +144,7 @@ def _said(output: Path, found: Edited, *, json: bool) -> int:
 def recover(
     torn: Torn, output: options.Output, overwrite: options.Overwrite = False, json: options.Json = False
 ) -> int:
-    """Make a torn recording whole.
+    """Repair a torn recording.
 
     Every message that survived is written, indexed again.
 

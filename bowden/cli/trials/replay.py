@@ -31,7 +31,7 @@ TAKES = {
     "bus": FRAMES | BUS | SIMULATED,
     "bus --nodes-only": BUS,
 }
-"""Options by target of the replay; all others are refused."""
+"""Options by target of the replay; every other option is refused."""
 Recorded = Annotated[Path, typer.Argument(metavar="TRIAL", help="A recorded trial.", show_default=False)]
 Onto = Annotated[str, typer.Option(metavar="WHERE", help="bus, controller or plant.", show_default=False)]
 Speed = Annotated[float, typer.Option(metavar="X", help="bus: recorded by played time.")]
@@ -184,7 +184,7 @@ def _nodes(recorded: Trial, chosen: BusSettings, bitrate: int, *, json: bool) ->
 
 
 def _step(playing: Playing, *, shown: bool) -> None:
-    """Take one line of standard input at a time."""
+    """Read one line of standard input at a time."""
     if shown:
         terminal.remark(HELP)
     for line in sys.stdin:

@@ -106,7 +106,7 @@ def trial(
 
 
 def _where(chosen: BusSettings) -> str:
-    """Say before anything moves whether anything real will."""
+    """Print, before anything moves, whether the bench is real or simulated."""
     if chosen.simulated:
         told = ", ".join(f"{name} {chosen.arguments[name]}" for name in ("serial", "day", "seed", "plant"))
         return f"SIMULATED bench, {told}; --interface names a real bus."
@@ -114,7 +114,7 @@ def _where(chosen: BusSettings) -> str:
 
 
 def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[TrialFeed | None]:
-    """The live page of the trial, None where none was asked for."""
+    """Return the live page of the trial; None without --web."""
     if web is None:
         return nullcontext()
     from bowden.live import feeds
@@ -124,7 +124,7 @@ def _page(web: str | None, name: str, network: Any) -> AbstractContextManager[Tr
 
 def _watch(bench: WatchedBench | None, output: Path, chosen: BusSettings, json: bool
            ) -> AbstractContextManager[TrialWatch | None]:
-    """The watch of the trial, in a separate process; None without --watch."""
+    """Return the watch of the trial, in a separate process; None without --watch."""
     if bench is None:
         return nullcontext()
     from bowden.watch import watch_process

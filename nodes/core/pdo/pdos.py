@@ -63,7 +63,7 @@ class Pdos(Part):
             self._compile(0x17FF + number)
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Begin or cease."""
+        """Start all PDOs on entering OPERATIONAL, stop them on leaving it."""
         self.arrived.clear()
         for receive in self._receive.values():
             receive.stop()
@@ -72,13 +72,13 @@ class Pdos(Part):
         self._sort(now_ns)
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
-        """Listen for the RPDOs that exist."""
+        """Yield COB-ID and handler of the valid RPDOs."""
         for pdo in self._receive.values():
             if pdo.can_id:
                 yield pdo.can_id, pdo.receive
 
     def cob_ids(self) -> Iterator[tuple[int, int]]:
-        """Return the identifiers in use."""
+        """Yield the COB-IDs in use with their objects."""
         for number, receive in self._receive.items():
             yield key(0x13FF + number, 1), receive.can_id
         for number, transmit in self._transmit.items():
@@ -91,14 +91,14 @@ class Pdos(Part):
         return frozenset(pdo.can_id for pdo in self._transmit.values() if pdo.requestable)
 
     def requested(self, can_id: int, now_ns: int) -> None:
-        """Answer a remote frame."""
+        """Answer a remote frame with the TPDO of that COB-ID."""
         for pdo in self._transmit.values():
             if pdo.requestable and pdo.can_id == can_id:
                 self._device.refresh(now_ns)
                 pdo.send(now_ns)
 
     def synchronise(self, counter: int, now_ns: int) -> None:
-        """Act on a SYNC: latch, send, take over."""
+        """Process a SYNC: latch the inputs, send the TPDOs, apply the RPDOs."""
         if not self._running:
             return
         device = self._device
@@ -127,7 +127,7 @@ class Pdos(Part):
                 pdo.take(data, now_ns)
 
     def look(self, now_ns: int) -> None:
-        """Let event-driven TPDOs notice what changed."""
+        """Check the event-driven TPDOs for changed content."""
         for pdo in self._on_event:
             pdo.look(now_ns)
 
@@ -136,7 +136,7 @@ class Pdos(Part):
         self.state_entered(self._device.nmt.state, now_ns)
 
     def poll(self, now_ns: int) -> int:
-        """Report missed deadlines, send what timers ask for."""
+        """Report missed RPDO deadlines; send the TPDOs whose timers are due."""
         due_ns = FAR_NS
         for receive in self._receive.values():
             if receive.due_ns <= now_ns:
@@ -163,7 +163,7 @@ class Pdos(Part):
         self._cyclic = (*self._cyclic, *ready)
 
     def _sort(self, now_ns: int) -> None:
-        """Rebuild the tuples that the cyclic path walks."""
+        """Rebuild the tuples of PDOs that every SYNC iterates over."""
         self._running = self._device.nmt.state is NmtState.OPERATIONAL
         active = [pdo for pdo in self._transmit.values() if self._running and pdo.can_id]
         self._acyclic = tuple(pdo for pdo in active if pdo.every == 0)

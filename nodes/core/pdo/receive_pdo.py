@@ -75,7 +75,7 @@ class ReceivePdo:
         self.data: bytes | None = None
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take a frame: at once if event-driven, else with the next SYNC."""
+        """Receive a frame; an event-driven RPDO is applied at once, a synchronous one at the next SYNC."""
         if len(data) != self._size:
             if not self._usable(data):
                 return
@@ -109,7 +109,7 @@ class ReceivePdo:
                 self._device.application.written(at, self._device.values[at], now_ns)
 
     def deadline(self, now_ns: int) -> None:
-        """Report that nothing came in time."""
+        """Report that no frame arrived before the deadline."""
         self.due_ns, self._late = FAR_NS, True
         self._device.communication_lost(Emcy.RPDO_TIMEOUT, now_ns, self.number)
 

@@ -16,7 +16,7 @@ from nodes.core.sdo.sdo_segment import Write
 from nodes.core.sdo.sdo_transfer import SEGMENT, Received, Transfer, TransferAbortedError, multiplexer
 
 MAX_BLOCK: Final = 127
-"""Segments in a block; what this server asks for."""
+"""Segments in a block, as this server requests."""
 
 PACE_NS: Final = 200 * US
 """From one uploaded segment to the next: longer than a frame at 1 Mbit/s, so that PDOs find the queue free."""
@@ -27,7 +27,7 @@ _LAST: Final = 0x80
 
 
 class BlockDownload(Transfer):
-    """The client sends an object in blocks."""
+    """SDO block download: the client writes an object in blocks."""
 
     __slots__ = ("_crc", "_ending", "_received", "_sequence", "_write")
 
@@ -79,7 +79,7 @@ class _Phase(Enum):
 
 
 class BlockUpload(Transfer):
-    """The client reads an object in blocks."""
+    """SDO block upload: the client reads an object in blocks."""
 
     __slots__ = ("_block", "_crc", "_data", "_first", "_phase", "_sent")
 

@@ -19,7 +19,7 @@ _LAST: Final = 0x01
 
 
 class SegmentDownload(Transfer):
-    """The client sends an object in segments."""
+    """SDO segmented download: the client writes an object."""
 
     __slots__ = ("_received", "_toggle", "_write")
 
@@ -29,7 +29,7 @@ class SegmentDownload(Transfer):
         self._toggle = 0
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take a segment (ccs 0); the last one writes the object."""
+        """Receive a segment (ccs 0); the last one writes the object."""
         head = data[0]
         if head >> 5 != 0:
             raise TransferAbortedError(Abort.COMMAND)
@@ -47,7 +47,7 @@ class SegmentDownload(Transfer):
 
 
 class SegmentUpload(Transfer):
-    """The client reads an object in segments."""
+    """SDO segmented upload: the client reads an object."""
 
     __slots__ = ("_data", "_sent", "_toggle")
 

@@ -40,16 +40,16 @@ class SdoServer(Part):
         }
 
     def reset(self, now_ns: int) -> None:
-        """Drop a transfer in progress."""
+        """Discard a transfer in progress."""
         self._transfer = None
 
     def state_entered(self, state: NmtState, now_ns: int) -> None:
-        """Drop a transfer on entering a state without SDO."""
+        """Discard a transfer on entering a state without SDO."""
         if state in (NmtState.STOPPED, NmtState.INITIALISING):
             self._transfer = None
 
     def handlers(self) -> Iterator[tuple[int, Handler]]:
-        """Listen to the client."""
+        """Yield COB-ID and handler of the client's requests."""
         yield SDO_REQUEST_BASE + self._device.node_id, self.receive
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -68,11 +68,11 @@ class SdoServer(Part):
 
     @property
     def idle(self) -> bool:
-        """No transfer is under way."""
+        """True if no transfer is in progress."""
         return self._transfer is None
 
     def poll(self, now_ns: int) -> int:
-        """Send block segments that are due; abort a transfer whose client went silent."""
+        """Send block segments that are due; abort a transfer whose client has timed out."""
         transfer = self._transfer
         if transfer is None:
             return FAR_NS

@@ -17,7 +17,7 @@ SEGMENT: Final = 7
 
 
 class TransferAbortedError(Exception):
-    """The transfer ends here, with this abort code."""
+    """Abort of a transfer, with its SDO abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"{code:08X}")
@@ -64,7 +64,7 @@ class Received:
         self._check(len(self.data) - SEGMENT + 1)
 
     def whole(self) -> bytes:
-        """Return all bytes; refuse fewer than were announced."""
+        """Return all bytes; abort if they are fewer than announced."""
         if self._announced is not None and len(self.data) < self._announced:
             raise TransferAbortedError(Abort.TOO_SHORT)
         return bytes(self.data)
@@ -84,5 +84,5 @@ class Received:
 
 
 def multiplexer(key: int) -> bytes:
-    """Lay index and sub-index out as SDO frames carry them."""
+    """Return index and sub-index in the byte order of SDO frames."""
     return bytes((key >> 8 & 0xFF, key >> 16, key & 0xFF))
