@@ -163,9 +163,9 @@ def read(path: str | Path, *, bench: str = "") -> BenchModel:
 
 
 def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) -> BenchModel:
-    """Return the model that a file's tables state; other tables are another reader's.
+    """Return the bench model in a file's tables; tables of other readers are ignored.
 
-    `rigs`: whether the constants of a rig of another kind will do, too.  Raises `InputError`.
+    `rigs`: accept the constants of a rig of another kind, too.  Raises `InputError`.
     """
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")

@@ -216,7 +216,7 @@ def reference_model(book: Logbook) -> tuple[int, ReferenceFit] | None:
 
 
 def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, ReferenceFit] | None:
-    """Return the reference model, made or made anew from this trial where that is due; None where another came first.
+    """Return the reference model, fitted again if this trial belongs to it; None if another process fitted it first.
 
     Only the first trial of a session that has none in the model yet is taken into it.
     """

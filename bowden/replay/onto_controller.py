@@ -32,8 +32,7 @@ INPUTS = ("servo_statusword", "servo_position_m", "servo_force_n", "knee_statusw
 ANSWERS = ("gait_percent", "servo_target_m", "knee_target_rad", "desired_force_n", "estimated_end_force_n", "cycle",
            "held")
 OUTPUTS = (*ANSWERS, *(signal.name for signal in TRACE))
-"""Columns that a step answers for, the trace as far as the trial has it; the controller's own columns and the frame of
-targets come on top."""
+"""Compared columns of a controller step, if the trial has them; the controller's own columns are compared, too."""
 TARGETS_FRAME, ROWS = "targets_frame", "rows"
 EVERY = 500
 

@@ -60,7 +60,7 @@ def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
 
 
 def _state(given: Given) -> tuple[tuple[int, int], ...]:
-    """Size and time of change of the files behind a finder: other content makes another finder."""
+    """Return size and modification time of the files of a finder: a change requires a new finder."""
     files = [*given.healthy, *([] if given.calibration is None else [given.calibration])]
     return tuple((told.st_size, told.st_mtime_ns) for told in (path.stat() for path in files if path.exists()))
 

@@ -52,7 +52,7 @@ class GaitWindows:
         return int(np.searchsorted(self._numbers, self._last, side="right"))
 
     def _numbered(self, rows: Array) -> tuple[Array, Array]:
-        """Return the rows from the first cycle on, with the cycle of each; rows between two belong to the first."""
+        """Return the rows from the first gait cycle on, and the cycle number of each row."""
         time = rows[:, self._place["time_s"]]
         if self._first_s is None:
             inside = np.arange(time.size) if self._cycle is None else np.flatnonzero(rows[:, self._cycle] >= 0.0)

@@ -20,7 +20,7 @@ Write = tuple[int, int, int | bytes]
 RPDO, TPDO = 0x1400, 0x1800
 _MAPPING: Final = 0x200
 PDOS: Final = 4
-"""PDOs of each direction in the pre-defined connection set; the setup minds these and no more."""
+"""Number of PDOs of each direction in the pre-defined connection set; the setup writes only these."""
 
 
 @dataclass(frozen=True, slots=True)

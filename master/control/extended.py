@@ -41,7 +41,9 @@ FOLLOWED, TURNING, GAIN_ERROR, NORMAL_95 = 0.03, 0.15, 0.003, 1.96
 TURNED, TURNING_FAST = 0.3, 0.002
 """Share of the feedback's gain while friction turns over; change of ln(START/END) in a control cycle that halves it."""
 REACH_M = 4.5e-3
-"""Farthest target from where the rope will be then: beyond the servo's window (0x6065, 5 mm) the drive stops."""
+"""Greatest distance, m, of a target from the expected rope position: beyond the servo's window (0x6065, 5 mm) the
+drive stops.
+"""
 TARGET_CYCLES = 2
 """A target is taken over at the next SYNC and reached one cycle later."""
 

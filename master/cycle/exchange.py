@@ -36,7 +36,7 @@ NO_SYNC = "none for {:.0f} ms"
 UNHEARD = (NAN, NAN, NAN, NAN)
 KNEE_BIT = 1 << KNEE
 NEEDED = 0b0111
-"""Without these a cycle holds its targets; END is verification only and moves nothing."""
+"""Bits of the inputs that a control cycle needs: without them it holds the last targets. END is not among them."""
 
 
 class Exchange:

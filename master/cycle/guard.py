@@ -139,7 +139,7 @@ class Guard:
             raise blamed(finding, self._path)
 
     def _refuse_reported(self, inputs: Inputs, rehoming: bool) -> None:
-        """Statusword bits 13 and 11 of both drives: bit 13 means a homing error while homing, and counts there too."""
+        """Stop if a drive reports a following error (statusword bit 13) or an internal limit for too long (bit 11)."""
         for i, (node, word) in enumerate(zip(self._path, (inputs.servo_status, inputs.knee_status), strict=False)):
             if word & Status.FOLLOWING_ERROR and not rehoming:
                 raise StopError(Condition.OFF_TARGET, f"{self._name(node)} reports a following error (statusword "

@@ -71,7 +71,7 @@ def _compare(s: Any, g: Any, which: int, seen: float, expected: float) -> bool:
 @njit(inline="always")
 def _against(s: Any, g: Any, row: Any, by_force: int, by_rope: int, rope: float, knee: float, desired: float,
              error: float, start: float) -> int:
-    """Compare with one earlier gait cycle's `row`; the comparison that failed, or −1."""
+    """Compare with one earlier gait cycle's `row`; return the number of the failed comparison, or −1."""
     if abs(row[M_DESIRED] - desired) > SAME_FORCE_N or abs(row[M_KNEE] - knee) > SAME_KNEE_RAD:
         return -1
     found = -1

@@ -61,7 +61,7 @@ def refuse_disagreement(exchange: Exchange, calibration: Calibration, *, guessed
 
 
 def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = False) -> str | None:
-    """Say where homing's stretch is not the calibration's, with both numbers; None where it is."""
+    """Return a sentence if homing's stretch differs from the calibration's, with both numbers; None if it agrees."""
     known = STRETCH_NOMINAL if calibration.label == NOMINAL else STRETCH
     ratio, most = learned.stretch_ratio, STRETCH_GUESSED if guessed else known
     if ratio < 1.0 / most or ratio > most:
@@ -74,7 +74,7 @@ def disagreement(learned: Learned, calibration: Calibration, *, guessed: bool = 
 
 
 def among_sensors(learned: Learned) -> str | None:
-    """Say where the sensors contradict each other beyond friction, with both numbers; None where they do not."""
+    """Return a sentence if the sensors contradict each other beyond friction, with both numbers; None otherwise."""
     centre = 0.5 * (learned.low + learned.high)
     if learned.low and learned.high and abs(centre) > CENTRE:
         return (f"homing: pulled and released, START is {100.0 * 2.718281828 ** centre:.0f} % of END in the middle, "

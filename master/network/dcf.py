@@ -111,7 +111,7 @@ def refuse_other(link: Link, node: DescribedNode, dictionary: Dictionary, what: 
 
 
 def as_dcf(dictionary: Dictionary, node_id: int, values: Mapping[int, Value]) -> str:
-    """The text of a device's EDS with `values` as ParameterValue and the node's id in [DeviceComissioning]."""
+    """Return a device's EDS as text, with `values` as ParameterValue and the node's id in [DeviceComissioning]."""
     names = {}
     for place, value in values.items():
         entry = dictionary.entries[place]

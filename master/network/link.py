@@ -137,7 +137,7 @@ class Link:
 
     @property
     def due_ns(self) -> int:
-        """When the heartbeat is due; 0 where the link has more than that to send by itself."""
+        """Time of the master's next heartbeat; 0 if the link itself must also send SYNC."""
         return self._beat_due_ns if not self._pace_ns else 0
 
     def heed(self, beats: Iterable[tuple[int, int, int]]) -> None:

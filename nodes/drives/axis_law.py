@@ -178,7 +178,7 @@ def push(s: Any, g: Any, velocity: float) -> float:
 
 @njit
 def brake(s: Any, g: Any, velocity: float, dt_s: float) -> float:
-    """Return the torque that slows down by `g[DECELERATION]`; flag rest, or the end of the time given for it."""
+    """Return the torque of a stop by `g[DECELERATION]`; set the flag `STOPPED` at rest or after the time limit."""
     ramp, change = s[RAMP], g[DECELERATION] * dt_s
     ramp = max(0.0, ramp - change) if ramp > 0.0 else min(0.0, ramp + change)
     s[RAMP] = ramp

@@ -96,7 +96,9 @@ class Drive(ModesOfOperation):
         self.fire(DriveEvent.INITIALISED, now_ns)
 
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
-        """Row 1 when communication is up; leaving OPERATIONAL ends motion, STOPPED and resets end power: 0x6007."""
+        """React to an NMT state: initialised in PRE-OPERATIONAL (row 1), stopped as 0x6007 selects on leaving
+        OPERATIONAL.
+        """
         before, self._nmt = self._nmt, state
         left = before is NmtState.OPERATIONAL and self.axis.on
         if left or state in (NmtState.STOPPED, NmtState.INITIALISING):

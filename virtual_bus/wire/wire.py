@@ -23,7 +23,7 @@ from virtual_bus.wire.contention import Contention
 from virtual_bus.wire.station import EXTENDED, Confinement, Deliver, ErrorKind, Station, Waiting
 
 TO_ACKNOWLEDGE_BITS = -8
-"""From the end of a frame back to the end of its acknowledge slot: there a missing one is noticed."""
+"""Bits from the end of a frame back to the end of its acknowledge slot, where a missing acknowledge is flagged."""
 TO_CRC_ERROR_BITS = -7
 """Bits from the end of a frame back to the end of its acknowledge delimiter, where a CRC error is flagged."""
 
