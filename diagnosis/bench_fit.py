@@ -38,7 +38,7 @@ BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
-SEEN: Final = 0.6
+FITTED_SHARE: Final = 0.6
 """Share of each trial to which the tested model is fitted; the rest of the trial is held out."""
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
@@ -223,7 +223,7 @@ def _part(given: Table, low: float, high: float) -> Table:
 
 def _parts(tables: Sequence[Table]) -> tuple[list[Table], list[Table]]:
     """Return the first part of each trial, for the fit, and the last part, held out to test that fit."""
-    return [_part(t, 0.0, SEEN) for t in tables], [_part(t, SEEN, 1.0) for t in tables]
+    return [_part(t, 0.0, FITTED_SHARE) for t in tables], [_part(t, FITTED_SHARE, 1.0) for t in tables]
 
 
 def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from physics.plant.state_layout import PlantParameters
 
 Values = Mapping[str, float]
 
-MOVED: Final = (
+REFITTED: Final = (
     "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
     "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
 """Parameters of the second fit: those in which the force path and the simulation differ."""
@@ -99,7 +99,7 @@ def _path(fit: ReferenceFit, departure: Array) -> dict[str, float]:
 
 def _determined(outputs: Sequence[str]) -> list[str]:
     """Return the parameters of the simulation that the outputs can determine."""
-    every = [*MOVED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"]
+    every = [*REFITTED, *DIRECT, "cable_bend", "rope_per_knee_quadratic", "drive_presliding"]
     return [n for n in dict.fromkeys(every) if ("tension_end_n" in outputs or not n.startswith("end_"))
             and ("servo_force_n" in outputs or not n.startswith(("drive_", "demand_")))]
 
@@ -149,7 +149,7 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float) -> d
     between force path and simulation (`DIFFERENCE`).  Returns all parameters by name, SI.
     """
     simulated = [_Simulated(t, seconds) for t in trials]
-    names = [n for n in MOVED if n in bench.sigma]
+    names = [n for n in REFITTED if n in bench.sigma]
     width = np.array([np.hypot(bench.sigma[n], DIFFERENCE * SIZE.get(n, abs(RELATION_PARAMETERS[n].nominal)))
                       for n in names])
     own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]

@@ -213,11 +213,12 @@ class WireFindings:
     def causes(self) -> list[dict[str, Any]]:
         """Return the chosen effect in the form of a verdict's causes."""
         return [{"effect": t.effect.name, "site": t.effect.site, "gain_percent": 100.0, "parameters": {
-            p.name: _told(t.values[p.name], 0.0 if p.unit else 1.96 * t.sigma, p.unit) for p in t.effect.parameters}}
+            p.name: _estimate(t.values[p.name], 0.0 if p.unit else 1.96 * t.sigma, p.unit)
+            for p in t.effect.parameters}}
             for t in self.told[:1]]
 
 
-def _told(value: float, half: float, unit: str) -> dict[str, Any]:
+def _estimate(value: float, half: float, unit: str) -> dict[str, Any]:
     return {"value": value, "low": max(0.0, value - half), "high": value + half, "unit": unit}
 
 

@@ -181,9 +181,9 @@ def forecast(model: SessionModel, bench_q: Array, change: Change, limits: Mappin
             found.append(Forecast(constant, limit, None, None, None))
             continue
         middle, spread = _trend(model, k, since)
-        settled = values(bench_q)
-        settled[row] = limit
-        goal = coordinates_of(settled)[row] - bench_q[row]
+        at_limit = values(bench_q)
+        at_limit[row] = limit
+        goal = coordinates_of(at_limit)[row] - bench_q[row]
         draws = np.random.default_rng(0).multivariate_normal(middle, spread, size=4000)
         left, pace = goal - draws[:, 0], draws[:, 1]
         ahead = np.where(left * pace > 0.0, left / np.where(pace == 0.0, 1e-300, pace), NEVER)

@@ -138,5 +138,5 @@ def impedance_step(
     """
     if stiffness == 0.0:
         return displacement_m + error_n * dt_s / damping
-    settled = error_n / stiffness
-    return settled + (displacement_m - settled) * float(np.exp(-stiffness / damping * dt_s))
+    equilibrium = error_n / stiffness
+    return equilibrium + (displacement_m - equilibrium) * float(np.exp(-stiffness / damping * dt_s))

@@ -62,22 +62,22 @@ class PageProcess:
         self.stop_asked = False
         self._stop, self._sent_ns, self._gone = stop, 0, False
         self._frames, self._forces, self._waiting = bytearray(), bytearray(), bytearray()
-        self._told, their_told = socket.socketpair()
+        self._to_page, their_page = socket.socketpair()
         self._answers, their_answers = socket.socketpair()
         self._process = multiprocessing.get_context("spawn").Process(
-            target=serve, args=(their_told, their_answers, setup, where), name="bowden live page", daemon=True)
+            target=serve, args=(their_page, their_answers, setup, where), name="bowden live page", daemon=True)
         self._process.start()
-        their_told.close()
+        their_page.close()
         their_answers.close()
         answers = self._answers.makefile("r", encoding="utf-8")
         first = json.loads(answers.readline() or '{"error": "--web: the page\'s process ended before it served."}')
         if "error" in first:
             self._process.join()
-            for opened in (answers, self._answers, self._told):
+            for opened in (answers, self._answers, self._to_page):
                 opened.close()
             raise InputError(first["error"])
         self.url: str = first["url"]
-        self._told.setblocking(False)
+        self._to_page.setblocking(False)
         threading.Thread(target=self._listen, args=(answers,), name="stop button", daemon=True).start()
 
     def _listen(self, answers: Any) -> None:
@@ -122,9 +122,9 @@ class PageProcess:
     def close(self) -> None:
         """Make the page send its last state and stop listening."""
         with contextlib.suppress(OSError):
-            self._told.settimeout(PATIENCE_S)
-            self._told.sendall(self._waiting)
-        self._told.close()
+            self._to_page.settimeout(PATIENCE_S)
+            self._to_page.sendall(self._waiting)
+        self._to_page.close()
         self._process.join(PATIENCE_S)
         self._process.kill()
         self._process.join()
@@ -150,7 +150,7 @@ class PageProcess:
         if len(self._waiting) + len(payload) <= MOST_WAITING:
             self._waiting += BLOCK.pack(kind, len(payload)) + payload
         try:
-            del self._waiting[:self._told.send(self._waiting)]
+            del self._waiting[:self._to_page.send(self._waiting)]
         except BlockingIOError:
             return
         except OSError:  # the page's process is gone: the trial goes on

@@ -53,7 +53,7 @@ class LiveState:
         self._incoming: deque[tuple[int, int, int, int, int, bool, bytes]] = deque(maxlen=QUEUE)
         self._blocks: deque[bytes] = deque(maxlen=QUEUE)
         self._forces: deque[Force] = deque(maxlen=QUEUE)
-        self._told: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
+        self._new_events: deque[tuple[int, str, str, str]] = deque(maxlen=QUEUE)
         self._heard_at: float | None = None
         self._now_ns: int | None = None
         self._first_ns: int | None = None
@@ -84,7 +84,7 @@ class LiveState:
 
     def event(self, time_ns: int, kind: str, source: str, text: str) -> None:
         """Add an event, as one sentence; callable from any thread."""
-        self._told.append((time_ns, kind, source, text))
+        self._new_events.append((time_ns, kind, source, text))
 
     def suspected(self, sentence: str) -> None:
         """Set the present suspicion of a diagnosis; callable from any thread."""
@@ -107,8 +107,8 @@ class LiveState:
                 self._frames(np.frombuffer(b"".join(blocks), cdr.FRAME_ROW))
             for _ in range(len(self._forces)):
                 self._row(*self._forces.popleft())
-            for _ in range(len(self._told)):
-                self._happened(*self._told.popleft())
+            for _ in range(len(self._new_events)):
+                self._happened(*self._new_events.popleft())
             if self._status == "waiting" and self._heard_at is not None:
                 self._status = "running"
             self.changed.notify_all()

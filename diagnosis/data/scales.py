@@ -70,9 +70,9 @@ def rope_per_knee(given: Table) -> float | None:
 def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
     """Yield findings on forces whose largest value exceeds that of the reference trials by `OUT_OF_RANGE`."""
     for name in RANGED:
-        usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _told(t, name)), default=0.0)
+        usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _has_force(t, name)), default=0.0)
         for given in trials:
-            most = float(np.nanmax(np.abs(given[name]))) if usual and _told(given, name) else 0.0
+            most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
             if most > OUT_OF_RANGE * usual:
                 column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
                                      if given.turning and known == name), (name, "N"))
@@ -81,7 +81,7 @@ def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator
                               "the column, or give healthy trials of this range.", True)
 
 
-def _told(given: Table, name: str) -> bool:
+def _has_force(given: Table, name: str) -> bool:
     return name in given and bool(np.isfinite(given[name]).any())
 
 

@@ -75,7 +75,7 @@ class BusWatch:
             base + node for node in wire.nodes for base in (HEARTBEAT_BASE, EMCY_BASE, SDO_RESPONSE_BASE))
         self._recent: deque[int] = deque(maxlen=STREAM)
         self._doubled: deque[int] = deque(maxlen=DOUBLED)
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def sent(self, can_id: int, data: bytes) -> None:
         """Remember a frame that the master is about to send."""
@@ -163,8 +163,8 @@ class BusWatch:
                                       f"them {most:X}h", moves=True)
 
     def _tell(self, time_ns: int, can_id: int, text: str, moves: bool) -> None:
-        if text not in self._told and len(self._told) < 256:
-            self._told.add(text)
+        if text not in self._reported and len(self._reported) < 256:
+            self._reported.add(text)
             self.found.append(Stranger(time_ns, can_id, text, moves))
 
     def summary(self) -> list[str]:

@@ -73,7 +73,7 @@ class KernelCycles:
         numbers[frames.IDS:frames.SIZES] = [can_id for can_id, _ in inputs]
         numbers[frames.SIZES:frames.HEED] = [least for _, least in inputs]
         self._settings: Any = memoryview(cast(Any, numbers))
-        self._told = self._settings[frames.HEED:]
+        self._results = self._settings[frames.HEED:]
         raw = self._settings.cast("B")
         self._inputs = raw[8 * (frames.HEED + frames.FRAMES):]
         _HEAD.pack_into(raw, 8 * frames.FRAME, targets_id, size)
@@ -90,7 +90,7 @@ class KernelCycles:
         False: nothing has happened, for frames wait, or `beat_ns` is 0. True: the targets were sent, and the received
         frames wait; a heartbeat is then sent once more at its time. Raises `can.CanError` if the bus failed.
         """
-        bus, told = self._bus, self._told
+        bus, told = self._bus, self._results
         if bus.waiting or not beat_ns or (self._behind and not self._forgotten()):
             self._behind = True
             return False
@@ -130,7 +130,7 @@ class KernelCycles:
 
         Raises `can.CanOperationError` where a socket failed.
         """
-        bus, told, numbers = self._bus, self._told, self._numbers
+        bus, told, numbers = self._bus, self._results, self._numbers
         if ended == frames.FAILED:
             code = self._settings[frames.ERRNO]
             raise can.CanOperationError(f"{bus.channel}: {os.strerror(code)}", code)
@@ -154,6 +154,6 @@ class KernelCycles:
                                  numbers[frames.SIZES:frames.HEED], numbers[frames.HEED:])
 
     def _beats(self) -> tuple[tuple[int, int, int], ...]:
-        told, first = self._told, frames.BEAT
+        told, first = self._results, frames.BEAT
         return tuple([(told[at], told[at + 1], told[at + 2])
                       for at in range(first, first + 3 * told[frames.BEATS], 3)])

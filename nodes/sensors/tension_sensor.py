@@ -48,7 +48,7 @@ class TensionSensor(Application):
         self._changed = False
         self.channel: Any = law.channel(1, False)
         self._verdict: int | None = None
-        self._told: set[Emcy] = set()
+        self._reported: set[Emcy] = set()
         self._take_spans()
         self._configure(restart=True)
 
@@ -89,7 +89,7 @@ class TensionSensor(Application):
 
     def reset(self, now_ns: int) -> None:
         """Power-on and reset node: stored or default settings, an empty filter, the wire as it is."""
-        self._told.clear()
+        self._reported.clear()
         self._take_spans()
         self._configure(restart=True)
         self.latch(now_ns)
@@ -156,11 +156,11 @@ class TensionSensor(Application):
         self._tell(Emcy.OVER_RANGE, bool(verdict & OVERLOAD))
 
     def _tell(self, trouble: Emcy, there: bool) -> None:
-        if there and trouble not in self._told:
-            self._told.add(trouble)
+        if there and trouble not in self._reported:
+            self._reported.add(trouble)
             self.device.emergency(trouble, trouble.register)
-        elif not there and trouble in self._told:
-            self._told.remove(trouble)
+        elif not there and trouble in self._reported:
+            self._reported.remove(trouble)
             self.device.recover(trouble)
 
     # ---- settings ----
