@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -181,8 +182,9 @@ class CanBus:
 
     def frames(self, cob_id: int | None = None, *, since_ns: int = 0) -> list[BusFrame]:
         """Return the frames received on the bus so far, of one COB-ID or all, from `since_ns` on."""
-        return [frame for frame in self._recorder.frames
-                if cob_id in (None, frame.cob_id) and frame.time_ns >= since_ns]
+        received = self._recorder.frames
+        first = bisect_left(received, since_ns, key=lambda frame: frame.time_ns)
+        return [frame for frame in received[first:] if cob_id in (None, frame.cob_id)]
 
     @property
     def error_frames(self) -> list[tuple[int, ErrorKind]]:

@@ -10,14 +10,18 @@ import struct
 from collections.abc import Iterable
 
 import nodes
+from bowden.testing import BusFrame, CanBus
+from bowden.testing.canopen_node import DriveLoad
 from eds.bench.bench_network import KNEE, SERVO, Network, WireLayout, wire
-from eds.cia301 import Frame, NmtCommand
+from eds.cia301 import NmtCommand
 from eds.cia402 import State, next_controlword, state_of
 from eds.dictionary import key
 from nodes import Drive
 
 MS = 1_000_000
 TICK_NS = 250_000
+ANSWER_S = 6e-4
+"""Bus time for a frame and its answer behind the frames of a cycle: five of at most 0.13 ms."""
 WIRE: WireLayout = wire(Network())
 
 
@@ -60,58 +64,74 @@ def knee_mass() -> Mass:
 
 
 class NodeBus:
-    """One device of the bench and the time it lives in; `sent` holds its frames with their times."""
+    """One device of the bench on the virtual bus of `bowden.testing`, and a master's station that speaks to it."""
 
-    def __init__(self, node_id: int, on: bool = True, wire: WireLayout = WIRE) -> None:
+    def __init__(self, node_id: int, wire: WireLayout = WIRE, mechanics: DriveLoad | None = None) -> None:
         self.node_id, self.wire = node_id, wire
-        self.device, self.application = nodes.build(node_id, wire)
-        self.entries = wire.nodes[node_id].dictionary.entries
-        self.now_ns = 0
-        self.sent: list[tuple[int, Frame]] = []
-        if on:
-            self.device.power_on(0)
-            self.settle()
+        (declared,) = [device for device in wire.network.bench.devices if device.node_id == node_id]
+        self.application = nodes.APPLICATIONS[declared.type.name]()
+        self.bus = CanBus()
+        self.node = self.bus.add_node(wire.nodes[node_id].dictionary, node_id, profile=self.application,
+                                      mechanics=mechanics)
+        self.device, self.entries = self.node.device, wire.nodes[node_id].dictionary.entries
+        self.bus.run(1e-3)
+        self.forget()
+
+    @property
+    def now_ns(self) -> int:
+        return self.bus.now_ns
+
+    def pass_time(self, for_ns: int) -> None:
+        self.bus.kernel.run(self.now_ns + for_ns)
+
+    def forget(self) -> None:
+        """Look only at frames from now on."""
+        self.bus.run(ANSWER_S)
+        self.since_ns = self.now_ns + 1
+
+    def frames(self, can_id: int) -> list[bytes]:
+        """Data of the frames of one COB-ID since the last look, those under way included."""
+        self.bus.run(ANSWER_S)
+        return [frame.data for frame in self.bus.frames(can_id, since_ns=self.since_ns)]
+
+    def send(self, can_id: int, data: bytes = b"") -> list[BusFrame]:
+        """Put a frame on the bus; return the frames of the next 0.6 ms, answers among them."""
+        began_ns = self.now_ns
+        self.bus.send(can_id, data)
+        self.bus.run(ANSWER_S)
+        return [frame for frame in self.bus.frames(since_ns=began_ns + 1) if frame.cob_id != can_id]
 
     def settle(self) -> None:
-        """Collect what the device sends, and run what it has due now."""
-        for _ in range(1000):
-            while self.device.outbox:
-                self.sent.append((self.now_ns, self.device.outbox.popleft()))
-            due_ns = self.device.next_ns()
-            if due_ns is None or due_ns > self.now_ns:
-                return
-            self.device.poll(self.now_ns)
-        raise AssertionError("the device is never done")
-
-    def send(self, can_id: int, data: bytes = b"") -> list[Frame]:
-        """Put a frame on the bus; return the answers."""
-        before = len(self.sent)
-        self.device.receive(Frame(can_id, data), self.now_ns)
-        self.settle()
-        return [frame for _at, frame in self.sent[before:]]
+        """Let the device send what a call of the application made, and the frames reach the master."""
+        self.node.station.settle(self.now_ns)
+        self.bus.run(ANSWER_S)
 
     def nmt(self, command: NmtCommand) -> None:
         self.send(0, bytes((command, self.node_id)))
 
-    def sync(self) -> list[Frame]:
+    def sync(self) -> list[BusFrame]:
         return self.send(0x80)
 
     def emergencies(self) -> list[int]:
         """Give the EMCY codes sent so far, and forget them."""
-        codes = [struct.unpack_from("<H", f.data)[0] for _at, f in self.sent if f.can_id == 0x80 + self.node_id]
-        self.sent = [(at, f) for at, f in self.sent if f.can_id != 0x80 + self.node_id]
+        codes = [struct.unpack_from("<H", data)[0] for data in self.frames(0x80 + self.node_id)]
+        self.forget()
         return codes
 
     def _request(self, data: bytes) -> bytes:
-        answers = [f.data for f in self.send(0x600 + self.node_id, data) if f.can_id == 0x580 + self.node_id]
-        assert len(answers) == 1
-        if answers[0][0] == 0x80:
-            raise AbortedError(int.from_bytes(answers[0][4:], "little"))
-        return answers[0]
+        began_ns, answers = self.now_ns, []
+        self.bus.send(0x600 + self.node_id, data)
+        while not answers:
+            assert self.now_ns < began_ns + 10 * MS
+            self.pass_time(TICK_NS)
+            answers = self.bus.frames(0x580 + self.node_id, since_ns=began_ns + 1)
+        answer = answers[0].data
+        if answer[0] == 0x80:
+            raise AbortedError(int.from_bytes(answer[4:], "little"))
+        return answer
 
     def write(self, index: int, subindex: int, value: float) -> None:
-        code = self.entries[key(index, subindex)].data_type.code
-        data = struct.pack("<" + code, value)
+        data = struct.pack("<" + self.entries[key(index, subindex)].data_type.code, value)
         head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
         self._request(head + data.ljust(4, b"\0"))
 
@@ -141,9 +161,7 @@ class DriveRig(NodeBus):
 
     application: Drive
 
-    def __init__(self, node_id: int, plant: Mass | None = None, on: bool = True) -> None:
-        super().__init__(node_id, on)
-        assert isinstance(self.application, Drive)
+    def __init__(self, node_id: int, plant: Mass | None = None) -> None:
         self.plant = plant or (servo_mass() if node_id == SERVO else knee_mass())
         self.torque = 0.0
         self.torques: list[float] = []
@@ -152,31 +170,40 @@ class DriveRig(NodeBus):
         self.feeds_tension = node_id == SERVO
         self.master_lives = True
         self.velocity_share = 1.0
+        self.cyclic = False
+        super().__init__(node_id, mechanics=self)
 
     # ---- time ----
 
+    def step(self, torque: float, for_ns: int) -> tuple[float, float]:
+        """Move the plant under the drive's torque; the mechanics of `CanopenNode`."""
+        self.torque = torque
+        self.torques.append(torque)
+        self.plant.step(torque, for_ns)
+        return self.plant.position, self.velocity_share * self.plant.velocity
+
     def run(self, for_ms: float) -> None:
-        """Let time pass: drive ticks and plant every 250 µs, START, SYNC and heartbeats as the bench sends them."""
-        for _ in range(round(for_ms * MS / TICK_NS)):
-            self.plant.step(self.torque, TICK_NS)
-            self.now_ns += TICK_NS
-            self.torque = self.application.tick(
-                self.now_ns, self.plant.position, self.velocity_share * self.plant.velocity)
-            self.torques.append(self.torque)
-            self.settle()
-            if self.now_ns % MS == 0:
+        """Let time pass; from the first call on, the frames of the bench are sent every millisecond."""
+        self.cyclic = True
+        self.pass_time(round(for_ms * MS))
+
+    def pass_time(self, for_ns: int) -> None:
+        until_ns = self.now_ns + for_ns
+        while self.now_ns < until_ns:
+            super().pass_time(min(until_ns - self.now_ns, MS - self.now_ns % MS))
+            if self.cyclic and self.now_ns % MS == 0:
                 self._cycle()
 
     def _cycle(self) -> None:
-        self.sync()
+        self.bus.send(0x80)
         if self.master_lives:
             if self.now_ns % (100 * MS) == 0:
-                self.send(0x77F, b"\x05")
+                self.bus.send(0x77F, b"\x05")
             if self.target is not None:
                 pad = struct.pack("<ii", *((self.target, 0) if self.node_id == SERVO else (0, self.target)))
-                self.send(0x201, pad)
+                self.bus.send(0x201, pad)
         if self.feeds_tension:
-            self.send(0x183, struct.pack("<h", round(100 * self.plant.tension)))
+            self.bus.send(0x183, struct.pack("<h", round(100 * self.plant.tension)))
 
     # ---- what a master does ----
 

@@ -205,7 +205,7 @@ def test_preload_reads_start_s_pdo_and_nothing_else() -> None:
     rig.feeds_tension = False
     rig.control(START)
     for n in range(3000):
-        rig.send(0x184, struct.pack("<h", 9000))
-        rig.send(0x183, struct.pack("<h", min(2000, n)))
+        rig.bus.send(0x184, struct.pack("<h", 9000))
+        rig.bus.send(0x183, struct.pack("<h", min(2000, n)))
         rig.run(1)
     assert bits(rig) == DONE

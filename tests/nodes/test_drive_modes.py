@@ -37,12 +37,12 @@ def test_servo_reads_micrometres_tenths_of_newton_and_increments() -> None:
     rig.write(0x6071, 0, 300)
     rig.run(1)
     assert rig.torque == pytest.approx(0.6)
-    tpdo = next(f for _at, f in reversed(rig.sent) if f.can_id == 0x181)
-    _word, position, torque = struct.unpack("<HiH", tpdo.data)
-    assert position == pytest.approx(rig.plant.position * 1e6, abs=1)
+    latched = rig.plant.position
+    _word, position, torque = struct.unpack("<HiH", rig.frames(0x181)[-1])
+    assert position == pytest.approx(latched * 1e6, abs=1)
     assert torque == 300
     # 131072 increments a revolution of 125663.7 µm
-    assert rig.read(0x6063) == pytest.approx(rig.plant.position * 131072 / 0.1256637, abs=1)
+    assert rig.node[0x6063] == pytest.approx(rig.plant.position * 131072 / 0.1256637, abs=1)
 
 
 def test_knee_reads_millidegrees_at_the_knee_and_turns_motor_torque_by_its_reducer() -> None:
@@ -122,7 +122,7 @@ def test_targets_are_interpolated_between_syncs() -> None:
         rig.target = 400 * n
         for _ in range(4):
             rig.run(0.25)
-            demands.append(rig.read(0x6062))
+            demands.append(rig.node[0x6062])
     steps = [b - a for a, b in itertools.pairwise(demands[8:])]
     assert steps == [100] * len(steps)
     assert rig.read(0x606B) == 400_000
@@ -136,10 +136,10 @@ def test_interpolation_period(value: int, index: int, period_s: float) -> None:
     rig.run(1)
     rig.to(ENABLED)
     rig.write(0x607A, 0, 1000)
-    rig.run(1e3 * period_s - 0.5)
-    assert 0 < rig.read(0x6062) < 1000
-    rig.run(0.5)
-    assert rig.read(0x6062) == 1000
+    rig.run(1e3 * period_s - 1.0)
+    assert 0 < rig.node[0x6062] < 1000
+    rig.run(1.5)
+    assert rig.node[0x6062] == 1000
 
 
 def test_a_target_from_before_the_enabling_moves_nothing() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.nodes.drive_rig import TICK_NS, NodeBus
+from tests.nodes.drive_rig import NodeBus
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, DISABLE = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x07
 DISABLED, READY, ON, ENABLED = 0x40, 0x21, 0x23, 0x27
@@ -35,10 +35,7 @@ def shows(bus: NodeBus, state: int) -> bool:
 
 def stand_still(bus: NodeBus) -> None:
     """Give the drive 50 ms to find that it stands."""
-    for _ in range(200):
-        bus.now_ns += TICK_NS
-        bus.application.tick(bus.now_ns, 0.0, 0.0)
-        bus.settle()
+    bus.bus.run(0.05)
 
 
 @pytest.mark.parametrize("node_id", [1, 2])

@@ -7,6 +7,7 @@ import random
 
 import pytest
 
+import nodes
 from eds.cia301 import Emcy, NmtCommand
 from eds.cia402 import STEP, TRANSITIONS, DriveEvent, State, Status, Stop, command_of, state_of
 from tests.nodes.drive_rig import KNEE, SERVO, DriveRig
@@ -47,16 +48,14 @@ def lose_the_master(rig: DriveRig) -> None:
     rig.write(0x1016, 1, 127 << 16 | 10)
     rig.send(0x77F, b"\x05")
     velocity = rig.plant.velocity
-    rig.now_ns += 11_000_000
+    rig.bus.run(0.011)
     rig.settle()
     rig.plant.velocity = velocity
 
 
 def test_power_on_goes_through_rows_0_and_1() -> None:
-    rig = DriveRig(SERVO, on=False)
-    assert rig.application.state is None
-    rig.device.power_on(0)
-    rig.settle()
+    assert nodes.ServoDrive().state is None
+    rig = DriveRig(SERVO)
     assert rig.state() is State.SWITCH_ON_DISABLED
 
 
@@ -214,7 +213,7 @@ def test_statusword_goes_out_by_event_when_the_state_changes() -> None:
     rig = DriveRig(KNEE)
     rig.nmt(NmtCommand.START)
     rig.run(1)
-    rig.sent.clear()
+    rig.forget()
     rig.send(0x202, b"\x06\x00")
-    words = [int.from_bytes(f.data[:2], "little") for _at, f in rig.sent if f.can_id == 0x182]
+    words = [int.from_bytes(data[:2], "little") for data in rig.frames(0x182)]
     assert [state_of(word) for word in words] == [State.READY_TO_SWITCH_ON]

@@ -336,6 +336,6 @@ def test_an_emergency_stop_in_a_fault_reaction_ends_it() -> None:
     while rig.state() is ENABLED:
         rig.run(1)
     rig.application.emergency_stop(True, rig.now_ns)
-    rig.run(0.25)
+    rig.run(0.5)
     assert rig.torque == 0.0
     assert rig.state() is State.FAULT

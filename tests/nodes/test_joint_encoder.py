@@ -53,5 +53,5 @@ def test_the_position_takes_the_preset_where_the_joint_stands(preset: int) -> No
 def test_the_tpdo_carries_the_angle_at_sync() -> None:
     joint = Joint().at(-1.0)
     joint.setup()
-    (data,) = [frame.data for frame in joint.sync() if frame.can_id == 0x180 + KNEE]
+    (data,) = [frame.data for frame in joint.sync() if frame.cob_id == 0x180 + KNEE]
     assert struct.unpack("<i", data) == (round(-1.0 / (2.0 * math.pi) * COUNTS),)

@@ -10,7 +10,7 @@ import pytest
 from eds.bench.bench_network import END, START
 from eds.cia301 import NmtCommand
 from physics.converter import FULL_COUNTS
-from tests.nodes.drive_rig import MS, NodeBus
+from tests.nodes.drive_rig import NodeBus
 from tests.nodes.test_sensor_values import Gauge
 
 NOT_VALID, POSITIVE, NEGATIVE = 1, 2, 4
@@ -60,8 +60,7 @@ def test_a_converter_at_its_end_is_over_range(counts: int, status: int) -> None:
     gauge = Gauge()
     gauge.write(0x6148, 1, -1000.0)
     gauge.write(0x6149, 1, 1000.0)
-    gauge.application.sample(MS, counts)
-    gauge.settle()
+    gauge.node.sample(counts)
     assert gauge.read(0x6150, 1) == status
     assert gauge.emergencies() == [0xF001]
 
@@ -130,10 +129,10 @@ def test_turning_a_channel_off_ends_its_trouble(newton: float, status: int, code
 def test_values_go_out_every_100_ms_until_configured_otherwise() -> None:
     gauge = Gauge()
     gauge.nmt(NmtCommand.START)
-    gauge.sent.clear()
+    gauge.forget()
     for _ in range(10):
         gauge.feel(10.0, times=100)
-    counts = [struct.unpack("<iB", f.data)[0] for _at, f in gauge.sent if f.can_id == 0x180 + START]
+    counts = [struct.unpack("<iB", data)[0] for data in gauge.frames(0x180 + START)]
     assert counts[1:] == [1000] * (len(counts) - 1)
     assert len(counts) in (10, 11)
 
@@ -150,10 +149,9 @@ def test_a_change_of_status_is_an_event_of_its_pdo() -> None:
     gauge = Gauge()
     gauge.nmt(NmtCommand.START)
     gauge.feel(10.0)
-    gauge.sent.clear()
+    gauge.forget()
     gauge.feel(10.0, status=NOT_VALID)
-    frames = [f for _at, f in gauge.sent if f.can_id == 0x180 + START]
-    assert [struct.unpack("<iB", f.data) for f in frames] == [(-(1 << 31), NOT_VALID)]
+    assert [struct.unpack("<iB", data) for data in gauge.frames(0x180 + START)] == [(-(1 << 31), NOT_VALID)]
 
 
 def test_the_identity_says_what_profile() -> None:

@@ -16,7 +16,7 @@ from nodes.sensors.filter import Filter, FilterType
 from nodes.sensors.scaling import INTEGER16, INTEGER32, integer, invalid, two_point
 from parameters import InputError
 from physics.converter import FULL_COUNTS, SensorParameters
-from tests.nodes.drive_rig import MS, NodeBus
+from tests.nodes.drive_rig import NodeBus
 
 COUNTS_PER_N = FULL_COUNTS / SensorParameters().full_scale_n
 
@@ -32,9 +32,8 @@ class Gauge(NodeBus):
 
     def feel(self, newton: float, times: int = 1, status: int = 0) -> Gauge:
         for _ in range(times):
-            self.now_ns += self.application.interval_ns
-            self.application.sample(self.now_ns, round(newton * COUNTS_PER_N), status)
-            self.settle()
+            self.bus.run(1e-9 * self.application.interval_ns)
+            self.node.sample(round(newton * COUNTS_PER_N), status)
         return self
 
 
@@ -53,7 +52,7 @@ def test_the_bench_s_tpdo_carries_hundredths_of_newton_at_sync(node_id: int) -> 
     gauge = Gauge(node_id)
     gauge.setup()
     gauge.feel(-12.34)
-    frames = [f for f in gauge.sync() if f.can_id == 0x180 + node_id]
+    frames = [f for f in gauge.sync() if f.cob_id == 0x180 + node_id]
     assert [struct.unpack("<h", f.data) for f in frames] == [(-1234,)]
 
 
@@ -63,7 +62,7 @@ def test_two_point_scaling() -> None:
         gauge.write(index, 1, value)
     assert gauge.read(0x6126, 1) == pytest.approx(0.005)
     assert gauge.read(0x6127, 1) == pytest.approx(0.0, abs=1e-6)
-    gauge.application.sample(MS, 2000)
+    gauge.node.sample(2000)
     assert gauge.read(0x6130, 1) == pytest.approx(10.0)
 
 
