@@ -27,7 +27,7 @@ from bowden.sweep.row_trial import digest
 from bowden.sweep.rows import Row, Value
 from bowden.sweep.sweep_table import SweepTable
 from bowden.trials import session
-from physics.reference import close_cycle
+from physics.reference import recorded_angle
 from trial import read
 from trial.curves import Curve, read_curve
 from trial.metrics import per_cycle
@@ -80,7 +80,7 @@ def strides(recording: Path) -> list[float]:
 
 def described(curve: Curve, period_s: float) -> list[str]:
     """Return what was done to a file: name, samples, bridged and left out, what did not close, the stride."""
-    closed = close_cycle(curve.percent, curve.values)
+    closed = recorded_angle(curve.percent, curve.values)[0][:-1]
     moved = np.abs(np.interp(curve.percent, np.arange(0.0, 100.0, 0.1), closed, period=100.0) - curve.values).max()
     return [curve.path.name, str(len(curve.values)), str(curve.bridged), str(curve.trimmed),
             f"{np.degrees(abs(curve.values[0] - curve.values[-1])):.1f}", f"{np.degrees(moved):.1f}", f"{period_s:g}"]

@@ -132,17 +132,12 @@ def paper_reference(peak_n: float, period_s: float) -> Reference:
     return Reference(period_s, paper_angle(), paper_force(peak_n))
 
 
-def close_cycle(percent: Array, angle_rad: Array) -> Array:
-    """Return a recorded knee cycle at `CYCLE_POINTS` equal phases, closed in angle, slope and curvature.
-
-    `percent` rises and reaches into both ±10 % windows around the seam; raises `InputError` if not.
-    """
-    angle: Array = recorded_angle(percent, angle_rad)[0][:-1]
-    return angle
-
-
 def recorded_angle(percent: Array, angle_rad: Array) -> tuple[Array, Array]:
-    """Return a recorded knee cycle, closed, for `Reference`: rad and rad per %, by phase."""
+    """Return a recorded knee cycle at `CYCLE_POINTS` + 1 phases for `Reference`: rad, and rad per %.
+
+    The cycle is closed in angle, slope and curvature. `percent` rises and reaches into both ±10 % windows around the
+    seam; raises `InputError` if not.
+    """
     t, y = np.asarray(percent, dtype=np.float64), np.asarray(angle_rad, dtype=np.float64)
     _check_cycle(t, y)
     spline = CubicSpline(t, y)

@@ -10,7 +10,7 @@ import pytest
 from parameters import InputError
 from physics import laws
 from physics.closure import CYCLE_POINTS
-from physics.reference import Reference, close_cycle, paper_reference, recorded_angle, recorded_force
+from physics.reference import Reference, paper_reference, recorded_angle, recorded_force
 
 GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
 
@@ -72,7 +72,7 @@ def test_desired_force_is_zero_outside(paper: Reference) -> None:
 def test_recorded_cycle_keeps_its_points_and_closes() -> None:
     percent = np.arange(0.0, 100.0)
     angle = -0.5 + 0.4 * np.cos(2 * np.pi * percent / 100) + 0.0008 * percent
-    closed = close_cycle(percent, angle)
+    closed = recorded_angle(percent, angle)[0][:-1]
     assert closed.shape == (CYCLE_POINTS,)
     np.testing.assert_allclose(closed[100:900:10], angle[10:90], atol=1e-12)
     ring = np.concatenate([closed, closed[:3]])
@@ -107,4 +107,4 @@ def test_real_cycles_close() -> None:
 )
 def test_unusable_cycles_are_refused(percent: np.ndarray, angle: np.ndarray, says: str) -> None:
     with pytest.raises(InputError, match=says):
-        close_cycle(percent, angle)
+        recorded_angle(percent, angle)
