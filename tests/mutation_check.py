@@ -194,9 +194,17 @@ class _Finder(importlib.abc.MetaPathFinder):
 
 
 class _FirstFailure:
-    """A pytest plugin that remembers what noticed the mutant."""
+    """A pytest plugin that imports the mutant and remembers what noticed it."""
 
     name = ""
+
+    def __init__(self, mutant: Mutant) -> None:
+        self._finder = _Finder(mutant)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_load_initial_conftests(self) -> None:
+        """Put the mutant before pytest's own import hook, which rewrites every module of a package with a plugin."""
+        sys.meta_path.insert(0, self._finder)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed and not self.name:
@@ -209,8 +217,7 @@ class _FirstFailure:
 
 def _noticed(mutant: Mutant) -> str:
     """Run the tests against `mutant` in this process; return what noticed it, "" for nothing."""
-    sys.meta_path.insert(0, _Finder(mutant))
-    failure = _FirstFailure()
+    failure = _FirstFailure(mutant)
     quick = ("-x", "-q", "-m", "not walltime", "-p", "no:cacheprovider", "-p", "no:xdist")
     status = pytest.main([*quick, *mutant.tests], plugins=[failure])
     return failure.name or ("" if status == 0 else f"pytest status {status}")

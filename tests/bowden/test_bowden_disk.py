@@ -10,6 +10,7 @@ from pathlib import Path
 
 import can
 import numpy as np
+import pytest
 
 import trial
 from trial.recover import recover
@@ -44,6 +45,7 @@ def test_a_full_disk_stops_a_trial_safely_with_its_file_whole(tmp_path: Path) ->
     assert truth.columns["true_start_n"][-1] < 2.0
 
 
+@pytest.mark.exhaustive
 def test_a_full_disk_stops_an_identification_and_writes_no_calibration(tmp_path: Path) -> None:
     result = limited(tmp_path, "identify", "all", "-o", "c.toml")
     assert (result["outcome"], result["calibration"], result["scalars"]) == ("stopped", None, {})

@@ -74,15 +74,16 @@ def test_arguments_are_shown_as_words(bowden: Bowden, command: tuple[str, ...]) 
     assert "<" not in listed
 
 
+@pytest.mark.parametrize("columns", [
+    60, *(pytest.param(columns, marks=pytest.mark.exhaustive) for columns in (80, 120))])
 def test_summaries_are_not_cut_and_no_line_is_wider_than_the_terminal(
-    bowden: Bowden, monkeypatch: pytest.MonkeyPatch
+    columns: int, bowden: Bowden, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for columns in (60, 80, 120):
-        monkeypatch.setenv("COLUMNS", str(columns))
-        for command in ((), ("node",), ("check",), *names()):
-            told = bowden(*command, "--help")[1].splitlines()
-            assert max(map(len, told)) <= columns, command
-            assert not [line for line in told if line.endswith("...") and not line.startswith("Usage:")], command
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for command in ((), ("node",), ("check",), *names()):
+        told = bowden(*command, "--help")[1].splitlines()
+        assert max(map(len, told)) <= columns, command
+        assert not [line for line in told if line.endswith("...") and not line.startswith("Usage:")], command
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -351,6 +352,7 @@ def test_a_trial_that_is_told_to_end_stops_safely_with_its_file_whole(here: Path
     assert opened.columns["servo_position_m"][-1] < opened.columns["servo_position_m"].max()  # rope was paid out
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", ENDINGS)
 def test_an_identification_that_is_told_to_end_writes_no_calibration(here: Path, number: signal.Signals) -> None:
     ended = stopped(number, "identify", "all", "-o", "c.toml")

@@ -66,6 +66,7 @@ def test_bad_input_is_one_sentence(bowden: Run, table: Path, here: Path, monkeyp
     assert says in told.stderr
 
 
+@pytest.mark.exhaustive
 def test_a_real_sweep_is_ranked(tmp_path: Path) -> None:
     made = library.sweep.over({"controller": ["none", "extended"], "period": [1.1], "cycles": [1], "settle": [0]},
                               tmp_path / "table.csv", workers=1)

@@ -62,6 +62,7 @@ def test_the_report_says_why_figures_are_absent(ran: Path, bowden: Command) -> N
     assert "No figures of force: tension_end_n not known." in (ran / "report.html").read_text()
 
 
+@pytest.mark.exhaustive
 def test_the_diagnosis_says_what_end_would_tell(ran: Path, bowden: Command) -> None:
     status, out, _ = bowden("diagnose", ran / "trial.mcap", "--json")
     assert status == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
@@ -57,15 +58,20 @@ def test_a_trial_without_end_is_fitted_and_what_it_does_not_say_is_listed(walked
 
 
 @pytest.fixture(scope="module")
-def fitted(walked: Table) -> bench_fit.FittedBench:
-    """The bench that walked."""
-    return bench_fit.fit([walked])
+def fitted(walked: Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a trial, the bench model that `bowden fit` wrote from it, and the command's JSON."""
+    folder = tmp_path_factory.mktemp("fitted")
+    np.savetxt(folder / "walk.csv", np.column_stack(list(walked.columns.values())), delimiter=",",
+               header=",".join(walked.columns), comments="")
+    with (folder / "fit.json").open("w", encoding="utf-8") as file, contextlib.redirect_stdout(file):
+        assert run(["fit", str(folder / "walk.csv"), "-o", str(folder / "model.toml"), "--json"]) == 0
+    return folder
 
 
-def test_a_model_is_read_as_it_was_written_and_as_a_calibration(fitted: bench_fit.FittedBench, tmp_path: Path) -> None:
+def test_a_model_is_read_as_it_was_written_and_as_a_calibration(fitted: Path, tmp_path: Path) -> None:
     from physics import bench_model, calibration
 
-    path, found = tmp_path / "model.toml", fitted
+    path, found = tmp_path / "model.toml", bench_fit.read(fitted / "model.toml")
     path.write_text(found.text(), encoding="utf-8")
     assert bench_fit.read(path).values == pytest.approx(found.values)
     with pytest.warns(Remark, match="says nothing of"):  # of a sensor's lag, for one: no motion of a trial tells it
@@ -94,17 +100,14 @@ def test_the_comparison_is_told_by_phase_load_and_direction(walked: Table) -> No
             assert sum(one["samples"] for one in row[part]) <= len(walked)
 
 
-def test_the_commands_fit_and_simulate(walked: Table, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "walk.csv"
-    np.savetxt(path, np.column_stack(list(walked.columns.values())), delimiter=",", header=",".join(walked.columns),
-               comments="")
-    model = tmp_path / "model.toml"
-    assert run(["fit", str(path), "-o", str(model), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["simulation"]["tension_end_n"]["rms_n"] < 0.4
+def test_the_commands_fit_and_simulate(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, model = fitted / "walk.csv", fitted / "model.toml"
+    told = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
+    assert told["simulation"]["tension_end_n"]["rms_n"] < 0.4
     known = bowden.read_model(model)
-    told = bowden.simulate(known, path)
-    assert told.figures["tension_end_n"].rms < 0.4
-    assert told.residuals["tension_start_n"].shape == told.time_ns.shape
+    simulated = bowden.simulate(known, path)
+    assert simulated.figures["tension_end_n"].rms < 0.4
+    assert simulated.residuals["tension_start_n"].shape == simulated.time_ns.shape
     out = tmp_path / "simulated.csv"
     assert run(["simulate", str(path), "--model", str(model), "-o", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tension_start_n"]["rms_n"] < 0.4

@@ -127,6 +127,7 @@ def nothing(healthy: tuple[tuple[Table, ...], Table]) -> dict:
     return diagnose([trial], healthy=reference[:1]).as_json()
 
 
+@pytest.mark.exhaustive
 def test_a_trial_in_the_reference_condition_names_nothing(nothing: dict) -> None:
     assert nothing["verdict"] == "none"
     assert nothing["class"] == []

@@ -330,7 +330,8 @@ def signalled(composer: Composer, number: int) -> Ran:
     return composer.run(wrap=wrap)
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGQUIT"])
+@pytest.mark.parametrize("name", [
+    "SIGTERM", *(pytest.param(name, marks=pytest.mark.exhaustive) for name in ("SIGHUP", "SIGQUIT"))])
 def test_a_signal_stops_as_ctrl_c_does(composer: Composer, name: str) -> None:
     number = getattr(signal, name)
     before = signal.getsignal(number)

@@ -99,7 +99,7 @@ def test_a_changed_a_missing_and_a_further_frame_are_told(
 @pytest.mark.parametrize("options", [
     ("--controller", "paper", "--cycles", 2), ("--dry-run",),
     pytest.param(("--controller", "extended", "--cycles", 2), marks=pytest.mark.exhaustive),
-    ("--experiment", "unload"),
+    pytest.param(("--experiment", "unload"), marks=pytest.mark.exhaustive),
 ], ids=str)
 def test_a_live_master_says_the_same_to_recorded_nodes(
     recorded: Callable[..., Trial], bowden: Callable[..., Any], options: tuple[Any, ...]
