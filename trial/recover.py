@@ -114,7 +114,7 @@ def _keep(made: mcap.Container, content: bytes, numbers: dict[int, int], found: 
 
 
 def _in_bulk(content: bytes, numbers: dict[int, int]) -> tuple[bytes, Index] | None:
-    """Do it at once where all messages are of one channel and length, as our own chunks are; else None."""
+    """Return content and index of a chunk whose messages have one channel and length; None for any other chunk."""
     length = 9 + int.from_bytes(content[1:9], "little")
     if length < MESSAGE_HEAD.size or not content or len(content) % length:
         return None

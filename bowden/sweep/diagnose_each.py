@@ -53,7 +53,7 @@ def perform(trial: Path, given: Given) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def _finder(given: Given, state: tuple[tuple[int, int], ...]) -> Finder:
-    """Return what diagnoses the trials: its healthy trials are read and fitted once in a process."""
+    """Return the fitted diagnosis: its reference trials are read and fitted once in a process."""
     from diagnosis.finder import Finder
 
     return Finder(given.calibration, given.lowpass).examine(given.healthy)

@@ -48,7 +48,7 @@ class GaitWindows:
             yield self._cut()
 
     def _begin(self) -> int:
-        """Return the first row of the cycle that is not given out yet."""
+        """Return the index of the first row of the newest incomplete cycle."""
         return int(np.searchsorted(self._numbers, self._last, side="right"))
 
     def _numbered(self, rows: Array) -> tuple[Array, Array]:

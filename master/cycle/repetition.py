@@ -185,7 +185,7 @@ class Repetition:
 PATH_GAIN: Final = 1.2
 """Ratio START/END of a usual path: scales a departure of END before it is compared with one of START."""
 ALIKE_N: Final = 1.5
-"""CycleDeparture of START from `PATH_GAIN` times that of END up to which both moved alike, N."""
+"""Departure of START from `PATH_GAIN` times that of END, N, up to which both sensors moved alike."""
 
 
 def stop(found: CycleDeparture) -> StopError:

@@ -105,7 +105,7 @@ WEIGHT = 20.0
 """Square root of the number of residuals as which one segment counts."""
 SLID_M = 2e-3
 BELIEVED_N = 0.3
-"""Error, N, of the model over a segment, against which a doubt about an unknown counts."""
+"""Assumed error of the model over a segment, N: scales the prior of an unknown in the joint fit."""
 NORMAL_95 = 1.96
 MEMORY_S, SEEN_BREAKAWAY = 0.05, 0.02
 """Second start of the search: memory of breakaway, s, and least breakaway for which this start is tried.

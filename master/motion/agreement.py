@@ -26,13 +26,13 @@ FORCE_RMS_N: Final = 6.0
 PACKAGED_SWING_K: Final = nominal().swing_k
 """Rope per knee angle, m/rad, of a human-sized knee: the packaged calibration's swing_k."""
 SWING_UNLIKE: Final = 0.25
-"""Relative departure from it beyond which homing measures; day, leg and identification stay within 0.15."""
+"""Relative departure from `PACKAGED_SWING_K` beyond which homing measures swing_k; usual benches stay within 0.15."""
 SWING: Final = 0.2
 """Greatest relative difference between homing's swing_k and a calibration's."""
 
 
 def unlike_packaged(calibration: Calibration) -> bool:
-    """Return whether the lever is one that homing has to see before a rope is led by it."""
+    """Return whether the calibration's lever is so unusual that homing must measure it first."""
     return abs(calibration.swing_k / PACKAGED_SWING_K - 1.0) > SWING_UNLIKE
 
 

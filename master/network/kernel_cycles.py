@@ -126,7 +126,8 @@ class KernelCycles:
             return False
 
     def _mended(self, ended: int, after_ns: int) -> bool:
-        """Whether the inputs that were not there yet come by their deadline; else all frames wait to be received.
+        """Return whether the missing inputs arrive by their deadline; if not, all frames stay to be received one by
+        one.
 
         Raises `can.CanOperationError` where a socket failed.
         """

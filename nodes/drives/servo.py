@@ -72,7 +72,9 @@ class ServoDrive(Drive):
             self._press(tension, now_ns)
 
     def steady_taker(self, at: int) -> Taker | None:
-        """Take START's tension besides, up to the rope's limit and while nothing is wrong with it."""
+        """Return the handler of an object in a compiled cycle; that of START's tension below the rope's limit and
+        without a fault.
+        """
         if at != TENSION:
             return super().steady_taker(at)
         return None if self._no_tension or self._above else Taker(FEELS, most=self._limit)

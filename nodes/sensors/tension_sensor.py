@@ -32,7 +32,7 @@ OVERLOAD: Final = POSITIVE_OVERLOAD | NEGATIVE_OVERLOAD
 ON: Final = 1
 """Value of 0x6112 of a measuring channel."""
 _OTHER_END: Final = {FV_1: FV_2, FV_2: FV_1, PV_1: PV_2, PV_2: PV_1}
-"""A line through two points needs both coordinates of them to differ."""
+"""Coordinate of the other point of two-point scaling; two equal ones define no line."""
 _LINKED: Final = {SPAN_START: SPAN_START_32, SPAN_END: SPAN_END_32}
 _REALS: Final = frozenset((*_OTHER_END, OFFSET, *_LINKED))
 

@@ -143,7 +143,7 @@ class Machine:
         return MachineState(self._tick_ns, tuple(self._sample_ns), (self._servo_nm, self._knee_nm))
 
     def go_on(self, state: MachineState) -> None:
-        """Act again, from where somebody else has come who had taken its events off the heap."""
+        """Continue event by event from `state`, which a compiled cycle left."""
         self._tick_ns, self._sample_ns = state.tick_ns, list(state.sample_ns)
         self._servo_nm, self._knee_nm = state.torques_nm
         self._kernel.at(min(self._tick_ns, *self._sample_ns), TICK, self._act)
