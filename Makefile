@@ -4,7 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
-unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV
+# Bytecode is written whatever the environment says: the workers and the programs that tests start share it.
+unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .PHONY: trial test test-all check bench docs figures reproduce hidden faults healthy fuzz soak clean
 
