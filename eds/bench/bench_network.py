@@ -130,7 +130,7 @@ class WireLayout:
         return [write for write in self._writes(node_id) if key(write[0], write[1]) in entries]
 
     def missing(self, node_id: int) -> Iterator[str]:
-        """Say in a sentence each which objects a set-up needs and the device has not."""
+        """Yield a sentence for each object that a set-up needs and the device lacks."""
         device = self.nodes[node_id].dictionary
         for index, sub in dict.fromkeys((index, sub) for index, sub, _ in self._writes(node_id)):
             if key(index, sub) not in device.entries and key(index, sub) not in _IF_PRESENT:

@@ -340,7 +340,7 @@ class Exchange:
         self._values, self._latched_ns, self._arrival_ns = kept, latched, arrival
 
     def _tell_length(self, i: int, length: int, size: int, stamp: int) -> None:
-        """Say once of a node that its PDO has another length than was mapped."""
+        """Record once that a node's PDO has another length than its mapping."""
         if i not in self._lengths:
             self._lengths.add(i)
             name = self.wire.nodes[self._order[i]].name

@@ -96,7 +96,7 @@ class Log:
                 self._give_up(error)
 
     def tell_lost(self, time_ns: int) -> None:
-        """Say how many frames found the tap's receive queue full, where it counts them and there were any."""
+        """Record the number of frames lost in the monitor socket's full receive queue, if the interface counts them."""
         lost = getattr(self._tap, "lost", 0)
         if lost:
             self.event(time_ns, "lost", "recorder", f"{lost} frames found the recorder's receive queue full.")

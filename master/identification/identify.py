@@ -166,7 +166,7 @@ def walk(
 
 
 def with_gait(what: str, network: Network) -> bool:
-    """Say whether a procedure ends with gait trials: they need one force path, its END sensor and its knee drive."""
+    """Return whether a procedure ends with gait trials: they need one force path, its END sensor and its knee drive."""
     described = wire(network)
     return (what in WALKED and len(described.paths) == 1 and described.path.end > 0
             and described.path.knee in described.drives)

@@ -90,7 +90,7 @@ def to_front(block: Any, told: Any) -> None:
 
 @njit(cache=True)
 def mark(block: Any, count: int, marked_id: int, told: Any) -> None:
-    """Tell the time stamp of the last data frame `marked_id` (base format) among the first `count` rows."""
+    """Return the time stamp of the last data frame `marked_id` (base format) among the first `count` rows."""
     for n in range(count - 1, -1, -1):
         if block[n, 1] & np.uint64(0xFFFFFFFFFF) == np.uint64(marked_id):
             told[MARKED_NS] = np.int64(block[n, 0])

@@ -148,7 +148,7 @@ class Drive(ModesOfOperation):
         return [self.base | self.mode_bits(flags) for flags in range(16)]
 
     def steady_taker(self, at: int) -> Taker | None:
-        """Say what taking the object `at` from an RPDO does to the axis; None where more may follow from it."""
+        """Return the effect of the object `at` of an RPDO on the axis; None if an event may follow from it."""
         return self.position_taker() if at == TARGET_POSITION else None
 
     def adopt(self, s: Any, g: Any, out: Any) -> None:

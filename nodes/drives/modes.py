@@ -138,7 +138,9 @@ class ModesOfOperation(StateMachine):
         self.axis.target_position(target)
 
     def position_taker(self) -> Taker | None:
-        """Say what `to_position` does to the axis at every target, as things are; None where it may do more."""
+        """Return the effect of `to_position` on the axis at every target in the present mode; None if it may have
+        others.
+        """
         if self._open is not Mode.CSP or not self._commanded:
             return Taker(KEEPS)
         if self._stepped or self.number(0x60B0):

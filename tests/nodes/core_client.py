@@ -1,6 +1,7 @@
-"""What the core's tests hold against a device: its bus, and a client that speaks SDO by the octet.
+"""Harness of the device core: the sans-IO device alone, and a client that builds SDO frames octet by octet.
 
-The rule of this file: tests see frames and times, as a master does; the device's attributes stay its own.
+The times of these tests are the device's own, so they use no wire; tests of whole devices use `bowden.testing`. Tests
+see frames and times, as a master does; the device's attributes stay its own.
 """
 
 from __future__ import annotations

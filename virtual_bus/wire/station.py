@@ -121,7 +121,7 @@ class Station:
         """Process the acknowledged transmission of the station's own frame."""
 
     def errs(self, kind: ErrorKind, sending: bool, now_ns: int) -> None:
-        """Hear that an error frame ended, in a frame it was `sending` itself or not."""
+        """Process the end of an error frame, in a frame that the station was `sending` or receiving."""
 
     def confined(self, previous: Confinement, now_ns: int) -> None:
         """Process a change of the fault confinement state from `previous`."""

@@ -112,7 +112,7 @@ class Wire:
         return not (self._busy or self._hurt or queue.contending or queue.next_ns(0) != NEVER)
 
     def quiet_until(self, now_ns: int) -> int:
-        """Say up to when no fault strikes a frame: at most `NEVER`, not after `now_ns` while one does."""
+        """Return the time up to which no fault affects a frame: at most `NEVER`, not after `now_ns` during a fault."""
         return NEVER if self._judge is None else self._judge.quiet_until(now_ns)
 
     @property
@@ -121,7 +121,7 @@ class Wire:
         return self._idle_ns
 
     def carried(self, frames: int, busy_bits: int, idle_ns: int) -> None:
-        """Hear how many frames and bits there have been by now, computed elsewhere, and from when on one may start."""
+        """Take over the counts of frames and bits of a compiled cycle, and the time from which on a frame may start."""
         self.frames, self.busy_bits, self._idle_ns = frames, busy_bits, idle_ns
 
     # -- sending -----------------------------------------------------------------------------------

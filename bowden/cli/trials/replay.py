@@ -140,7 +140,7 @@ def _controller(recorded: Trial, allowed: str | None, *, json: bool) -> int:
 
 
 def _judged(same: str, first: str | None, counted: tuple[str, str], differing: Mapping[str, int]) -> int:
-    """Say that all was the `same`, or the `first` difference and how many there are of each; returns the status."""
+    """Print that all was the `same`, or the `first` difference and the number of each kind; returns the exit status."""
     if first is None:
         print(same)
         return 0

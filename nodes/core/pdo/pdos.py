@@ -147,7 +147,7 @@ class Pdos(Part):
         return due_ns
 
     def steady(self) -> SteadyPdos | None:
-        """Say what every SYNC does; None while any PDO waits, counts, or goes by events."""
+        """Return the actions of every SYNC; None while any PDO waits, counts, or is event-driven."""
         if not self._running or self._waiting or self._acyclic or self._on_event or self.arrived:
             return None
         if any(pdo.every != 1 or pdo.left > 1 for pdo in self._cyclic):

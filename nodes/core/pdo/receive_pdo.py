@@ -114,14 +114,14 @@ class ReceivePdo:
         self._device.communication_lost(Emcy.RPDO_TIMEOUT, now_ns, self.number)
 
     def steady(self) -> Taken | None:
-        """Say how a frame is taken while nothing is wrong with it; None where something is, or is awaited first."""
+        """Return how a compiled cycle handles a frame; None after an error or before the first frame."""
         if self._fault is not None or self._late or (self._deadline_ns and self.due_ns == FAR_NS):
             return None
         bounds = tuple((at, entry.low, entry.high) for at, _, entry in self._judged if entry is not None)
         return Taken(self, self.plan, self._synchronous, self._deadline_ns, self._watched, bounds)
 
     def taken(self, data: bytes | None, due_ns: int) -> None:
-        """Hear of frames that were taken elsewhere: the last one's data, None for no frame, and the deadline now."""
+        """Take over the frames of compiled cycles: the last one's data, None for no frame, and the present deadline."""
         if data is not None:
             self._device.values.update(zip(self._keys, self._unpack(data)))  # noqa: B905 - as in `take`
         self.due_ns = due_ns
