@@ -110,8 +110,7 @@ def measure(kind: str, serial: int, earlier: Mapping[str, Any] | None = None) ->
         return said | {"failed": reason}
     peak = PEAKS_N[(serial // 3) % 3]
     said |= {"peak_n": peak, "needs_n": _needs(kind, serial, peak),
-             "calibration": _scalars(text) if earlier is None else earlier["calibration"],
-             "discrepancy": _discrepancy(text)}
+             "calibration": _scalars(text), "discrepancy": _discrepancy(text)}
     for period in PERIODS_S:
         walk = {"gait.peak_n": peak, "gait.period_s": period}
         learnt = _walked(kind, serial, text, "extended", CYCLES, SETTLE, walk)

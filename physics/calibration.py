@@ -27,7 +27,7 @@ NOMINAL = "nominal"
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
-         "viscous_tension", "start_gain", "homed_friction")
+         "viscous_tension", "start_gain", "homed_friction", "homed_softness")
 """Scalars that a file of version 1 may lack; a missing one has its assumed value, with a remark."""
 
 
@@ -95,6 +95,7 @@ class Calibration:
     start_lag: float = assumed("start_lag")
     start_gain: float = assumed("start_gain")
     homed_friction: float = assumed("homed_friction")
+    homed_softness: float = assumed("homed_softness")
     start_offset: float = assumed("start_offset")
     evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
     label: str = NOMINAL

@@ -448,6 +448,9 @@ _MEASURED: Final = (
     _P("homed_friction", "", "friction that homing finds where it is what was identified", 1.0, 0.5, 2.0,
        "assumed: the model is the bench", calibration="homed_friction",
        assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
+    _P("homed_softness", "", "stretch that homing finds where it is what was identified", 1.0, 0.5, 2.0,
+       "assumed: the model is the bench", calibration="homed_softness",
+       assumed=Assumed(1.0, 0.5, 2.0, "assumed: the model is the bench")),
 )
 
 PARAMETERS: Final[Mapping[str, Parameter]] = {

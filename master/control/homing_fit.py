@@ -3,8 +3,8 @@
 The model's shape is the calibration's; a session may scale its friction and its stretch, shift the encoder zero and
 START's offset, and nothing else.
 
-Friction is estimated relative to the same motion in the identification's session, since a lumped model estimates less
-friction from a loop than END shows. Creep widens a loop, too: it is estimated as a nuisance parameter.
+Friction and stretch are estimated relative to homing in the identification's session, since a lumped model estimates
+other ones from a loop than END shows. Creep widens a loop, too: it is estimated as a nuisance parameter.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def adapt(
         wanted = np.concatenate([-left * by, prior @ (_NEUTRAL - found)])
         found = np.clip(found + np.linalg.lstsq(rows, wanted, rcond=None)[0], _LOW, _HIGH)
     friction, softness, zero, _creep = found.tolist()
-    return HomingFit(friction / calibration.homed_friction, softness, zero, slack_reading_n, lag_s)
+    return HomingFit(friction / calibration.homed_friction, softness / calibration.homed_softness, zero,
+                     slack_reading_n, lag_s)
 
 
 def _missed(calibration: Calibration, step_s: float, loop: _Loop, found: Array) -> Array:

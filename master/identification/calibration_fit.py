@@ -44,7 +44,8 @@ The controller undoes the rest by a derivative, which cannot undo a delay; count
 class Segment(NamedTuple):
     """One experiment: its kind (rest, stiffness, ramp, swing, gait) and columns by control cycle; m, rad, N.
 
-    `desired` and `estimated` are the controller's END forces in a gait, else NaN or empty.
+    `desired` and `estimated` are the controller's END forces in a gait, else NaN or empty. `homed`: friction and
+    stretch, as factors of the calibration's, that the homing before a gait found; () where it was not recorded.
     """
 
     kind: str
@@ -56,6 +57,7 @@ class Segment(NamedTuple):
     end: Array
     desired: Array = np.zeros(0)
     estimated: Array = np.zeros(0)
+    homed: tuple[float, ...] = ()
 
 
 LAPS = 10
@@ -228,15 +230,15 @@ def loops(
     return dataclasses.replace(_with(guess, found.x), identified_to=to), evidence
 
 
-def homed(segment: Segment, calibration: Calibration, offsets: Rest) -> float:
-    """Friction, as a factor, that homing would find in a pull and release on the day of the identification."""
-    plain = dataclasses.replace(calibration, homed_friction=1.0)
+def homed(segment: Segment, calibration: Calibration, offsets: Rest) -> tuple[float, float]:
+    """Return friction and stretch, as factors, that homing would find in a pull and release of the identification."""
+    plain = dataclasses.replace(calibration, homed_friction=1.0, homed_softness=1.0)
     work = adapt(plain, segment.period_s, segment.position, segment.start, segment.knee, offsets.start_offset)
     while True:
         try:
             next(work)
         except StopIteration as done:
-            return float(done.value.friction)
+            return float(done.value.friction), float(done.value.softness)
 
 
 def _with(guess: Calibration, point: Array) -> Calibration:

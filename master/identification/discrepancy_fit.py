@@ -5,9 +5,10 @@ The features are those that the controller computes again in its cycle, from the
 Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: residual of y, which
 is systematic, so that the effective sample size of a gait trial is `WORTH` control cycles.
 
-Not all of y holds in later sessions: END's gain and zero are the load cell's, friction and START's zero are measured
-anew by each homing.  These are nuisance parameters of the same fit, with the session deviations of
-`physics.path_constants`, and no part of the discrepancy.
+Not all of y holds in later sessions: END's gain and zero are the load cell's, START's zero is measured anew by each
+homing.  These are nuisance parameters of the same fit, with the session deviations of `physics.path_constants`, and no
+part of the discrepancy.  Friction is the identification's, whatever homing before a gait trial estimated: y is freed of
+that factor.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ WORTH: Final = 60.0
 LEAST: Final = 2e-3
 """Least standard deviation of the noise, relative: the uncertainty of START's gain."""
 ROUNDS: Final = 4
-OF_A_TRIAL: Final = ("cable", "fabric", "start_offset")
+OF_A_TRIAL: Final = ("start_offset",)
 OF_END: Final = ("end_gain", "end_offset")
 """Nuisance parameters, by constants of a session: of each gait trial, which homes anew, and of the load cell END."""
 TURN: Final = 21
@@ -102,11 +103,12 @@ def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float
     points = max(1, round(TURN * 1e-3 / period_s))
     speed = np.sqrt(np.convolve(turning, np.full(points, 1.0 / points), "same"))
     weight = 1.0 / (1.0 + (TURNING_S * speed) ** 2)
-    force, flexion, exponents = desired[loaded], np.abs(segment.knee[loaded]), exponents[loaded]
-    nuisance = np.column_stack([exponents, np.exp(-exponents.sum(axis=1)) / force, np.ones_like(force), 1.0 / force])
-    return (state[loaded, :end_discrepancy.COUNT], y[loaded], weight[loaded] * WORTH / np.count_nonzero(loaded),
-            nuisance, (force.min(), force.max(), flexion.min(), flexion.max(),
-                       np.abs(state[loaded, -3]).max() / period_s))
+    force, flexion, exponent = desired[loaded], np.abs(segment.knee[loaded]), exponents.sum(axis=1)[loaded]
+    factor = segment.homed[0] / calibration.homed_friction if segment.homed else 1.0
+    nuisance = np.column_stack([np.exp(-exponent) / force, np.ones_like(force), 1.0 / force])
+    return (state[loaded, :end_discrepancy.COUNT], y[loaded] + (factor - 1.0) * exponent,
+            weight[loaded] * WORTH / np.count_nonzero(loaded), nuisance,
+            (force.min(), force.max(), flexion.min(), flexion.max(), np.abs(state[loaded, -3]).max() / period_s))
 
 
 @njit(cache=True)

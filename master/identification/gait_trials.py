@@ -13,6 +13,7 @@ import can
 
 from eds.bench.bench_network import Network
 from master.control.gait_table import samples_of
+from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink
 from master.identification.calibration_fit import Segment
 from master.motion import gait
@@ -33,15 +34,27 @@ Record = Callable[[Any, str, Callable[[], object]], Segment]
 
 
 class _Recorded(Planned):
-    """A gait trial whose gait is recorded as a segment."""
+    """A gait trial whose gait is recorded as a segment, with what homing found of friction and stretch."""
 
     def __init__(self, experiment: ExperimentSetup, record: Record, segments: list[Segment]) -> None:
         super().__init__(experiment)
         self._record, self._segments = record, segments
+        self._found: tuple[float, ...] = ()
+
+    def home(self, exchange: Exchange) -> None:
+        """Home; an event keeps friction and stretch, as factors of the calibration's."""
+        super().home(exchange)
+        if self.homed is None:
+            return
+        known, day = self.calibration, self.homed.day
+        self._found = known.homed_friction * day.friction, known.homed_softness * day.softness
+        exchange.log.event(exchange.inputs.sync_ns, "identify", exchange.name,
+                           "homed {!r} {!r}".format(*self._found))
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:
-        """Run the gait and return its recorded columns."""
-        self._segments.append(self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before)))
+        """Run the gait and keep its columns."""
+        walked = self._record(exchange, "gait", lambda: super(_Recorded, self).walk(exchange, before))
+        self._segments.append(walked._replace(homed=self._found))
 
 
 def run(

@@ -56,6 +56,8 @@ PROCEDURES: Mapping[str, tuple[str, ...]] = {
     "sensors": ("rest",), "stiffness": ("rest", "stiffness"), "swing": ("rest", "swing"),
     "friction": ("rest", "stiffness", "ramp"), "gait": ("rest", "pull"), "all": KINDS,
 }
+HOMED = ("homed_friction", "homed_softness")
+"""Scalars by which homing is relative to the session of the identification."""
 WALKED = ("gait", "all")
 """Identification procedures that end with gait trials."""
 LOW_N, HIGH_N, SPEED_M_S, PULLS = 20.0, 60.0, 0.06, 5
@@ -174,9 +176,14 @@ def with_gait(what: str, network: Network) -> bool:
 
 def with_discrepancy(calibration: Calibration, segments: Sequence[Segment]) -> Calibration:
     """Return the calibration with the discrepancy that follows from the gait trials among the segments, if there are
-    any."""
-    return dataclasses.replace(
-        calibration, discrepancy=discrepancy_fit.fit(segments, calibration, calibration_fit.rest(segments)))
+    any.
+
+    Homing before a gait trial found the bench as it was identified: later homings are taken relative to it.
+    """
+    beyond = discrepancy_fit.fit(segments, calibration, calibration_fit.rest(segments))
+    homed = [segment.homed for segment in segments if segment.homed]
+    found = dict(zip(HOMED, np.mean(homed, axis=0).tolist(), strict=True)) if homed else {}
+    return dataclasses.replace(calibration, discrepancy=beyond, **found)
 
 
 def procedure(what: str) -> tuple[str, ...]:
@@ -222,7 +229,8 @@ def _as_homed(
     if not ramps:
         return {}
     like = min(ramps, key=lambda s: abs(float(s.start.max()) - HALF_N))
-    return {"homed_friction": (calibration_fit.homed(like, found, still), ScalarEvidence(math.nan, math.nan))}
+    none = ScalarEvidence(math.nan, math.nan)
+    return {name: (value, none) for name, value in zip(HOMED, calibration_fit.homed(like, found, still), strict=True)}
 
 
 def _named(names: tuple[str, ...], line: LineFit) -> dict[str, tuple[float, ScalarEvidence]]:
@@ -241,18 +249,23 @@ def recorded(trial: Trial) -> list[Segment]:
     """
     segments: list[Segment] = []
     begun: dict[str, int] = {}
+    homed: tuple[float, ...] = ()
     time_ns, columns = trial.time_ns, trial.columns
     whole = columns["missed_inputs"] == 0
     period_s = float(np.median(np.diff(time_ns))) * 1e-9
     for event in trial.events:
         if event.kind != "identify":
             continue
-        edge, kind = event.text.split()
-        if edge == "begin":
+        edge, kind, *more = event.text.split()
+        if edge == "homed":
+            homed = (float(kind), *map(float, more))
+        elif edge == "begin":
             begun[kind] = event.time_ns
         elif kind in begun:
             rows = whole & (time_ns >= begun[kind]) & (time_ns < event.time_ns)
-            segments.append(Segment(kind, period_s, *(columns[name][rows] for name in COLUMNS)))
+            segments.append(Segment(kind, period_s, *(columns[name][rows] for name in COLUMNS))._replace(
+                homed=homed))
+            homed = ()
     if not segments:
         raise InputError(f"{trial.path}: records no experiment of an identification; give a trial of bowden identify.")
     return segments

@@ -111,7 +111,7 @@ def test_a_model_comes_back_from_its_file(identified: Path, tmp_path: Path) -> N
     simulated = {*BY_PLANT.values(), *(name for form in (*SIMULATED, *UNRELATED) for name in form.of)}
     assert set(model.values) - simulated == {
         "stretch_short", "stretch_wide", "identified_to", "swing_p", "home_preload", "fabric_breakaway", "servo_delay",
-        "start_lag", "viscous_tension", "homed_friction"}
+        "start_lag", "viscous_tension", "homed_friction", "homed_softness"}
 
 
 @pytest.mark.parametrize(("text", "said"), [
