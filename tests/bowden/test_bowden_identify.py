@@ -39,6 +39,18 @@ def test_a_recording_gives_the_same_calibration_again(
     assert not again.with_suffix(".mcap").exists()
 
 
+@pytest.mark.exhaustive
+def test_a_recording_of_gait_trials_gives_the_same_discrepancy_again(
+    bowden: Callable[..., Told], tmp_path: Path
+) -> None:
+    """What homing found before each gait trial is in the recording, too."""
+    first, again = tmp_path / "first.toml", tmp_path / "again.toml"
+    assert bowden("identify", "gait", "--serial", 3, "-o", first).status == 0
+    assert bowden("identify", "gait", "--from", first.with_suffix(".mcap"), "-o", again).status == 0
+    assert again.read_text() == first.read_text()
+    assert tomllib.loads(again.read_text())["parameters"]["homed_softness"]["value"] != 1.0
+
+
 def test_the_picture_is_drawn(measured: Path) -> None:
     assert (measured / "stiffness.png").read_bytes().startswith(b"\x89PNG")
 
