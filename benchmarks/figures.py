@@ -49,7 +49,7 @@ def identified() -> tuple[Path, Path]:
     if not calibration.exists():
         sections = configuration.read(None)
         chosen = buses.simulated(SERIAL, channel="figures")
-        found = identification.perform(
+        (found,) = identification.perform(
             "all", sections, None, chosen, recorded, date=datetime.date.today().isoformat(), overwrite=True)
         if found.calibration is None:
             raise SystemExit(f"the identification stopped: {found.reason}")

@@ -39,7 +39,10 @@ TURNING_S: Final = 0.3
 WORTH: Final = 60.0
 LEAST: Final = 2e-3
 """Least standard deviation of the noise, relative: the uncertainty of START's gain."""
-ROUNDS: Final = 4
+ROUNDS: Final = 10
+CAUCHY: Final = 2.385
+"""Residual, in standard deviations, at which a control cycle counts half: Cauchy's weight, 95 % as efficient as least
+squares on normal residuals.  A rope that turns over later than the model's is off by a third for a moment."""
 OF_A_TRIAL: Final = ("start_offset",)
 OF_END: Final = ("end_gain", "end_offset")
 """Nuisance parameters, by constants of a session: of each gait trial, which homes anew, and of the load cell END."""
@@ -62,11 +65,13 @@ def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> E
     at = np.concatenate([features, nuisance], axis=1)
     prior = max(LEAST, math.sqrt(float(np.average(y**2, weights=weight))))
     narrow = np.diag(np.concatenate([np.full(end_discrepancy.COUNT, prior), nuisance_sd]) ** -2.0)
-    noise = prior
+    noise, counted = prior, weight
     for _ in range(ROUNDS):
-        precision = (at * (weight / noise**2)[:, None]).T @ at + narrow
-        mean = np.linalg.solve(precision, at.T @ (weight * y) / noise**2)
-        noise = max(LEAST, math.sqrt(float(np.average((y - at @ mean) ** 2, weights=weight))))
+        precision = (at * (counted / noise**2)[:, None]).T @ at + narrow
+        mean = np.linalg.solve(precision, at.T @ (counted * y) / noise**2)
+        apart = y - at @ mean
+        noise = max(LEAST, math.sqrt(float(np.average(apart**2, weights=counted))))
+        counted = weight / (1.0 + (apart / (CAUCHY * noise)) ** 2)
     kept = end_discrepancy.COUNT
     covariance = np.linalg.inv(precision)[:kept, :kept]
     ranges = np.array([part[4] for part in parts])
