@@ -106,7 +106,7 @@ def identified(job: Job) -> Any:
                              plant=bench.get("plant", buses.VIRTUAL), plant_model=bench.get("plant_model"),
                              channel=f"identify-{job.number}")
     with tempfile.TemporaryDirectory() as folder:
-        found = identification.perform("all", sections, None, chosen, Path(folder, "all.mcap"), date="")
+        (found,) = identification.perform("all", sections, None, chosen, Path(folder, "all.mcap"), date="")
     if found.calibration is None:
         raise StoppedError(found.reason)
     return found.calibration
