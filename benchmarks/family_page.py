@@ -98,9 +98,9 @@ def _again(benches: Sequence[Mapping[str, Any]]) -> str:
     again = sum(bool(b.get("discrepancy")) for b in benches)
     text = (f"{again} of {len(benches)} benches were walked again by a calibration with a discrepancy "
             "([decision 36](decisions/0036-a-calibration-has-a-discrepancy.md)): scalars as identified before, gait "
-            "trials by `identify gait`, which has two pulls in place of 15 ramps to measure END's lag. The other rows "
-            "of this page are by calibrations without one; `python -m benchmarks.family --again` walks them again. "
-            "Walks without one are of the commit that identified the bench. Without → with:")
+            "trials by `identify gait`, which has two pulls in place of 15 ramps to measure END's lag"
+            f"{'' if again == len(benches) else '; rows of other benches are by calibrations without one'}. Walks "
+            "without one are of the commit that identified the bench. Without → with:")
     heads = ("bench", "period (s)", "RMSE (%)", "loaded part (%)", "jump (% of peak)", "RMSE above cycle 0's (points)")
     return f"{text}\n\n{table(heads, rows)}"
 
@@ -191,15 +191,19 @@ def _ninety_five(all_: Sequence[dict[str, Any]]) -> float:
 
 MODEL = ("The lumped model's friction and stretch are not the bench's: after learning END is off by as much as START, "
          "its friction undone, tells it wrongly.")
-REVERSAL = ("Friction turns over at the peak. Play crosses with it, and breakaway follows the reversal where the rope "
-            "is slow: START tells least of END just there, and neither feedback nor evidence hears it.")
+REVERSAL = (
+    "Friction turns over at the peak. Play crosses with it, and breakaway follows the reversal where the rope is slow: "
+    "START tells least of END just there, and neither feedback nor evidence hears it. On serial 34 START comes within "
+    "1 % of the servo's 88 N: the drive's tension bound slows the rope before the peak, and true END in the loop makes "
+    "no smaller jump ([end_in_loop.md](end_in_loop.md)). The play of serial 40's knee is estimated as none. Homing "
+    "scales the friction of sheath and fabric alike, and a session changes each by its own factor.")
 TARGETS = (
     Target("median RMSE at 2.0 s (%)", 0.35, lambda all_: _middle(w[TRUE] for w in all_), None, _at(2.0)),
     Target("median RMSE at 1.1 s (%)", 0.5, lambda all_: _middle(w[TRUE] for w in all_), None, _at(1.1)),
-    Target("median of the loaded part at 2.0 s (%)", 0.35, lambda all_: _middle(map(loaded, all_)), None, _at(2.0)),
-    Target("median of the loaded part at 1.1 s (%)", 0.5, lambda all_: _middle(map(loaded, all_)), None, _at(1.1)),
-    Target("worst loaded part, knees without play (%)", 1.0, _worst(loaded), loaded, lambda w: not _plays(w), MODEL),
-    Target("worst loaded part, knees with play (%)", 1.3, _worst(loaded), loaded, _plays, MODEL),
+    Target("median of the loaded part at 2.0 s (%)", 0.22, lambda all_: _middle(map(loaded, all_)), None, _at(2.0)),
+    Target("median of the loaded part at 1.1 s (%)", 0.32, lambda all_: _middle(map(loaded, all_)), None, _at(1.1)),
+    Target("worst loaded part, knees without play (%)", 0.8, _worst(loaded), loaded, lambda w: not _plays(w), MODEL),
+    Target("worst loaded part, knees with play (%)", 0.8, _worst(loaded), loaded, _plays, MODEL),
     Target("END at idle by that of a loose rope, at least a third of 1 N, worst", 1.5, _worst(_idle), _idle, why=(
         "END at idle is largest where the knee flexes fastest, at 2 to 4 % of the gait: the leg pulls the loose rope "
         "through its sheath. Where the walk with a loose rope was stopped, a third of a newton is taken for it.")),
