@@ -214,9 +214,7 @@ TARGETS = (
         "share that the table by structure shows and the model alone came nearer, the error rises to it.")),
     Target("walks whose followed friction is farther from the truth", 0.0,
            lambda all_: float(sum(not _no_farther(w) for w in all_)) if all_ else math.nan,
-           lambda walk: 0.0 if _no_farther(walk) else 1.0, why="Serial 4 is stiff: its rope moves 1.7 mm in the whole "
-           "loading, so that friction never turns over fully, and what slides is a few samples. Of serial 19 it was "
-           "not traced."),
+           lambda walk: 0.0 if _no_farther(walk) else 1.0, why="The cause was not traced."),
     Target("loaded part by that with START ignored, median", 1.0 / 1.5,
            lambda all_: _middle(loaded(w) / loaded(w, "blind") for w in all_)),
 )
