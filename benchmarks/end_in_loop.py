@@ -175,7 +175,8 @@ def page(walks: Mapping[str, tuple[int, float]], found: Mapping[tuple[int, float
     """Return the page of the walks that were measured, and draw its pictures."""
     more = ",".join(str(serial) for name, (serial, _) in walks.items() if name.startswith("serial "))
     parts = ["# What identification told of END, and what END feedback would gain\n",
-             f"`python -m benchmarks.end_in_loop{f' --serials {more}' if more else ''}` writes this page: benches of [the family](unseen.md), identified on "
+             f"`python -m benchmarks.end_in_loop{f' --serials {more}' if more else ''}` writes this page: "
+             "benches of [the family](unseen.md), identified on "
              "day 0 and walked on day 1, two gait cycles after seven of learning, true END. In the last two columns "
              "the estimate of END is true END, without noise or delay, in simulation only: `--end-in-loop` stays "
              "refused, and this is what the open-END design costs. Every column is of the present controller; the "
