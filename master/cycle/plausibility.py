@@ -104,7 +104,7 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
     s[PREDICTED] += fade * (s[T2] - s[PREDICTED])
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
     _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
-    _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M)
+    _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M + 2.0 * limited)
     if g[WITH_KNEE] > 0.0:
         moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])
         reached = _held(knee, min(s[K1], s[K2]), max(s[K1], s[K2]))

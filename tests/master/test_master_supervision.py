@@ -73,6 +73,15 @@ def test_a_motion_that_is_not_the_commanded_one_names_its_axis() -> None:
         assert (stop.condition, stop.node_id) == (Condition.OFF_TARGET, node)
 
 
+@pytest.mark.parametrize(("limited_m", "found"), [(2e-3, None), (0.0, plausibility.STILL_SERVO)])
+def test_a_servo_that_its_tension_bound_holds_back_may_stand_still(limited_m: float, found: int | None) -> None:
+    """START is at the bound, and the target goes down by 0.6 mm from beyond the rope's position."""
+    checked = Plausibility(1e-3)
+    told = [checked.check(limited_m, (target, -0.5), 21.16e-3, 90.0, -0.5, 90.0 + 0.1 * (i % 2), 78.0 + 0.1 * (i % 2))
+            for i, target in enumerate([21.9e-3] * 40 + [21.3e-3] * 40)]
+    assert next((each.relation for each in told if each), None) == found
+
+
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
     finding = Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405)
     stop = blamed(finding, PATH)
