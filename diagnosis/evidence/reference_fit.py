@@ -22,10 +22,6 @@ from physics.laws import Array
 
 FEATURES: Final = 60
 """Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
-IN_SAMPLE: Final = 2.0
-"""Factor from in-sample residual variance to model error, for a single reference trial and for rigs."""
-HELD_OUT: Final = 1.3
-"""Factor from in-sample residual variance to model error, for a bench with several reference trials."""
 MOST_TAU: Final = 12.0
 """Largest factor by which autocorrelation inflates the noise variance."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
@@ -407,7 +403,6 @@ class _Fit:
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
-        more = IN_SAMPLE if len(self.trials) == 1 or self.model.pools_sessions else HELD_OUT
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
         tau = np.zeros(len(self.outputs))
         rests = [self._residual(k, x) for k, x in enumerate(self.at)]
@@ -416,12 +411,13 @@ class _Fit:
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)
                 tau[k] += autocorrelation(rest) / len(rests)
-                squared = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - trial.noise_n[name] ** 2
+                known = trial.noise_n[name] ** 2 + self.model.aliased(self.origin, trial, name)
+                squared = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - known
                 for j in range(4):
                     squares[k, j] += float(squared[quarter == j].sum())
                     counts[k, j] += int((quarter == j).sum())
         least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
-        self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
+        self.model_error = np.maximum(squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
