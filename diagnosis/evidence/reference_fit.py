@@ -22,6 +22,8 @@ from physics.laws import Array
 
 FEATURES: Final = 60
 """Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
+POOLED: Final = 2.0
+"""Factor from residual variance to model error of a rig; its pooled sessions move in more ways than by its constants."""
 MOST_TAU: Final = 12.0
 """Largest factor by which autocorrelation inflates the noise variance."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
@@ -403,6 +405,7 @@ class _Fit:
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
+        more = POOLED if self.model.pools_sessions else 1.0
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
         tau = np.zeros(len(self.outputs))
         rests = [self._residual(k, x) for k, x in enumerate(self.at)]
@@ -417,7 +420,7 @@ class _Fit:
                     squares[k, j] += float(squared[quarter == j].sum())
                     counts[k, j] += int((quarter == j).sum())
         least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
-        self.model_error = np.maximum(squares / np.maximum(counts, 1), least)
+        self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.tau = np.minimum(tau, MOST_TAU)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()

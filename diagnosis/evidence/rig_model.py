@@ -166,7 +166,7 @@ class RigModel:
     load_state = 3
     pools_sessions = True
     session_share = 0.7
-    nats_factor = 0.9
+    nats_factor = 0.45
     unlike_share = 0.7
 
     def __init__(self, tables: Sequence[Table]) -> None:
