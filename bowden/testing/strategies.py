@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 from hypothesis import strategies as st
 
 from bowden.testing.conversation import SdoStep
@@ -12,6 +14,8 @@ from parameters import InputError
 
 LONGEST = 64
 """Length of the longest string or domain that a strategy writes, bytes."""
+LARGEST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
+"""Largest finite REAL32."""
 
 
 def values(entry: Entry) -> st.SearchStrategy[Value]:
@@ -24,7 +28,10 @@ def values(entry: Entry) -> st.SearchStrategy[Value]:
         high = kind.high if entry.high is None else min(kind.high, entry.high)
         return st.integers(low, high)
     if kind.real:
-        return st.floats(entry.low, entry.high, width=32 if kind is DataType.REAL32 else 64, allow_nan=False)
+        single = kind is DataType.REAL32
+        most = LARGEST_SINGLE if single else sys.float_info.max
+        return st.floats(-most if entry.low is None else entry.low, most if entry.high is None else entry.high,
+                         width=32 if single else 64)
     return st.binary(min_size=kind.size or 1, max_size=kind.size or LONGEST)
 
 

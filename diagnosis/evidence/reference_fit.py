@@ -23,7 +23,7 @@ from physics.laws import Array
 FEATURES: Final = 60
 """Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
 POOLED: Final = 2.0
-"""Factor from residual variance to model error of a rig; its pooled sessions move in more ways than by its constants."""
+"""Factor from residual variance to model error of a rig, whose pooled sessions differ in more than its constants."""
 MOST_TAU: Final = 12.0
 """Largest factor by which autocorrelation inflates the noise variance."""
 QUARTERS: Final = (0.25, 0.5, 0.75)
