@@ -1,10 +1,11 @@
 """Quantiles of the development family that the threshold and ambiguity set are calibrated on.
 
-    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--workers N]
+    python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--noise N] [--workers N]
 
 Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval, and the largest one of
 each effect; over trials with one hidden effect that is named, the share of the best log Bayes factor that the truth
-has; over benches with several reference trials, the scatter of each constant between sessions, in its session σ.
+has; over benches with several reference trials, the scatter of each constant between sessions, in its session σ; over
+reference trials, the log likelihood of a further one by a factor on the variance of the model error.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -20,6 +22,8 @@ from scipy.stats import binomtest
 
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.evidence.posterior import mode
 from diagnosis.finder import diagnose
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
@@ -29,6 +33,8 @@ from tests.hidden.family_jobs import KINDS, jobs, serials
 
 FIRST_SEED = 5000
 """Seeds of the reference trials: none of `family_jobs` has them."""
+NOISE = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+"""Factors on the variance of the model error at which a reference trial's likelihood is printed."""
 
 
 def reference_jobs(count: int) -> list[Job]:
@@ -62,6 +68,19 @@ def scatter(job: Job) -> Array | None:
     return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(fitted.trials / (fitted.trials - 1)))
 
 
+def likelihoods(job: Job) -> Array:
+    """Return the log likelihood of a reference trial given the bench's other ones, nats, at each factor of `NOISE`."""
+    made = case(job)
+    fitted = EvidenceFinder(list(made.healthy)).reference([made.trial])
+    trial, told, start = PATH_MODEL.record(made.trial), [], None
+    for factor in NOISE:
+        observed = replace(fitted, model_error=factor * fitted.model_error).observe(trial)
+        at = mode(observed, fitted.prior, start=start)
+        tau, start = np.repeat(fitted.tau, trial.bins), at.x
+        told.append(at.log_evidence + 0.5 * float(np.sum(np.log(observed.weight * tau) / tau)))
+    return np.array(told)
+
+
 def quantiles(largest: Sequence[float]) -> list[str]:
     """Return a line for each error rate: the threshold that keeps it, and its interval (Clopper–Pearson)."""
     told = []
@@ -78,6 +97,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--reference", type=int, default=200)
     parser.add_argument("--hidden", type=int, default=120)
     parser.add_argument("--scatter", type=int, default=40)
+    parser.add_argument("--noise", type=int, default=40)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
@@ -86,12 +106,21 @@ def main(arguments: list[str]) -> None:
         rms = np.sqrt(np.mean(np.concatenate(several) ** 2, axis=0))
         print("scatter between sessions, session σ:", ", ".join(
             f"{NAMES[i]} {v:.2f}" for i, v in zip(FREE, rms, strict=True)))
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
+        rated = np.array(list(crew.map(likelihoods, reference_jobs(given.noise))))
+    if rated.size:
+        rises = (rated - rated[:, [NOISE.index(1.0)]]).T
+        print("log likelihood of a reference trial, nats above factor 1, mean and number above 0:", ", ".join(
+            f"{factor:g}: {np.mean(rise):.1f} ({np.sum(rise > 0.0)} of {rise.size})"
+            for factor, rise in zip(NOISE, rises, strict=True)))
     asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
     found: dict[Job, dict[str, float]] = {}
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
         for job, said in zip(asked, crew.map(gains, asked), strict=True):
             found[job] = said
     none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
+    if not asked:
+        return
     print("\n".join(quantiles(none)))
     effects = sorted({name for j in asked if not j.hidden for name in found[j]})
     print("largest of reference trials, nats:", ", ".join(
