@@ -33,7 +33,7 @@ def test_a_backlash_of_the_plant_raises_an_alarm_that_is_dated(here: Path, brows
         told("trial", "--serial", 5, "--day", k, "--cycles", 2, "--period", 1.0, "--settle", 0, *worn,
              "--logbook", "book", "-o", f"{k}.mcap")
     alarm = told("logbook", "show", "book")["alarms"][0]
-    assert alarm["since_interval"] == [f"day {BEGINS}", f"day {BEGINS}"]
+    assert alarm["since_interval"][0] == f"day {BEGINS}"  # no session before it; of two worn ones either may be it
     told("logbook", "report", "book", "-o", "page.html")
     browser.open(here / "page.html")
     assert browser.complaints == []
