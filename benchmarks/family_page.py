@@ -148,7 +148,7 @@ def _rise(walk: Mapping[str, Any]) -> float:
 
 
 def _idle(walk: Mapping[str, Any]) -> float:
-    """END at idle by what a loose rope shows there, which counts for at least a third of a newton."""
+    """Return END at idle over that of a loose rope, which is taken as at least a third of a newton."""
     return float(walk["true_max_idle_tension_n"] / max(walk["loose"] or 0.0, IDLE_N / 1.5))
 
 
@@ -157,7 +157,7 @@ def _plays(walk: Mapping[str, Any]) -> bool:
 
 
 class Target(NamedTuple):
-    """What is aimed at: a figure of the walks that are to stay at or below a bound, and what one walk adds to it.
+    """Bound on a figure of several walks.
 
     `of` gives the figure of several walks, NaN of none; `one` that of a walk, by which those that break the bound are
     named (None: it is a median, and no walk breaks it); `why`: the cause where it is missed, as the trials show it.
@@ -283,7 +283,7 @@ def _by_structure(family: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _words(bench: Mapping[str, Any]) -> tuple[str, ...]:
-    """What a bench is called in the table of structures."""
+    """Return the names of a bench's structures: friction, stretch, breakaway, knee."""
     method, stretch, breakaway, knee = str(bench["structure"]).split(", ")
     return method, f"stretch {stretch}", breakaway, knee
 
@@ -303,7 +303,7 @@ PRODUCTS = ("The fabric's exponents are products of two scalars whose errors are
 
 
 def _off(walk: Mapping[str, Any]) -> float:
-    """Error of END as START tells it while all slides, after learning, %; NaN where nothing slid."""
+    """Return the error of END estimated from START while rope and fabric slide, after learning, %; NaN without sliding."""
     away = walk["followed_away"]
     return math.nan if away is None else 100.0 * float(away)
 

@@ -76,7 +76,7 @@ def _row(given: dict[str, Value]) -> Row:
 
 
 def main() -> None:
-    """Run what is missing, draw every figure, write the page."""
+    """Run the missing trials, draw every figure, write the page."""
     OUT.mkdir(parents=True, exist_ok=True)
     session.compile_laws(simulated=True)
     calibration, recording = identified()

@@ -1,9 +1,9 @@
-"""What the checks of a control cycle cost, and whether healthy trials raise any: `python -m benchmarks.supervision`.
+"""Cost of the checks of a control cycle, and false alarms in healthy trials: `python -m benchmarks.supervision`.
 
 `--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
-days, peaks, periods, rates and controllers: half of them on the bench's own plant, a quarter on the structures of
-`tests/hidden`, a quarter on the family of `tests/plants`, and prints how many were stopped, by what, and how near to
-its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be another one
+days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures of
+`tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how near
+to its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be another one
 is refused before it moves, identified as the refusal says, and run again.  `--kept FILE` keeps each trial as a line of
 JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
 
@@ -33,7 +33,7 @@ FAMILY_PEAKS = (40.0, 50.0, 25.0)
 """Peaks that the START tension of every bench of the family allows (`tests.plants.draws.MOST_START_N`, at 60 N)."""
 DAYS = 3
 IDENTIFY = "identify this bench"
-"""What a refusal says that asks for an identification."""
+"""Words of a refusal that asks for an identification."""
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
 NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
 COMPARED = ("desired", "first cycle", "second cycle", "rope, first cycle", "rope, second cycle")
@@ -54,7 +54,7 @@ class Job(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How it ended, and the greatest normalised residual of each relation; whether the bench had to be identified.
+    """End of a trial, greatest normalised residual of each relation, and whether the bench had to be identified.
 
     `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
     """
@@ -263,7 +263,7 @@ def tail(greatest: Any) -> tuple[float, float, float]:
 
 
 def main() -> int:
-    """Run what was asked for."""
+    """Run the measurements that the arguments name."""
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--cost", action="store_true")
     asked.add_argument("--healthy", type=int, default=0)

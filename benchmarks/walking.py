@@ -34,7 +34,7 @@ from trial.metrics import per_cycle
 
 STRIDES = 8
 PERIOD_S = 1.2
-"""For files that know no time: a brisk walk, as the treadmill's."""
+"""Period of a stride, s, for files without a time column: a brisk walk, as the treadmill's."""
 PEAK_N = 40.0
 FAMILY = (16, 24, 25)
 """Benches of the family, developed with, none like another: a chain of masses, slip cells behind a play, fronts."""
@@ -79,7 +79,7 @@ def strides(recording: Path) -> list[float]:
 
 
 def described(curve: Curve, period_s: float) -> list[str]:
-    """Return what was done to a file: name, samples, bridged and left out, what did not close, the stride."""
+    """Return a row on a file's preparation: name, samples, bridged and left out, largest closing correction, stride."""
     closed = recorded_angle(curve.percent, curve.values)[0][:-1]
     moved = np.abs(np.interp(curve.percent, np.arange(0.0, 100.0, 0.1), closed, period=100.0) - curve.values).max()
     return [curve.path.name, str(len(curve.values)), str(curve.bridged), str(curve.trimmed),
