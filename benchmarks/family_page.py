@@ -303,7 +303,7 @@ PRODUCTS = ("The fabric's exponents are products of two scalars whose errors are
 
 
 def _off(walk: Mapping[str, Any]) -> float:
-    """Return the error of END estimated from START while rope and fabric slide, after learning, %; NaN without sliding."""
+    """Return the error of END estimated from START while both slide, after learning, %; NaN without sliding."""
     away = walk["followed_away"]
     return math.nan if away is None else 100.0 * float(away)
 

@@ -1,11 +1,11 @@
 """Cost of the checks of a control cycle, and false alarms in healthy trials: `python -m benchmarks.supervision`.
 
 `--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
-days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures of
-`tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how near
-to its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be another one
-is refused before it moves, identified as the refusal says, and run again.  `--kept FILE` keeps each trial as a line of
-JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
+days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures
+of `tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how
+near to its tolerance each relation came.  All start from the packaged calibration; a bench that homing finds to be
+another one is refused before it moves, identified as the refusal says, and run again.  `--kept FILE` keeps each trial
+as a line of JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
 
 Two bounds of the false-alarm rate are printed, each the upper end of a 95 % interval: by count (no model; a run without
 an alarm shows 3.0 by its hours), and by the tail of the greatest share of a tolerance that each trial reached (a Pareto
