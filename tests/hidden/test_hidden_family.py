@@ -73,9 +73,11 @@ def test_what_is_asked_falls_on_many_benches_and_its_hash_hangs_on_each_case() -
 
 
 def test_the_hash_on_the_page_is_of_what_is_asked() -> None:
-    said_there = re.findall(r"committed before it ran:\n`([0-9a-f]{64})`", DOCS.read_text(encoding="utf-8"))
-    every = [job for kind in KINDS for job in jobs(kind, aside=True, every=9, first=3600)]
-    assert said_there == [digest(every)]
+    page = DOCS.read_text(encoding="utf-8")
+    (said_there,) = re.findall(r"committed before it ran:\n`([0-9a-f]{64})`", page)
+    ((first, every),) = re.findall(r"--aside --first (\d+) --every (\d+) --hash", page)
+    assert said_there == digest([job for kind in KINDS
+                                 for job in jobs(kind, aside=True, every=int(every), first=int(first))])
 
 
 def of(hidden: str, rivals: str, separation: float | None = 100.0, verdict: str = "found",
