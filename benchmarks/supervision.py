@@ -193,9 +193,9 @@ def cost() -> None:
           f"(of a period of 1000 µs at 1 kHz, and of the master's compute budget of 100 µs)")
 
 
-def healthy(count: int, workers: int, cycles: int, kept: Path | None) -> int:
-    """Run the trials that `kept` does not have yet and print what all raised; returns how many were stopped."""
-    drawn = {job.number: job for job in jobs(count, cycles)}
+def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None) -> int:
+    """Run `count` trials from number `first` on that `kept` lacks, print what all raised; returns how many stopped."""
+    drawn = {job.number: job for job in jobs(first + count, cycles) if job.number >= first}
     lines = kept.read_text(encoding="utf-8").splitlines() if kept is not None and kept.exists() else []
     told = [ended for ended in (Ended(**json.loads(line)) for line in lines) if ended.number in drawn]
     left = [job for job in drawn.values() if job.number not in {ended.number for ended in told}]
@@ -266,14 +266,15 @@ def main() -> int:
     """Run the measurements that the arguments name."""
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--cost", action="store_true")
-    asked.add_argument("--healthy", type=int, default=0)
+    asked.add_argument("--healthy", type=int, default=0, metavar="N")
+    asked.add_argument("--first", type=int, default=0, help="number of the first trial; trials are drawn by number")
     asked.add_argument("--cycles", type=int, default=CYCLES)
     asked.add_argument("--kept", type=Path)
     asked.add_argument("--jobs", type=int, default=2)
     given = asked.parse_args()
     if given.cost or not given.healthy:
         cost()
-    return int(bool(given.healthy and healthy(given.healthy, given.jobs, given.cycles, given.kept)))
+    return int(bool(given.healthy and healthy(given.healthy, given.first, given.jobs, given.cycles, given.kept)))
 
 
 if __name__ == "__main__":
