@@ -59,7 +59,8 @@ class EndDiscrepancy(NamedTuple):
     def packed(self, period_s: float, rope_travel: float, fabric_travel: float) -> Array:
         """Return the array that `evaluate` reads, for control cycles of `period_s`; pre-sliding travels, m."""
         return np.array([*self.mean, *(cell for row in self.covariance for cell in row), *self.force_n,
-                         *self.flexion_rad, self.speed_m_s * period_s, rope_travel, fabric_travel])
+                         *self.flexion_rad, self.speed_m_s * period_s, rope_travel, fabric_travel, self.prior,
+                         self.residual])
 
 
 @njit(cache=True)
@@ -96,16 +97,17 @@ def evaluate(packed: Any, slips: Any, force: float, knee: float, before: Any, af
     """Return (discrepancy of ln(START/END), its standard deviation, further slip states) in one control cycle.
 
     `before` and `after`: the model's memory, an `inverse.Slip`, around this control cycle.  The posterior mean m is
-    shrunk by its standard deviation σ to m·m²/(m² + σ²); m and σ fall to zero outside of the ranges that the gait
-    trials saw.
+    shrunk by its standard deviation σ to m·m²/(m² + σ²) and falls to zero outside of the ranges that the gait trials
+    saw, where σ rises to that of the prior.  The standard deviation returned contains the residual of the fit.
     """
     ranges = packed[COUNT * (COUNT + 1):]
     moved = 0.0 if math.isnan(before[2]) else after[2] - before[2]
     on_knee = 0.0 if math.isnan(before[3]) else after[3] - before[3]
     slips = turned(slips, moved, on_knee, ranges[5], ranges[6])
     at = features(force, knee, after[0], after[1], sheath_slow, fabric_slow, slips)
-    mean, variance = 0.0, 0.0
+    mean, variance, length = 0.0, 0.0, 0.0
     for i in range(COUNT):
+        length += at[i] * at[i]
         mean += packed[i] * at[i]
         row = 0.0
         for j in range(COUNT):
@@ -115,7 +117,9 @@ def evaluate(packed: Any, slips: Any, force: float, knee: float, before: Any, af
               * _outside(abs(moved), 0.0, ranges[4]))
     square = mean * mean
     shrunk = mean * square / (square + variance) if square > 0.0 else 0.0
-    return inside * shrunk, inside * math.sqrt(max(variance, 0.0)), slips
+    known = inside * inside
+    variance = known * max(variance, 0.0) + (1.0 - known) * ranges[7] ** 2 * length + ranges[8] ** 2
+    return inside * shrunk, math.sqrt(variance), slips
 
 
 def rows(known: EndDiscrepancy | None) -> list[str]:

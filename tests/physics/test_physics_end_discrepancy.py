@@ -34,14 +34,17 @@ def at(table: EndDiscrepancy, force: float = 40.0, knee: float = -0.4, moved: fl
 def test_a_known_discrepancy_is_the_posterior_mean_and_an_unknown_one_is_shrunk() -> None:
     assert at(known(1e-6))[0] == pytest.approx(-0.1, rel=1e-3)
     shrunk, sigma = at(known(0.1))
-    assert sigma == pytest.approx(0.1 * math.sqrt(3.0 + 0.05**2), rel=1e-3)
+    assert sigma == pytest.approx(math.sqrt(0.1**2 * (3.0 + 0.05**2) + 0.01**2), rel=1e-3)
     assert shrunk == pytest.approx(-0.1 / 4.0, rel=0.01)
 
 
-def test_outside_of_the_ranges_seen_it_is_zero() -> None:
+def test_outside_of_the_ranges_seen_it_is_zero_and_as_unknown_as_before_the_fit() -> None:
     table = known(1e-6)
+    assert at(table)[1] == pytest.approx(0.01, rel=1e-3)
     for away in ({"force": 75.0}, {"knee": -1.0}, {"knee": 0.0}, {"moved": 1e-3}):
-        assert at(table, **away) == (0.0, 0.0)
+        value, sigma = at(table, **away)
+        assert value == 0.0
+        assert sigma > 0.05 * math.sqrt(3.0)
     force = 60.0 + 0.5 * end_discrepancy.BEYOND * 55.0
     whole = MEAN[0] + MEAN[1] * (force / 40.0 - 1.0) + MEAN[2]
     assert at(table, force=force)[0] == pytest.approx(0.5 * whole, rel=1e-2)
