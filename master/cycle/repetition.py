@@ -42,7 +42,8 @@ TOLERANCES: Final = ((4.0, 0.25), (2.0, 0.055), (1.5, 0.035), (0.8e-3, 10e-6), (
 """Tolerance of each comparison: N (m for the rope), and for each newton of the desired force's peak.
 
 Healthy trials over own, foreign and family plants, all packaged controllers and periods of 0.8 to 3.0 s reached at most
-0.99 of the first tolerance, 0.84 of the others, but for 1 of 255 at 0.8 s (`python -m benchmarks.supervision --healthy 500`).
+0.99 of the first tolerance, 0.84 of the others, but for 1 of 255, at 0.8 s
+(`python -m benchmarks.supervision --healthy 500`).
 Too small: healthy trials stop.  Too large: a slow fault moves END by that much unsaid (`docs/faults.md`)."""
 
 (FILLED, PLACE, SUM, SUM_START, LAST_BIN, LAST_CYCLE, READING, EXPECTED, END_MOVED, START_MOVED, ROPE_MOVED) = range(11)
