@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.data.compared_signals import directions
 from diagnosis.data.table import Table
 from parameters import InputError
 from physics import memory_laws
@@ -30,11 +31,6 @@ Values = Mapping[str, float]
 
 SETTLE_S: Final = 0.3
 """Time left out at the start of a trial, s: the friction states depend on the rope's unrecorded earlier motion."""
-LOADS_N: Final = (5.0, 20.0, 40.0)
-"""Bounds, N, of the classes of measured tension."""
-STILL_M_S: Final = 1e-3
-"""Rope speed, m/s, up to which the rope counts as at rest."""
-PHASES: Final = 10
 
 PLANT: Final = "plant."
 NAMED: Final[Mapping[str, str]] = {
@@ -141,24 +137,23 @@ def counted(given: Table) -> NDArray[np.bool_]:
     return np.asarray(given["time_s"] > given["time_s"][0] + SETTLE_S)
 
 
-def _figures(given: Table, name: str, simulated: Array) -> dict[str, Any]:
+def _figures(given: Table, name: str, simulated: Array, loads_n: Sequence[float] = (5.0, 20.0, 40.0), phases: int = 10
+             ) -> dict[str, Any]:
     measured = given[name]
     keep = counted(given) & np.isfinite(measured)
     rest = (measured - simulated)[keep]
     figures: dict[str, Any] = {
         "rms_n": _rms(rest), "mean_n": float(rest.mean()) if rest.size else None, "peak_n": float(np.nanmax(measured))}
     if "gait_percent" in given:
-        tenth = np.clip(given["gait_percent"][keep] * PHASES / 100.0, 0, PHASES - 1).astype(np.intp)
-        figures["by_phase"] = [_class(f"{100 * k // PHASES}…{100 * (k + 1) // PHASES} %", rest[tenth == k])
-                               for k in range(PHASES)]
-    bounds = (-math.inf, *LOADS_N, math.inf)
+        tenth = np.clip(given["gait_percent"][keep] * phases / 100.0, 0, phases - 1).astype(np.intp)
+        figures["by_phase"] = [_class(f"{100 * k // phases}…{100 * (k + 1) // phases} %", rest[tenth == k])
+                               for k in range(phases)]
+    bounds = (-math.inf, *loads_n, math.inf)
     load = measured[keep]
     figures["by_load"] = [_class(_between(low, high), rest[(load >= low) & (load < high)])
                           for low, high in pairwise(bounds)]
     speed = np.gradient(given["servo_position_m"], given["time_s"])[keep]
-    figures["by_direction"] = [_class("pulling", rest[speed > STILL_M_S]),
-                               _class("letting out", rest[speed < -STILL_M_S]),
-                               _class("at rest", rest[np.abs(speed) <= STILL_M_S])]
+    figures["by_direction"] = [_class(way, rest[mask]) for way, mask in directions(speed).items()]
     return figures
 
 
@@ -173,25 +168,3 @@ def _class(name: str, rest: Array) -> dict[str, Any]:
 
 def _rms(rest: Array) -> float | None:
     return math.sqrt(float(np.mean(rest**2))) if rest.size else None
-
-
-def rms(tables: Sequence[Table], values: Values) -> float | None:
-    """Return the RMS, N, of measured less simulated tension over all trials and both ends; None without any sample."""
-    parts = []
-    for given in tables:
-        if "servo_position_m" not in given:
-            continue
-        told = simulate(given, values)
-        for name in SIGNALS:
-            if name in given:
-                keep = counted(given) & np.isfinite(given[name])
-                parts.append((given[name] - getattr(told, name))[keep])
-    return _rms(np.concatenate(parts)) if parts else None
-
-
-def slots() -> tuple[str, ...]:
-    """Return the names of the parameters that the simulation reads."""
-    other = ("fabric_presliding_ratio", "cable_share", "home_preload", "rope_zero", "slack", "knee_backlash",
-             "start_gain", "start_offset", "start_drift", "end_gain", "end_offset", "end_drift", "end_delay",
-             "end_filter", "timestamp_skew")
-    return tuple(n for n in RELATION_PARAMETERS if n in NAMED or n in other)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from physics.laws import Array
+
+STILL_M_S: Final = 1e-3
+"""Rope speed, m/s, up to which the rope counts as still."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +31,11 @@ class Compared:
     cycle: NDArray[np.intp]
     signals: Mapping[str, Array]
 
-    @property
-    def time(self) -> Array:
-        """Time of the samples, s."""
-        return self.along("time_s")
-
     def along(self, name: str) -> Array:
         """Return another signal at the same samples; NaN if the trial lacks that signal."""
         return self.signals[name] if name in self.signals else np.full(self.measured.size, np.nan)
+
+
+def directions(speed: Array) -> dict[str, NDArray[np.bool_]]:
+    """Return masks of the samples with the rope pulled, paid out or still, from the rope's `speed`, m/s."""
+    return {"pulled": speed > STILL_M_S, "paid out": speed < -STILL_M_S, "still": np.abs(speed) <= STILL_M_S}

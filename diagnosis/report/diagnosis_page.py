@@ -5,17 +5,16 @@ The page only shows the findings of the diagnosis; each figure has its unit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from diagnosis.data.compared_signals import Compared
 from diagnosis.data.table import Table
 from diagnosis.findings import Findings
 from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
-from diagnosis.report.remaining import where
+from diagnosis.report.residuals import where
 from physics.effects.catalogue import CATALOGUE
 from trial.report.page import Page, Tile, number
 
@@ -48,7 +47,7 @@ def build(
     _first(page, found)
     if not found.candidates:
         residual_picture.section(page, found)
-    _summary(page, found, sides)
+    _summary(page, found)
     plots.measured(page, sides, "Measured against simulated", "time_s")
     plots.residuals(page, sides)
     if holdout:
@@ -76,9 +75,9 @@ def _first(page: Page, found: Findings) -> None:
         page.text(sentence)
 
 
-def _summary(page: Page, found: Findings, sides: Mapping[str, Sequence[Compared]]) -> None:
+def _summary(page: Page, found: Findings) -> None:
     page.section("Figures")
-    if found.verdict == "unexplained" and (left := where(found, sides)):
+    if found.verdict == "unexplained" and (left := where(found)):
         page.text(left)
     if found.causes:
         page.tiles([Tile(c["effect"], "", c["site"],

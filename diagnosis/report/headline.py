@@ -15,14 +15,6 @@ from trial.report.page import number
 
 NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force_n": "the drive's force"}
 """Outputs whose error the first sentence gives, in words."""
-WRITTEN: Final = {"m": (1e3, "mm"), "s": (1e3, "ms")}
-"""By SI unit: factor and symbol of the unit in which values below `LARGE` are written."""
-LARGE: Final = 0.1
-"""Value, in the SI unit, from which a parameter is written in that unit."""
-STRONG: Final = 3.0
-"""Least change of a listed constant, in its 1σ between sessions."""
-MOST: Final = 3
-"""Largest number of listed constants."""
 UNMEASURED: Final = (
     "Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by itself "
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
@@ -110,11 +102,13 @@ def _cause(cause: Mapping[str, Any]) -> str:
 
 
 def change(cause: Mapping[str, Any], name: str) -> str:
-    """Return a parameter as text: name old → new unit (95 %: low … high), without an unknown old value."""
+    """Return a parameter as text: name old → new unit (95 %: low … high), without an unknown old value.
+
+    Lengths and times below 0.1 m or s are in mm and ms.
+    """
     one, old = cause["parameters"][name], healthy_value(cause, name)
-    scale, symbol = WRITTEN.get(one["unit"], (1.0, one["unit"]))
-    if max(abs(one[key]) for key in ("value", "low", "high")) >= LARGE:
-        scale, symbol = 1.0, one["unit"]
+    small = one["unit"] in ("m", "s") and max(abs(one[key]) for key in ("value", "low", "high")) < 0.1
+    scale, symbol = (1e3, f"m{one['unit']}") if small else (1.0, one["unit"])
     value, low, high = (number(scale * one[key], 3) for key in ("value", "low", "high"))
     before = "" if old is None else f"{number(scale * old, 3)} → "
     return f"{name} {before}{value}{f' {symbol}' if symbol else ''} (95 %: {low} … {high})"
@@ -143,12 +137,8 @@ def strongest(found: Findings) -> tuple[str, Figures] | None:
     return max(told, key=lambda one: one[1].gain_percent or 0.0, default=None)
 
 
-def _shifts(shifts: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the constants that changed by `STRONG` session σ or more, largest change first, as "name from → to unit".
-    """
-    rated = []
-    for name, row in shifts.items():
-        if row["sessions"] is not None and abs(row["sessions"]) >= STRONG:
-            rated.append((abs(row["sessions"]), f"{name} {row['from']:.3g} → {row['to']:.3g} "
-                          f"{row['unit']}".rstrip()))
-    return [text for _, text in sorted(rated, reverse=True)[:MOST]]
+def _shifts(shifts: Mapping[str, Mapping[str, Any]], least: float = 3.0, most: int = 3) -> list[str]:
+    """Return the `most` constants that changed by `least` session σ or more, largest change first, in words."""
+    rated = [(abs(row["sessions"]), f"{name} {row['from']:.3g} → {row['to']:.3g} {row['unit']}".rstrip())
+             for name, row in shifts.items() if row["sessions"] is not None and abs(row["sessions"]) >= least]
+    return [text for _, text in sorted(rated, reverse=True)[:most]]

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from diagnosis.data.compared_signals import Compared
-from diagnosis.report.residuals import binned, bins_of, directions, joined, rms
+from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series
 
@@ -23,15 +23,9 @@ SIDES: Final = (
 )
 """Signals along which residuals are plotted: name, word in the title, label of the axis."""
 MEANING: Final = {
-    "friction": "START from END over the rope's motion", "elasticity": "START from rope and knee position",
-    "kinematics": "the knee's angle from rope and tension", "servo": "the rope from its target",
-    "drive_force": "the servo's force from motion and START", "knee": "the knee's angle from its target",
     "tension_start_n": "START from rope and knee motion", "tension_end_n": "END from rope and knee motion",
-    "servo_force_n": "the servo's force from motion and START",
-    "start_sensor": "START against itself", "end_sensor": "END against itself", "bus": "stamps, ages and sequence"}
-"""By prediction equation or output: the predicted signal and its inputs, in words."""
-GAP: Final = 1.5
-"""Distance of two samples, in median time steps, above which a line is broken."""
+    "servo_force_n": "the servo's force from motion and START"}
+"""By output: the predicted signal and its inputs, in words."""
 
 
 def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, linked: str) -> None:
@@ -47,7 +41,7 @@ def measured(page: Page, sides: Mapping[str, Sequence[Compared]], title: str, li
               "found in it." + (" The first trial is drawn; the figures are of all." if many else ""), "note")
     for name, (first, *_) in parts_of.items():
         page.heading(f"{name}: {MEANING.get(name, first.output)}")
-        whole = np.ones(first.time.size, dtype=np.bool_)
+        whole = np.ones(first.measured.size, dtype=np.bool_)
         _drawn(page, f"{name}: {first.output}", first, whole, linked)
         _drawn(page, f"{name}: the cycle that is missed most", first, _worst(first), f"{linked}, one cycle of {name}")
 
@@ -60,9 +54,9 @@ def _worst(one: Compared) -> np.ndarray[Any, Any]:
 
 
 def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], linked: str) -> None:
-    columns = [one.measured, one.measured - one.before, one.measured - one.after]
-    gap = GAP * float(np.median(np.diff(one.time)))
-    time, lines = broken(one.time[shown], [column[shown] for column in columns], gap)
+    columns, time = [one.measured, one.measured - one.before, one.measured - one.after], one.along("time_s")
+    gap = 1.5 * float(np.median(np.diff(time)))  # one sample or more is missing
+    time, lines = broken(time[shown], [column[shown] for column in columns], gap)
     page.plot(title, time, [
         Series("measured", lines[0], MEASURED, width=2.2),
         Series("simulated before", lines[1], BEFORE, width=1.0, dash=True),
@@ -100,7 +94,7 @@ def _banded(along: np.ndarray[Any, Any], before: np.ndarray[Any, Any], after: np
 
 
 def _by_direction(page: Page, parts: Sequence[Compared]) -> None:
-    masks = directions(parts)
+    masks = by_direction(parts)
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     unit = parts[0].unit
     if masks:
@@ -114,17 +108,16 @@ def _loops(page: Page, name: str, parts: Sequence[Compared]) -> None:
 
     In this plot friction opens a loop, and a wrong gain gives a slope.
     """
-    masks = directions(parts)
+    masks = by_direction(parts)
     load, before, after = joined(parts, "tension_start_n")
     if not masks or load.size != sum(p.measured.size for p in parts) or float(np.ptp(load)) <= 0.0:
         return
-    bins, series = bins_of(load.size), list[Series]()
+    bins, span, series = bins_of(load.size), (float(load.min()), float(load.max())), list[Series]()
     for word, dash in (("pulled", False), ("paid out", True)):
         if not masks[word].any():
             continue
         for label, residual, colour in (("before", before, BEFORE), ("after", after, AFTER)):
-            along = np.concatenate([load[masks[word]], [load.min(), load.max()]])
-            mean = binned(along, np.concatenate([residual[masks[word]], [0.0, 0.0]]), bins)[1]
+            mean = binned(load[masks[word]], residual[masks[word]], bins, span)[1]
             series.append(Series(f"{word}, {label}", mean, colour, dash=dash))
     centres = binned(load, before, bins)[0]
     page.plot(f"{name} by load and direction", centres, series, "tension_start_n (N)", parts[0].unit,

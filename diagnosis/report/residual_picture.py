@@ -15,14 +15,10 @@ from diagnosis.data.compared_signals import Compared
 from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
-from diagnosis.report.residuals import LEAST_IN_BIN, binned, bins_of, joined
+from diagnosis.report.residuals import binned, bins_of, joined
 from trial.report.page import Page, Series
 
 Array = NDArray[np.float64]
-PHASES: Final = (20, 200)
-"""Smallest and largest number of bins of gait phase for the mean cycle."""
-GRID: Final = 120
-"""Number of END values at which the loop is drawn."""
 ALONG: Final = (("gait_percent", "gait_percent (%)", "gait phase"), ("time_s", "time_s (s)", "time"))
 
 
@@ -111,13 +107,13 @@ def loops(sides: Mapping[str, Sequence[Compared]]) -> list[ForceLoop]:
     before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in ("before", "after"))
     if not (np.isfinite(phase).all() and np.isfinite(end).all()) or float(np.ptp(end)) <= 0.0:
         return []
-    bins = int(np.clip(phase.size // LEAST_IN_BIN, *PHASES))
+    bins = bins_of(phase.size, 200)
     place = np.clip((phase / 100.0 * bins).astype(np.intp), 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     full = count > 0
     mean_end, *lines = (np.bincount(place, values, bins)[full] / count[full]
                         for values in (end, measured, measured - before, measured - after))
-    grid = np.linspace(float(mean_end.min()), float(mean_end.max()), GRID)
+    grid = np.linspace(float(mean_end.min()), float(mean_end.max()), 120)
     return [ForceLoop(direction, grid, *(_along(grid, mean_end[branch], line[branch]) for line in lines))
             for direction, branch in _branches(mean_end) if branch.size > 2]
 

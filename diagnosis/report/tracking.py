@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from diagnosis.report.residuals import binned
 from parameters import InputError
+from physics.laws import Array
 from trial import metrics, read
 from trial.read import Trial
 from trial.report.page import Page, Series
@@ -21,8 +22,6 @@ FIGURES: Final = (
     ("relative_rmse_percent", "relative RMSE, whole cycles", "%"),
     ("relative_rmse_window_percent", "relative RMSE, 10…30 % of gait", "%"),
     ("max_idle_tension_n", "largest END at idle", "N"), ("peak_jump_n", "jump at the peak", "N"))
-BINS: Final = 200
-Floats = NDArray[np.float64]
 
 
 def section(page: Page, before: str | Path, after: str | Path, colours: tuple[str, str]) -> None:
@@ -56,19 +55,17 @@ def _figures(trial: Trial) -> dict[str, float | None]:
 def _error(page: Page, trials: list[Trial], colours: tuple[str, str]) -> None:
     series = []
     for label, trial, colour in zip(("not told", "told"), trials, colours, strict=True):
-        mean, spread = _by_phase(trial)
+        centres, mean, spread = _by_phase(trial)
         series += [Series(label, mean - spread, colour, high=mean + spread, width=0.3),
                    Series(label, mean, colour, width=1.8)]
     page.plot("END less desired, by phase: mean and standard deviation over the gait cycles",
-              (np.arange(BINS) + 0.5) * 100.0 / BINS, series, "gait_percent (%)", "N", height=260)
+              centres, series, "gait_percent (%)", "N", height=260)
 
 
-def _by_phase(trial: Trial) -> tuple[Floats, Floats]:
+def _by_phase(trial: Trial) -> tuple[Array, Array, Array]:
+    """Return bins of gait phase, %, with mean and standard deviation of END less desired, N, in each."""
     columns, judged = trial.columns, setting(trial)
     error = columns["tension_end_n"] - columns["desired_force_n"]
     counted = (columns["cycle"] >= judged.settle) & np.isfinite(error)
-    place = np.clip((columns["gait_percent"][counted] / 100.0 * BINS).astype(np.intp), 0, BINS - 1)
-    count = np.maximum(np.bincount(place, minlength=BINS), 1)
-    mean = np.bincount(place, error[counted], BINS) / count
-    square = np.bincount(place, error[counted] ** 2, BINS) / count
-    return mean, np.sqrt(np.maximum(square - mean**2, 0.0))
+    centres, mean, square = binned(columns["gait_percent"][counted], error[counted], 200, (0.0, 100.0))
+    return centres, mean, np.sqrt(np.maximum(square**2 - mean**2, 0.0))

@@ -18,7 +18,7 @@ from diagnosis.findings import Figures, Findings
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals
 from diagnosis.report.diagnosis_page import build, write
 from diagnosis.report.headline import change, headline, healthy_value
-from diagnosis.report.remaining import concentrated
+from diagnosis.report.residuals import concentrated
 from parameters import InputError
 from physics.bench_model import BenchModel
 from tests.hidden.bench import Bench
