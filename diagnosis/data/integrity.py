@@ -7,6 +7,7 @@ unit.  A finding refuses the trial only if a diagnosis of it would be wrong.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,25 +16,18 @@ import numpy as np
 
 from diagnosis.data.table import AGE_SUFFIX, COUNTERS, Table
 from physics.laws import Array
+from physics.parameters import RELATION_PARAMETERS
+from trial.convert.lab_table import TO_SI
 
-COPIED: Final = 0.5
-"""Share of common rows above which two trials count as parts of one recording."""
 LEAST_ROWS: Final = 100
 """Fewest samples of a trial, and of a comparison of two columns."""
 LEAST_CYCLES: Final = 3
 """Fewest cycles of the trials, so that some of them can be held out."""
-GAP_STEPS: Final = 5.0
-"""Median steps of `time_s` above which a step is a gap."""
-MOST_MISSING: Final = 0.2
-"""Share of missing values of a column above which the trial is refused."""
-SHORTEST_REST: Final = 10
-"""Least number of samples that a saturated signal stays at its extreme."""
-RUN_UP: Final = 10
-"""Samples before the rest over which a saturated signal moves faster than its RMS rate."""
-WIDEST: Final = {"m": (2.0, 1e3, "millimetres"), "rad": (8.0, 57.29578, "degrees")}
-"""By unit of a column: the largest span of such a bench, and factor and name of the unit that was probably recorded."""
-KNOWN_FACTORS: Final = {
-    1e3: "mm/s", 1e6: "µm/s", 1e-3: "km/s", 1.0 / 60.0: "m/min ⁻¹", 60.0: "m/min", 100.0: "cm/s", 3.6: "km/h"}
+WIDEST: Final = {"m": (RELATION_PARAMETERS["rope_zero"].high - RELATION_PARAMETERS["rope_zero"].low, "mm"),
+                 "rad": (math.tau, "deg")}
+"""By unit of a column: span that no bench exceeds, and the unit of `TO_SI` that was probably recorded.
+
+Spans: of the rope's zero by its bounds, and one turn of a joint."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +45,8 @@ def signals_in(given: Table) -> Iterator[tuple[str, Array]]:
             yield name, values
 
 
-def stamps(given: Table) -> Iterator[Finding]:
-    """Yield findings on time stamps that are too few, missing, not rising, uneven or interrupted by gaps."""
+def stamps(given: Table, gap_steps: float = 5.0) -> Iterator[Finding]:
+    """Yield findings on time stamps that are too few, missing, not rising, or uneven; gaps: above `gap_steps` steps."""
     time = given["time_s"]
     if len(time) < LEAST_ROWS:
         yield Finding(f"{given.source}: {len(time)} rows; expected at least {LEAST_ROWS}.", True)
@@ -68,7 +62,7 @@ def stamps(given: Table) -> Iterator[Finding]:
                       f"{time[back[0]]:g}), {back.size} times in all.", True)
         return
     usual = float(np.median(step))
-    gaps = step > GAP_STEPS * usual
+    gaps = step > gap_steps * usual
     if gaps.any():
         yield Finding(f"{given.source}: time_s has {int(gaps.sum())} gaps, the longest {step.max():.3g} s "
                       f"at {time[int(np.argmax(step))]:.3f} s.")
@@ -78,8 +72,8 @@ def stamps(given: Table) -> Iterator[Finding]:
                       f"more than a quarter from {usual:.4g} s.")
 
 
-def presence(given: Table) -> Iterator[Finding]:
-    """Yield findings on columns that are empty, constant or incomplete."""
+def presence(given: Table, most_missing: float = 0.2) -> Iterator[Finding]:
+    """Yield findings on columns that are empty, constant or incomplete; above `most_missing` the trial is refused."""
     for name, values in signals_in(given):
         finite = np.isfinite(values)
         if not finite.any():
@@ -89,7 +83,7 @@ def presence(given: Table) -> Iterator[Finding]:
         elif not finite.all():
             share = 100.0 * (1.0 - finite.mean())
             yield Finding(f"{given.source}: {name} lacks {share:.1f} % of its values, first at row "
-                          f"{int(np.argmin(finite)) + 2}.", share > 100.0 * MOST_MISSING)
+                          f"{int(np.argmin(finite)) + 2}.", share > 100.0 * most_missing)
 
 
 def spans(given: Table) -> Iterator[Finding]:
@@ -99,17 +93,17 @@ def spans(given: Table) -> Iterator[Finding]:
         finite = values[np.isfinite(values)]
         if unit is None or not finite.size or (given.turning and name.startswith("servo_")):
             continue
-        widest, factor, written = WIDEST[unit]
+        widest, written = WIDEST[unit]
         if np.ptp(finite) > widest:
             yield Finding(f"{given.source}: {name} spans {np.ptp(finite):.4g} {unit}, which no such bench has; "
-                          f"probably {written}: divide it by {factor:g}.", True)
+                          f"probably {written}: divide it by {1.0 / TO_SI[written][1]:g}.", True)
 
 
 def saturation(given: Table) -> Iterator[Finding]:
     """Yield findings on saturated signals, which reach an extreme at speed and then stay at exactly that value."""
     for name, values in signals_in(given):
         finite = values[np.isfinite(values)]
-        if finite.size < LEAST_ROWS or np.ptp(finite) == 0.0 or name.startswith("desired"):
+        if not finite.size or np.ptp(finite) == 0.0 or name.startswith("desired"):
             continue
         for extreme in (finite.max(), finite.min()):
             share = _cut_off(finite, extreme)
@@ -118,15 +112,18 @@ def saturation(given: Table) -> Iterator[Finding]:
                               "a limit of the sensor or the drive was reached.")
 
 
-def _cut_off(values: Array, extreme: float) -> float:
-    """Return the share of samples in which a signal stays at `extreme` after it reached that value at speed."""
+def _cut_off(values: Array, extreme: float, samples: int = 10) -> float:
+    """Return the share of samples in which a signal stays at `extreme` after it reached that value at speed.
+
+    It stays for `samples` or more, and moved faster than its RMS rate over as many before.
+    """
     at = values == extreme
     first = np.flatnonzero(at & ~np.concatenate(([False], at[:-1])))
     last = np.flatnonzero(at & ~np.concatenate((at[1:], [False])))
     usual = float(np.sqrt(np.mean(np.diff(values) ** 2)))
     total = 0
     for a, b in zip(first, last, strict=True):
-        if b - a + 1 >= SHORTEST_REST and a >= RUN_UP and abs(values[a] - values[a - RUN_UP]) > RUN_UP * usual:
+        if b - a + 1 >= samples <= a and abs(values[a] - values[a - samples]) > samples * usual:
             total += int(b - a + 1)
     return total / len(values)
 
@@ -138,7 +135,7 @@ def velocity(given: Table) -> Iterator[Finding]:
     derived, said, step = _smooth_rates(given)
     usable = np.isfinite(derived) & np.isfinite(said)
     derived, said = derived[usable], said[usable]
-    if derived.size < LEAST_ROWS or not derived.std() or not said.std():
+    if not (derived.size and derived.std() and said.std()):
         return
     likeness = float(np.corrcoef(derived, said)[0, 1])
     factor = float(said @ derived) / float(derived @ derived)
@@ -151,10 +148,15 @@ def velocity(given: Table) -> Iterator[Finding]:
 
 
 def _reading(factor: float) -> str:
-    for known, unit in KNOWN_FACTORS.items():
-        if abs(factor / known - 1.0) < 0.1:
-            return f"it is in {unit}, or scaled"
-    return f"another unit, or the clock of time_s runs {factor:.3g} times too slow"
+    unit = length_unit(factor)
+    return f"it is in {unit}/s, or scaled" if unit else (
+        f"another unit, or the clock of time_s runs {factor:.3g} times too slow")
+
+
+def length_unit(factor: float) -> str:
+    """Return the unit of length in which a column is `factor` times as large as in metres, to 10 %; "" for none."""
+    return next((unit for unit, (si, size) in TO_SI.items() if si == "m" and abs(factor * size - 1.0) < 0.1
+                 and size != 1.0), "")
 
 
 def _smooth_rates(given: Table) -> tuple[Array, Array, float]:
@@ -165,24 +167,7 @@ def _smooth_rates(given: Table) -> tuple[Array, Array, float]:
             float(np.median(np.diff(time))))
 
 
-def clocks(given: Table) -> Iterator[Finding]:
-    """Yield a finding if the gait percent does not advance evenly with time."""
-    if "gait_percent" not in given.columns:
-        return
-    percent, time = given["gait_percent"], given["time_s"]
-    rate = np.gradient(percent, time)
-    inside = np.isfinite(rate) & (rate > 0.0)
-    if inside.sum() < LEAST_ROWS:
-        return
-    usual = float(np.median(rate[inside]))
-    far = np.abs(rate[inside] / usual - 1.0) > 0.5
-    if far.mean() > 0.05:
-        yield Finding(f"{given.source}: gait_percent does not advance evenly with time_s "
-                      f"({100.0 * far.mean():.0f} % of the samples).")
-
-
-CHECKS: Final[tuple[Callable[[Table], Iterator[Finding]], ...]] = (
-    stamps, presence, spans, saturation, velocity, clocks)
+CHECKS: Final[tuple[Callable[[Table], Iterator[Finding]], ...]] = (stamps, presence, spans, saturation, velocity)
 
 
 def examine(given: Table) -> list[Finding]:
@@ -210,22 +195,23 @@ def usable(given: Table, motion: Sequence[str] = ()) -> Table:
 
 
 def between(trials: Sequence[Table], holdout: Sequence[Table], healthy: Sequence[Table]) -> list[Finding]:
-    """Return the contradictions between files: data that two of them share, and different sampling rates."""
+    """Return the contradictions between files: data that two of them share, and different sampling rates.
+
+    Two files with most of their rows in common are parts of one recording.
+    """
     found = []
-    for given in trials:
-        for other, role in [(h, "holdout") for h in holdout] + [(h, "healthy") for h in healthy]:
-            if given.digest == other.digest:
-                found.append(Finding(f"{other.source} holds the same data as {given.source}; "
-                                     f"a {role} trial must be another one.", True))
-            elif (share := shared_rows(given, other)) > COPIED:
-                found.append(Finding(f"{100.0 * share:.0f} % of the rows of {given.source} are in {other.source}, too; "
-                                     f"a {role} trial must be another recording.", True))
-    for first, second in itertools.chain(*(itertools.combinations(group, 2) for group in (trials, holdout, healthy))):
+    groups = (("", trials), ("holdout", holdout), ("healthy", healthy))
+    pairs = [(a, b, role) for role, group in groups[1:] for a in trials for b in group]
+    pairs += [(a, b, "") for _, group in groups for a, b in itertools.combinations(group, 2)]
+    for first, second, role in pairs:
         if first.digest == second.digest:
-            found.append(Finding(f"{second.source} holds the same data as {first.source}; it counts once."))
-        elif (share := shared_rows(first, second)) > COPIED:
-            found.append(Finding(f"{100.0 * share:.0f} % of the rows of {second.source} are in {first.source}, too: "
-                                 "one recording under two names tells no more than one."))
+            rest = f"a {role} trial must be another one." if role else "it counts once."
+            found.append(Finding(f"{second.source} holds the same data as {first.source}; {rest}", bool(role)))
+        elif (share := shared_rows(first, second)) > 0.5:
+            small, large = (first, second) if role else (second, first)
+            rest = f"a {role} trial must be another recording." if role else "two names tell no more than one."
+            found.append(Finding(f"{100.0 * share:.0f} % of the rows of {small.source} are in {large.source}, too; "
+                                 f"{rest}", bool(role)))
     found.extend(_paces([*trials, *holdout, *healthy]))
     return found
 

@@ -6,37 +6,31 @@ trial and names column, figure and remedy, so that a wrong column is never diagn
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.data.integrity import Finding
+from diagnosis.data.integrity import Finding, length_unit
 from diagnosis.data.table import TURNING, Table
 from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")
-LOADED_N: Final = 10.0
-"""Span, N, of one tension above which the other tension must change, too."""
-READS_NOTHING: Final = 0.02
-"""Span of a tension, relative to the other's, below which its sensor counts as not connected."""
-EQUAL: Final = 0.99
-"""Share of equal samples above which START and END are copies: noise makes two real sensors differ."""
-OTHER_SCALE: Final = 2.5
-"""Factor between the rope per knee angle of a trial and of the bench above which the rope is in another unit."""
-FOLLOWS: Final = 0.8
-"""Least correlation of rope position and knee angle at which a ratio of the two is computed."""
-OUT_OF_RANGE: Final = 10.0
-"""Ratio of the largest forces of a trial and its reference trials above which the column counts as wrong.
+RANGED: Final = ("servo_force_n", *TENSIONS)
+DECADE: Final = 10.0
+"""Ratio above which a column is in another unit: neighbouring units of a length or a force differ by ten or more.
 
 Too small, wear or another seal, which change forces about threefold, would be refused."""
-RANGED: Final = ("servo_force_n", "tension_start_n", "tension_end_n")
-UNITS: Final = {10.0: "centimetres for millimetres", 0.1: "millimetres for centimetres", 1e3: "millimetres for metres",
-                1e-3: "metres for millimetres", 100.0: "centimetres for metres", 0.01: "metres for centimetres"}
 
 
-def contradictions(given: Table) -> Iterator[Finding]:
-    """Yield a finding if one tension of a trial is dead, or a copy of the other one."""
+def contradictions(given: Table, loaded_n: float = 10.0, still: float = 0.02, copied: float = 0.99
+                   ) -> Iterator[Finding]:
+    """Yield a finding if one tension of a trial is dead, or a copy of the other one.
+
+    It is dead if its span is below the share `still` of the other's, which is above `loaded_n`.  The noise of two
+    sensors differs, so that a share above `copied` of equal samples is of one sensor.
+    """
     held = [n for n in TENSIONS if n in given and np.isfinite(given[n]).any()]
     if len(held) < 2:
         return
@@ -44,36 +38,36 @@ def contradictions(given: Table) -> Iterator[Finding]:
     known = np.isfinite(start) & np.isfinite(end)
     spans = [float(np.ptp(v[known])) for v in (start, end)] if known.any() else [0.0, 0.0]
     for name, mine, other, beside in ((held[0], spans[0], spans[1], held[1]), (held[1], spans[1], spans[0], held[0])):
-        if other > LOADED_N and mine < READS_NOTHING * other:
+        if other > loaded_n and mine < still * other:
             yield Finding(f"{given.source}: {name} stays within {mine:.3g} N while {beside} spans {other:.3g} N: it "
                           "reads nothing; leave the column out, or record the trial again.", True)
             return
     equal = float(np.mean(start[known] == end[known])) if known.any() else 0.0
-    if min(spans) > 0.0 and equal > EQUAL:
+    if min(spans) > 0.0 and equal > copied:
         yield Finding(f"{given.source}: tension_end_n equals tension_start_n in {100.0 * equal:.1f} % of the rows: one "
                       "is a copy of the other; leave tension_end_n out, or record it.", True)
 
 
 def rope_per_knee(given: Table) -> float | None:
-    """Return the rope per knee angle of a trial, m/rad, by regression; None if the two are hardly correlated."""
+    """Return the rope per knee angle of a trial, m/rad, by regression; None unless half the variance is explained."""
     if "servo_position_m" not in given or "knee_angle_rad" not in given:
         return None
     angle, rope = given["knee_angle_rad"], given["servo_position_m"]
     known = np.isfinite(angle) & np.isfinite(rope)
-    if known.sum() < 100 or np.std(angle[known]) == 0.0 or np.std(rope[known]) == 0.0:
+    if not known.any() or np.std(angle[known]) == 0.0 or np.std(rope[known]) == 0.0:
         return None
-    if abs(float(np.corrcoef(angle[known], rope[known])[0, 1])) < FOLLOWS:
+    if float(np.corrcoef(angle[known], rope[known])[0, 1]) ** 2 < 0.5:
         return None
     return float(np.polyfit(angle[known], rope[known], 1)[0])
 
 
 def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
-    """Yield findings on forces whose largest value exceeds that of the reference trials by `OUT_OF_RANGE`."""
+    """Yield findings on forces whose largest value is over ten times that of the reference trials (`DECADE`)."""
     for name in RANGED:
         usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _has_force(t, name)), default=0.0)
         for given in trials:
             most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
-            if most > OUT_OF_RANGE * usual:
+            if most > DECADE * usual:
                 column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
                                      if given.turning and known == name), (name, "N"))
                 yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
@@ -107,12 +101,12 @@ def against_bench(
         if mine is None:
             continue
         factor = abs(mine / known)
-        if mine * known < 0.0 and 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
+        alike = abs(math.log(factor)) < 0.5 * math.log(DECADE)
+        if mine * known < 0.0 and alike:
             yield Finding(f"{given.source}: knee_angle_rad has the other sign than {where} ({mine:.4g} m of rope per "
                           f"rad, expected about {known:.4g}); flexion is negative: turn the column's sign.", True)
-        elif told and not 1.0 / OTHER_SCALE < factor < OTHER_SCALE:
-            near = min(UNITS, key=lambda u: abs(np.log(factor / u)))
-            probably = f", probably {UNITS[near]}" if abs(np.log(factor / near)) < 0.4 else ""
+        elif told and not alike:
+            unit = length_unit(factor)
             yield Finding(f"{given.source}: servo_position_m moves {factor:.3g} times as far per knee angle as "
-                          f"{where}{probably}; positions are in metres: divide the column by "
-                          f"{near if probably else factor:.3g}.", True)
+                          f"{where}{f', probably in {unit}' if unit else ''}; positions are in metres: divide the "
+                          f"column by {factor:.3g}.", True)

@@ -40,10 +40,10 @@ def test_time_that_does_not_rise_is_refused_with_its_row() -> None:
     assert "row 702" in refusal(moved(time_s=time))
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("degrees", 57.3), ("millimetres", 1000.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("deg", 57.3), ("mm", 1000.0)])
 def test_another_unit_is_refused_with_the_factor(unit: str, factor: float) -> None:
-    name = "knee_angle_rad" if unit == "degrees" else "servo_position_m"
-    told = "57.2958" if unit == "degrees" else "1000"
+    name = "knee_angle_rad" if unit == "deg" else "servo_position_m"
+    told = "57.2958" if unit == "deg" else "1000"
     assert f"probably {unit}: divide it by {told}" in refusal(moved(**{name: factor * moved()[name]}))
 
 
