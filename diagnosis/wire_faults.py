@@ -14,8 +14,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.stats import norm
 
 from diagnosis.data.table import AGE_SUFFIX, Table
+from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.evidence_finder import SURROGATE
 from diagnosis.findings import Figures
 from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect
@@ -25,27 +28,6 @@ from physics.sampling_laws import COUNTED
 Values = Mapping[str, float]
 
 SENSORS: Final[Mapping[str, str]] = {"start_sensor": "tension_start_n", "end_sensor": "tension_end_n"}
-LEAST_SHARE: Final = 0.005
-"""Share of stale values above which the bus is at fault: the least that the catalogue expects."""
-UNLIKE: Final = 0.2
-"""Share of stale values, relative to the chance of a repeat, above which the bus is at fault."""
-SURE: Final = 6.0
-"""Share of stale values, in 1σ of the chance of a repeat, above which the bus is at fault."""
-LEAST_MOVED: Final = 200
-"""Fewest samples that differ from their neighbour, for an estimate of the chance of a repeat from their steps."""
-LEAST_SPREAD: Final = 1.5
-"""Least spread of the steps, in quantisation steps; above, a step of 0 is about as likely as a step of 1."""
-LEAST_STEP: Final = 0.1
-"""Quantisation step of a sensor, N, below which it is not at fault."""
-COARSER: Final = 2.0
-"""Ratio of the quantisation step to that of reference trials from which it is at fault."""
-LIKELY: Final = 10.0
-"""Difference of log-likelihood within which two staleness models are both accepted."""
-SIMPLER: Final = 3.0
-"""Log-likelihood by which a model must improve for each further parameter to be ranked first."""
-ON_GRID: Final = 1e-3
-RAREST: Final = 1e-7
-"""Lower limit of the probability of an age in a model: some values are late for another reason."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +47,7 @@ class Told:
 class Seen:
     """Counts of each age in cycles, the cycle time, s, and the chance of a repeat by noise and quantisation.
 
-    `chance`: None if the counts are true ages. `sigma`: 1σ of that chance.
+    `chance`: None if the counts are true ages. `sigma`: 1σ of that chance, by counting and by its model (`SURROGATE`).
     """
 
     counts: Array
@@ -107,7 +89,8 @@ def ages(trials: Sequence[Table], healthy: Sequence[Table] = ()) -> Seen | None:
         return None
     runs = np.concatenate([r for r, _ in told])
     chance = float(np.average([c.share for _, c in told], weights=[r.size for r, _ in told]))
-    return Seen(_counted(runs), cycle_s, min(chance, 0.9), math.sqrt(sum(c.variance for _, c in told)) / runs.size)
+    sigma = math.hypot(math.sqrt(sum(c.variance for _, c in told)) / runs.size, SURROGATE * chance)
+    return Seen(_counted(runs), cycle_s, min(chance, 0.9), sigma)
 
 
 class Chance(NamedTuple):
@@ -120,7 +103,8 @@ class Chance(NamedTuple):
 def _chance(given: Table, name: str) -> Chance | None:
     """Return the chance of a repeat from the column's steps: slightly above that of one quantisation step.
 
-    None if the noise is below the quantisation step: then nearly every value repeats, which carries no information.
+    None if most values that differ from their neighbour differ by one step, which is as large as the noise: then
+    nearly every value repeats, which carries no information.
     """
     values = given[name][np.isfinite(given[name])]
     grid = step(given, name)
@@ -128,12 +112,10 @@ def _chance(given: Table, name: str) -> Chance | None:
         return Chance(0.0, 1.0)
     moved = np.rint(np.diff(values) / grid)
     near, away = float(np.sum(np.abs(moved) == 1.0)) / 2.0, moved[moved != 0.0]
-    if away.size < LEAST_MOVED:
+    typical = float(np.median(np.abs(away))) if away.size else 0.0
+    if typical <= 1.0:
         return None
-    spread = float(np.median(np.abs(away))) / 0.6745
-    if spread < LEAST_SPREAD:
-        return None
-    expected = near * math.exp(0.5 / spread**2)
+    expected = near * math.exp(0.5 * (norm.ppf(0.75) / typical) ** 2)
     return Chance(expected / max(values.size - 1, 1), expected + expected**2 / max(2.0 * near, 1.0))
 
 
@@ -149,13 +131,19 @@ def _runs(given: Table, name: str) -> Array:
 
 
 def stale(seen: Seen) -> list[Told]:
-    """Return the effects that could have made the values stale, the best first; empty if the values are fresh."""
-    if seen.share < max(LEAST_SHARE, UNLIKE * (seen.chance or 0.0), SURE * seen.sigma):
+    """Return the effects that could have made the values stale, the best first; empty if the values are fresh.
+
+    Stale: the share is one that the catalogue expects, and its Gaussian log-likelihood ratio, ½z², is `NAMED_NATS` or
+    more.  Models within `NAMED_NATS` of the best are ranked with ½·ln(samples) for each parameter (BIC).
+    """
+    effects = [effect for effect in CATALOGUE.values() if effect.stale is not None]
+    least = min(p.likely[0] for effect in effects for p in effect.parameters if not p.unit)
+    if seen.share < max(least, math.sqrt(2.0 * NAMED_NATS) * seen.sigma):
         return []
-    told = [_aged(effect, seen) for effect in CATALOGUE.values() if effect.stale is not None]
+    told = [_aged(effect, seen) for effect in effects]
     best = min(t.misfit for t in told)
-    able = [t for t in told if t.misfit - best < LIKELY]
-    return sorted(able, key=lambda t: t.misfit + SIMPLER * len(t.effect.parameters))
+    able = [t for t in told if t.misfit - best < NAMED_NATS]
+    return sorted(able, key=lambda t: t.misfit + 0.5 * math.log(seen.counts.sum()) * len(t.effect.parameters))
 
 
 def _aged(effect: Effect, seen: Seen) -> Told:
@@ -176,9 +164,9 @@ def _aged(effect: Effect, seen: Seen) -> Told:
 
 
 def _misfit(law: sampling_laws.Staleness, seen: Seen) -> float:
-    """Return the negative log-likelihood of the observed ages."""
+    """Return the negative log-likelihood of the observed ages; one value in all may be late for another reason."""
     expected = sampling_laws.ages(law) if seen.chance is None else sampling_laws.repeats(law, seen.chance)
-    return -float(seen.counts @ np.log(np.maximum(expected, RAREST)))
+    return -float(seen.counts @ np.log(np.maximum(expected, 1.0 / seen.counts.sum())))
 
 
 def step(given: Table, name: str) -> float:
@@ -189,8 +177,7 @@ def step(given: Table, name: str) -> float:
     if not gaps.size:
         return 0.0
     least = float(gaps.min())
-    off = np.abs(values / least - np.rint(values / least))
-    return least if float(np.mean(off < ON_GRID)) > 0.999 else 0.0
+    return least if np.allclose(values / least, np.rint(values / least), atol=1e-3) else 0.0
 
 
 def coarse(trials: Sequence[Table], healthy: Sequence[Table]) -> dict[str, tuple[float, float]]:
@@ -225,10 +212,11 @@ def _estimate(value: float, half: float, unit: str) -> dict[str, Any]:
 def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
     """Return the effects of bus and converter on the values of `trials`."""
     grids, seen = coarse(trials, healthy), ages(trials, healthy)
-    worst = max((mine for mine, rest in grids.values() if mine >= max(LEAST_STEP, COARSER * rest)), default=0.0)
-    told = [Told(e, {e.parameters[0].name: worst}, 0.0) for e in CATALOGUE.values() if e.grid is not None and worst]
-    figures = {name: Figures("N", rest / math.sqrt(12.0), mine / math.sqrt(12.0),
-                             (rest if mine >= max(LEAST_STEP, COARSER * rest) else mine) / math.sqrt(12.0))
+    (effect,) = (e for e in CATALOGUE.values() if e.grid is not None)
+    quantum = effect.parameters[0]
+    coarser = {name: mine for name, (mine, rest) in grids.items() if mine > rest and mine >= quantum.likely[0]}
+    told = [Told(effect, {quantum.name: max(coarser.values())}, 0.0)] if coarser else []
+    figures = {name: Figures("N", *(each / math.sqrt(12.0) for each in (rest, mine, rest if name in coarser else mine)))
                for name, (mine, rest) in grids.items()}
     if seen is not None:
         # a coarse quantisation repeats values, too
