@@ -33,8 +33,8 @@ LENGTHS = (5, 10, 20, 40)
 SINGLE = ("cable_friction", "presliding", "end_gain", "drive_viscous", "moment_arm", "end_delay")
 PAIRS = (("end_gain", "presliding"), ("cable_friction", "knee_backlash"))
 SEED = 60_000
-SINGLE_S: Final = 3.0
-PAIR_S: Final = 15.0
+SINGLE_S: Final = 4.0
+PAIR_S: Final = 10.0
 MEMORY: Final = 5.0
 """Bars: CPU of ten gait cycles, s, and the peak of memory in sizes of the columns."""
 PARTS: Final = (

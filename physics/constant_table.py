@@ -55,24 +55,25 @@ class ConstantTable:
         self.session_sd: Array = np.array([row.session_sd for row in rows])
         self.step: Array = np.array([0.1 * row.session_sd if row.session_sd else row.step for row in rows])
         self.free = tuple(i for i, row in enumerate(rows) if row.bench_sd)
+        self._form = np.array([row.form for row in rows])
+        self._columns: Array = np.array([(row.middle, *self._limits(row), row.rounding) for row in rows]).T
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def values(self, q: Array) -> Array:
         """Return the constants, SI, of coordinates `q`, both of shape (rows, …)."""
-        out = np.empty_like(q, dtype=np.float64)
-        for i, row in enumerate(self.rows):
-            at = row.middle + q[i]
-            if row.form == "log":
-                out[i] = row.middle * np.exp(self._within(row, q[i]))
-            elif row.form == "logit":
-                out[i] = 1.0 / (1.0 + (1.0 / row.middle - 1.0) * np.exp(-self._within(row, q[i])))
-            elif row.form == "positive":
-                out[i] = 0.5 * (at + np.sqrt(at**2 + row.rounding**2))
-            else:
-                out[i] = self._within(row, at)
-        return out
+        q = np.asarray(q, dtype=np.float64)
+        column = (-1, *[1] * (q.ndim - 1))
+        middle, low, high, width, rounding = (each.reshape(column) for each in self._columns)
+        at = middle + q
+        out = _bent(np.where((self._form == "linear").reshape(column), at, q), low, high, width)
+        of = {form: self._form == form for form in ("log", "logit", "positive")}
+        out[of["log"]] = middle[of["log"]] * np.exp(out[of["log"]])
+        out[of["logit"]] = 1.0 / (1.0 + (1.0 / middle[of["logit"]] - 1.0) * np.exp(-out[of["logit"]]))
+        smooth = at[of["positive"]]
+        out[of["positive"]] = 0.5 * (smooth + np.sqrt(smooth**2 + rounding[of["positive"]] ** 2))
+        return np.asarray(out)
 
     def _limits(self, row: ModelConstant) -> tuple[float, float, float]:
         """Return the bounds of a coordinate, or of a linear value, and the range before them in which it bends."""
@@ -80,17 +81,8 @@ class ConstantTable:
         low, high = self.bounds.get(row.name, (-most, most))
         return low, high, min(SOFTENED * row.session_sd, 0.1 * (high - low)) if row.session_sd else 0.0
 
-    def _within(self, row: ModelConstant, at: Array) -> Array:
-        """Return values that stay inside the bounds and approach them exponentially."""
-        low, high, width = self._limits(row)
-        if width == 0.0:
-            return np.clip(at, low, high)
-        above, below = np.maximum(at - (high - width), 0.0), np.maximum(low + width - at, 0.0)
-        inside = np.clip(at, low + width, high - width)
-        return np.asarray(inside + width * (np.expm1(-below / width) - np.expm1(-above / width)))
-
     def _before(self, row: ModelConstant, value: float) -> float:
-        """Return the inverse of `_within`."""
+        """Return the inverse of `_bent`."""
         low, high, width = self._limits(row)
         if width == 0.0 or low + width <= value <= high - width:
             return value
@@ -138,3 +130,12 @@ class ConstantTable:
     def named(self, q: Array) -> dict[str, float]:
         """Return the constants of one vector of coordinates by name."""
         return dict(zip(self.names, self.values(q).tolist(), strict=True))
+
+
+def _bent(at: Array, low: Array, high: Array, width: Array) -> Array:
+    """Return values that stay inside the bounds `low` and `high` and approach them exponentially within `width`."""
+    inside = np.clip(at, low + width, high - width)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = width * (np.expm1((np.minimum(at - low, width) - width) / width)
+                        - np.expm1((np.minimum(high - at, width) - width) / width))
+    return np.asarray(inside + np.where(width > 0.0, bend, 0.0))
