@@ -56,14 +56,13 @@ def _alarms(state: BenchState) -> str:
     if not state.alarms:
         return "<p class='calm'>No alarm: no change beyond the scatter between sessions.</p>"
     best = state.alarms[0]
-    told = state.told(best)
+    told = state.dated(best)
     since = (f"since session <a href='#session-{best.since}'>{escape(str(told['since']))}</a> (95 %: "
              f"{escape(str(told['since_interval'][0]))} … {escape(str(told['since_interval'][1]))})")
-    others = [c.name for c in state.alarms[1:]]
-    among = f"; not separated from {escape(', '.join(others))}" if others else ""
     ahead = "".join(f"<br>{_forecast(f)}" for f in state.forecasts)
-    return (f"<p class='alarm'><b>Changed: {escape(best.name)}</b>, as a {best.course}, {since}; "
-            f"{best.nats:.1f} nats{among}.{ahead}</p>")
+    names = escape(", ".join(state.cause.among)) if state.cause is not None and state.cause.named else ""
+    return (f"<p class='alarm'><b>Changed{': ' if names else ''}{names}</b>, as a {best.course}, {since}; "
+            f"{best.nats:.1f} nats.<br>{escape(state.cause_told())}{ahead}</p>")
 
 
 def _forecast(f: Any) -> str:
@@ -97,8 +96,9 @@ def _constants(state: BenchState) -> str:
             f"</td><td class='number'>{course.value[-1]:.4g} {escape(course.unit)}<br><small>{course.low[-1]:.4g} … "
             f"{course.high[-1]:.4g}</small></td><td class='number'>{course.scatter:.2g}<br><small>published "
             f"{course.published:.2g}</small></td></tr>")
-    return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change. "
-            "Dashed: maintenance.</small></p><table><tr><th>constant</th><th>sessions</th><th>now, 95 %</th>"
+    return ("<h2>Constants over sessions</h2><p><small>Band: 95 % interval of a session. Red: begin of the change, in "
+            "the constants that the linear session model moves for it. Dashed: maintenance.</small></p><table><tr>"
+            "<th>constant</th><th>sessions</th><th>now, 95 %</th>"
             f"<th>1σ between sessions</th></tr>{''.join(rows)}</table>")
 
 
@@ -141,7 +141,9 @@ def _changes(state: BenchState) -> str:
         f"<tr><td>{escape(c.name)}{'' if c.known else ' <small>(not in the catalogue)</small>'}</td><td>{c.course}</td>"
         f"<td>{escape(str(state.labels.get(c.since)))}</td><td class='number'>{c.nats:.1f}</td></tr>"
         for c in state.changes[:8])
-    return ("<h2>Evidence of a change</h2><table><tr><th>effect</th><th>course</th><th>likeliest begin</th>"
+    return ("<h2>Evidence of a change, by the linear session model</h2><p><small>This model dates a change. An effect "
+            "that is not linear fits best as another one: the diagnosis of recorded trials names the cause.</small></p>"
+            "<table><tr><th>effect</th><th>course</th><th>likeliest begin</th>"
             f"<th class='number'>ln B (nats)</th></tr>{rows}</table>")
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from logbook.change_cause import Cause, kept_cause
 from logbook.change_search import Change, Forecast, alarms, forecast, search_changes, shift_of
 from logbook.database import Logbook, Note, SessionEntry
 from logbook.session_model import CONSTANTS, SessionModel, fit_sessions, sessions_of
@@ -44,7 +45,11 @@ class ConstantCourse:
 
 @dataclass(frozen=True)
 class BenchState:
-    """State of a bench; `labels` of the sessions in `sessions`; `courses` by constant; empty without an estimate."""
+    """State of a bench; `labels` of the sessions in `sessions`; `courses` by constant; empty without an estimate.
+
+    `changes`, `alarms`: by the linear session model, best first.  `cause`: kept diagnosis of the alarm; None if it has
+    none.
+    """
 
     name: str
     sessions: tuple[int, ...]
@@ -58,13 +63,14 @@ class BenchState:
     model: SessionModel | None
     hours: float
     counts: Mapping[str, int]
+    cause: Cause | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the state as plain values."""
         return {
             "bench": self.name, **{f"{what}s": count for what, count in self.counts.items()}, "hours": self.hours,
             "reference_sessions": min(self.references, len(self.sessions)), "alarms": [
-                {**self.told(c), "among": [other.name for other in self.alarms]} for c in self.alarms[:1]],
+                self.dated(c) | self.caused() for c in self.alarms[:1]],
             "changes": [self.told(c) for c in self.changes[:6]],
             "forecasts": [f._asdict() for f in self.forecasts],
             "constants": {n: {"value": float(c.value[-1]), "low": float(c.low[-1]), "high": float(c.high[-1]),
@@ -74,7 +80,32 @@ class BenchState:
                       for n in self.notes]}
 
     def told(self, change: Change) -> dict[str, Any]:
-        """Return one change with the sessions' labels and the constants that it moves, from and to."""
+        """Return one change of the linear session model: the effect that fits it best, its evidence and its date."""
+        return {"effect": change.name, "in_catalogue": change.known, **self.dated(change)}
+
+    def caused(self) -> dict[str, Any]:
+        """Return the diagnosis of the alarm; `verdict` null and the reason in `remark` if there is none."""
+        cause = self.cause or Cause(None, remark="not diagnosed yet.")
+        return {"verdict": cause.verdict, "among": list(cause.among), "part": cause.part,
+                "remark": cause.remark or None, "session": self.labels.get(cause.session), "trials": list(cause.trials),
+                "references": [self.labels.get(number) for number in cause.references]}
+
+    def cause_told(self) -> str:
+        """Return the diagnosis of the alarm as one sentence."""
+        told = self.caused()
+        of = f"session {told['session']} against {', '.join(map(str, told['references']))}"
+        names = ", ".join(told["among"])
+        return {
+            None: f"Cause not diagnosed: {told['remark']}",
+            "refused": f"Cause not diagnosed, {of}: {told['remark']}",
+            "found": f"Diagnosis of {of}: {names} ({told['part']}).",
+            "ambiguous": f"Diagnosis of {of}: one of {names} ({told['part']}); these trials do not separate them.",
+            "unexplained": f"Diagnosis of {of}: unexplained, no effect of the catalogue predicts it.",
+            "none": f"Diagnosis of {of}: no effect is large enough in one session to be named.",
+        }[told["verdict"]]
+
+    def dated(self, change: Change) -> dict[str, Any]:
+        """Return evidence and date of a change, with the constants that the session model moves for it."""
         moved = {}
         for k in np.flatnonzero(change.departure):
             name = CONSTANTS[k]
@@ -82,9 +113,9 @@ class BenchState:
             moved[name] = {"departure": float(change.departure[k]), "departure_sd": float(change.departure_sd[k]),
                            "scatter": float(self.model.sd[k]) if self.model else None, "now": float(course.value[-1]),
                            "unit": course.unit}
-        return {"effect": change.name, "in_catalogue": change.known, "nats": change.nats, "course": change.course,
-                "since": self.labels.get(change.since), "since_interval": [
-                    self.labels.get(change.since_low), self.labels.get(change.since_high)], "constants": moved}
+        return {"nats": change.nats, "course": change.course, "since": self.labels.get(change.since),
+                "since_interval": [self.labels.get(change.since_low), self.labels.get(change.since_high)],
+                "constants": moved}
 
 
 def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchState:
@@ -106,8 +137,9 @@ def state_of(book: Logbook, limits: Mapping[str, float] | None = None) -> BenchS
     ahead = forecast(model, kept.bench, changes[0], limits or {}) if raised else [
         Forecast(n, v, None, None, None) for n, v in (limits or {}).items()]
     courses = _courses(model, kept.bench, raised)
+    cause = kept_cause(book, raised[0], model.sessions, notes) if raised else None
     return BenchState(sessions=model.sessions, courses=courses, changes=changes, alarms=raised, forecasts=ahead,
-                      model=model, **common)
+                      model=model, cause=cause, **common)
 
 
 def measured_deviations(book: Logbook) -> dict[str, float] | None:

@@ -49,6 +49,8 @@ CREATE TABLE note (
 """, """
 CREATE INDEX trial_of_session ON trial(session);
 CREATE INDEX verdict_of_trial ON verdict(trial);
+""", """
+CREATE TABLE cause (id INTEGER PRIMARY KEY, made TEXT NOT NULL, content TEXT NOT NULL);
 """)
 """SQL of each version of the schema, applied to the one before it; `PRAGMA user_version` counts them."""
 
@@ -233,6 +235,11 @@ class Logbook:
         with self._writing() as db:
             db.execute("INSERT INTO verdict(trial, made, content) VALUES (?, ?, ?)", (trial, now(), _json(content)))
 
+    def enter_cause(self, content: Mapping[str, Any]) -> None:
+        """Enter the diagnosis of a change."""
+        with self._writing() as db:
+            db.execute("INSERT INTO cause(made, content) VALUES (?, ?)", (now(), _json(content)))
+
     def enter_model(self, kind: str, path: Path, content: str) -> None:
         """Enter a bench model file: `kind` "calibration" of identify, "fit" of fit."""
         with self._writing() as db:
@@ -278,6 +285,10 @@ class Logbook:
         rows = self._rows("SELECT session FROM trial WHERE digest = ?", (digest,))
         return rows[0][0] if rows else None
 
+    def digest(self, trial: int) -> str:
+        """Return the SHA-256 of a trial's file as it was entered."""
+        return str(self._rows("SELECT digest FROM trial WHERE id = ?", (trial,))[0][0])
+
     def place(self, stored: str) -> Path:
         """Return where a stored path is: relative ones are relative to the logbook."""
         return self.folder / stored
@@ -299,6 +310,12 @@ class Logbook:
         """Return the verdicts on one trial, oldest first."""
         rows = self._rows("SELECT made, content FROM verdict WHERE trial = ? ORDER BY id", (trial,))
         return [{"made": made, **json.loads(content)} for made, content in rows]
+
+    def cause(self) -> dict[str, Any] | None:
+        """Return the newest diagnosis of a change."""
+        rows = self._rows("SELECT content FROM cause ORDER BY id DESC LIMIT 1")
+        found: dict[str, Any] | None = json.loads(rows[0][0]) if rows else None
+        return found
 
     def models(self) -> list[dict[str, str]]:
         """Return the bench model files that were entered, oldest first, without their content."""

@@ -99,13 +99,14 @@ def show_bench(folder: Folder, trial: Number = None, limit: Limits = None, json:
 
     Example: bowden logbook init bench1 && bowden logbook show bench1 --limit cable=0.3
     """
-    from logbook.bench_state import state_of
+    from bowden.models.change_diagnosis import diagnosed_state
     from logbook.database import open_logbook
 
     with open_logbook(folder) as book:
         if trial is not None:
             return _show_trial(book, trial, json)
-        state = state_of(book, _limits(limit))
+        with terminal.waiting("diagnosing a change", shown=not json):
+            state = diagnosed_state(book, _limits(limit))
         if json:
             terminal.emit(state.as_json() | {"models": book.models()})
         else:
@@ -121,14 +122,16 @@ def report_bench(folder: Folder, output: options.Output, limit: Limits = None, o
     Example: bowden logbook init bench1 && bowden logbook report bench1 -o bench1.html
     """
     from bowden import output_files
+    from bowden.models.change_diagnosis import diagnosed_state
     from logbook import bench_page
-    from logbook.bench_state import state_of
     from logbook.database import FILE, open_logbook
 
     output_files.refuse([output], overwrite=overwrite, inputs=[folder / FILE])
     output_files.refuse_ending(output, ".html", ".htm", what="a page")
     with open_logbook(folder) as book:
-        size = bench_page.write(book, state_of(book, _limits(limit)), output)
+        with terminal.waiting("diagnosing a change", shown=not json):
+            state = diagnosed_state(book, _limits(limit))
+        size = bench_page.write(book, state, output)
     terminal.emit({"report": str(output), "bytes": size}) if json else print(f"{output}: {size / 1e6:.1f} MB.")
     return 0
 
@@ -227,12 +230,11 @@ def _tell(state: BenchState) -> None:
         (c.name, c.unit or "1", f"{c.value[-1]:.4g}", f"{c.low[-1]:.4g} … {c.high[-1]:.4g}", f"{c.scatter:.2g}")
         for c in state.courses.values()])
     if state.alarms:
-        best = state.told(state.alarms[0])
+        best = state.dated(state.alarms[0])
         first, last = best["since_interval"]
-        print(f"Changed: {best['effect']}, as a {best['course']}, since session {best['since']} "
-              f"(95 %: {first} … {last}); {best['nats']:.1f} nats.")
-        if len(state.alarms) > 1:
-            print(f"Not separated from: {', '.join(c.name for c in state.alarms[1:])}.")
+        print(f"Changed, as a {best['course']}, since session {best['since']} (95 %: {first} … {last}); "
+              f"{best['nats']:.1f} nats.")
+        print(state.cause_told())
     else:
         print("No alarm: no change beyond the scatter between sessions.")
     for ahead in state.forecasts:
