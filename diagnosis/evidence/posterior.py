@@ -28,6 +28,8 @@ ROUNDS: Final = 20
 """Largest number of Gauss–Newton steps."""
 CLOSE: Final = 0.3
 """Decrease of the cost in one step below which the mode counts as reached; 0.3 is 0.15 nats."""
+TRIES: Final = 7
+"""Largest number of steps with the slopes of one linearisation."""
 LONGEST: Final = 2.0
 """Longest step of a constant, in σ of its prior; the model is about linear over that distance."""
 STEEPER: Final = 6.0
@@ -189,44 +191,46 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         q[active] += x[:count]
         return q
 
-    def cost(x: Array) -> float:
+    def cost(x: Array) -> tuple[float, Array]:
         off = solve_triangular(factor, x - mean, lower=True)
-        return loss(measured - observed.predicted(at(x)) - features @ x[count:], root) + float(off @ off)
+        residual = measured - observed.predicted(at(x)) - features @ x[count:]
+        return loss(residual, root) + float(off @ off), residual
 
-    def linearised(x: Array) -> tuple[Array, Array, Array]:
-        data, slopes = observed.jacobian(at(x), active)
-        residual = measured - data - features @ x[count:]
-        return np.concatenate([slopes, features], axis=1), residual, bounded(residual, weight)
+    def linearised(x: Array, residual: Array) -> tuple[Array, Array]:
+        _, slopes = observed.jacobian(at(x), active)
+        return np.concatenate([slopes, features], axis=1), bounded(residual, weight)
 
     x = mean.copy() if start is None else start.copy()
-    now, damping = cost(x), 0.0
+    (now, residual), damping = cost(x), 0.0
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
     for _ in range(max(rounds, 1)):
-        design, residual, weights = linearised(x)
+        before, (design, weights) = now, linearised(x, residual)
         inward = design @ factor
         square = eye + inward.T @ (inward * weights[:, None])
         inner = cho_factor(square)
         if rounds == 0:
             break
-        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
-        accepted = False
-        for _ in range(7):
-            step = factor @ cho_solve(inner if damping == 0.0 else cho_factor(square + damping * eye), pull)
+        solved = inner if damping == 0.0 else cho_factor(square + damping * eye)
+        for _ in range(TRIES):
+            pull = inward.T @ (bounded(residual, weight) * residual) - solve_triangular(factor, x - mean, lower=True)
+            step = factor @ cho_solve(solved, pull)
             step /= max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST)
-            then = cost(x + step)
+            then, left = cost(x + step)
             if np.isfinite(then) and then < now:
-                accepted = True
+                fall, now, x, residual = now - then, then, x + step, left
+                if fall < CLOSE:
+                    break
+                # the next step is a chord step: the same slopes, at a small part of the cost of new ones
+            elif now < before:
                 break
-            damping = max(STEEPER * damping, 0.5)
-        if not accepted:
-            break
-        fall, now, x = now - then, then, x + step
+            else:
+                damping = max(STEEPER * damping, 0.5)
+                solved = cho_factor(square + damping * eye)
         damping = damping / 4.0 if damping > 0.3 else 0.0
-        if fall < CLOSE:
+        if before - now < CLOSE:
             break
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
-    residual = measured - observed.predicted(at(x)) - features @ x[count:]
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
     return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
 
