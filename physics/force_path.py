@@ -9,7 +9,7 @@ negative; SI.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -63,7 +63,7 @@ ROUNDS: Final = 40
 """Most Newton steps in a time step; a step that does not reduce the residual is shortened."""
 CLOSE_N: Final = 1e-7
 """Residual of the two force balances, N, at which a time step counts as solved."""
-COMPILED: Final = {"cache": True, "fastmath": {"arcp"}}
+COMPILED: Final[dict[str, Any]] = {"cache": True, "fastmath": {"arcp"}}
 """Options of numba: a division may become a multiplication by the reciprocal, which saves a third of the time."""
 (Q1, Q2, ANCHOR, SPEED1, SPEED2, S1, S2, GAMMA_PROMPT, GAMMA_SLOW, GAMMA, LEG, T0, T1, T2, LAST1, LAST2,
  STATES) = (0, 1, 2, 3, 4, 5, 8, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20)
