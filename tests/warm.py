@@ -19,13 +19,20 @@ FOR_GUESTS = {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE
 _COMPILE_LAWS = "from bowden.trials.session import compile_laws; compile_laws(simulated=True)"
 _RUN_A_TRIAL = """
 import can, tempfile
+import numpy as np
 from bowden.cli.app import run
+from diagnosis.data import table
+from diagnosis.evidence.likelihood_data import PathRecording
+from diagnosis.evidence.outputs import predict
 from master.network import kernel_frames
 from pathlib import Path
+from physics.path_constants import TABLE
 kernel_frames.prepare()
 with tempfile.TemporaryDirectory() as folder:
+    trial = Path(folder, "warm.mcap")
     run(["trial", "--rate", "100", "--cycles", "1", "--settle", "0", "--period", "1", "--peak", "20", "--json",
-         "-o", str(Path(folder, "warm.mcap"))])
+         "-o", str(trial)])
+    predict(np.zeros((len(TABLE), 1)), PathRecording(table.read(trial)))
 """
 
 
@@ -35,7 +42,7 @@ def warm() -> None:
 
 
 def warm_guests() -> None:
-    """Compile what a trial needs into the guests' cache."""
+    """Compile what a trial and a diagnosis need into the guests' cache."""
     GUEST_CACHE.mkdir(parents=True, exist_ok=True)
     _run(_RUN_A_TRIAL, FOR_GUESTS)
 
