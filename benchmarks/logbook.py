@@ -210,7 +210,8 @@ def alarms(folder: Path, benches: int) -> None:
                 fit_sessions(sessions[:n], [], references), kept.bench)[0].nats >= ALARM_NATS), None)
             delays.append(np.inf if first is None else first - (10 if "50" in name else 20))
         seen = [d for d in delays if np.isfinite(d)]
-        print(f"{name:34} detected {len(seen)} of {size}, median {np.median(delays):.0f} sessions after its begin")
+        print(f"{name:34} detected {len(seen)} of {size}, median {np.median(delays):.0f} sessions after its begin",
+              flush=True)
 
 
 def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]) -> None:
@@ -219,7 +220,7 @@ def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]
     print(f"healthy: {raised} of {benches} benches alarm ({100.0 * low:.1f} … {100.0 * high:.1f} %), "
           f"{1000.0 * raised / sessions:.2f} in 1,000 sessions ({1000.0 * low * benches / sessions:.2f} … "
           f"{1000.0 * high * benches / sessions:.2f}, goal 1); largest evidence {max(worst):.1f} nats, 99 % "
-          f"{np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}")
+          f"{np.quantile(worst, 0.99):.1f}, alarm from {ALARM_NATS:g}", flush=True)
 
 
 def shuffled(folder: Path, benches: int) -> None:

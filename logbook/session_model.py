@@ -192,16 +192,17 @@ def measured_sd(sessions: Sequence[SessionData]) -> Array:
     variance = published**2
     if len(sessions) < 2:
         return np.asarray(published)
+    information, pull = np.stack([one.information for one in sessions]), np.stack([one.pull for one in sessions])
     for _ in range(ROUNDS):
-        spread = [_with_deviation(one, np.sqrt(variance)) for one in sessions]
-        bench_covariance = np.linalg.inv(np.diag(BENCH_SD[list(FREE)] ** -2.0) + sum(m for m, _ in spread))
-        bench = bench_covariance @ np.sum([h for _, h in spread], axis=0)
-        total = np.zeros_like(variance)
-        for one in sessions:
-            inner = np.linalg.inv(one.information + np.diag(1.0 / variance))
-            mean = inner @ (one.pull - one.information @ bench)
-            carried = inner @ one.information
-            total += mean**2 + np.diag(inner) + np.einsum("ij,jk,ik->i", carried, bench_covariance, carried)
+        sd = np.sqrt(variance)  # everything in units of it: the constants' units differ by orders of magnitude
+        scaled, drawn = information * sd[:, None] * sd, pull * sd
+        inner = np.linalg.inv(np.eye(sd.size) + scaled)
+        carried = inner @ scaled
+        bench_covariance = np.linalg.inv(np.diag((sd / BENCH_SD[list(FREE)]) ** 2) + carried.sum(axis=0))
+        bench = bench_covariance @ (inner @ drawn[:, :, None]).sum(axis=0)[:, 0]
+        mean = (inner @ (drawn - scaled @ bench)[:, :, None])[:, :, 0]
+        spread = np.diagonal(inner, axis1=1, axis2=2) + np.sum((carried @ bench_covariance) * carried, axis=2)
+        total = variance * np.sum(mean**2 + spread, axis=0)
         variance = (PRIOR_SESSIONS * published**2 + total) / (PRIOR_SESSIONS + len(sessions))
     return np.asarray(np.sqrt(variance))
 
