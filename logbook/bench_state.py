@@ -71,7 +71,7 @@ class BenchState:
             "bench": self.name, **{f"{what}s": count for what, count in self.counts.items()}, "hours": self.hours,
             "reference_sessions": min(self.references, len(self.sessions)), "alarms": [
                 self.dated(c) | self.caused() for c in self.alarms[:1]],
-            "changes": [self.told(c) for c in self.changes[:6]],
+            "changes": [self.told(c) for c in self.changes[:max(6, len(self.alarms))]],
             "forecasts": [f._asdict() for f in self.forecasts],
             "constants": {n: {"value": float(c.value[-1]), "low": float(c.low[-1]), "high": float(c.high[-1]),
                               "unit": c.unit, "session_sd": c.scatter, "published_session_sd": c.published}
