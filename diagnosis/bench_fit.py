@@ -38,14 +38,10 @@ BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
                "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
-FITTED_SHARE: Final = 0.6
-"""Share of each trial to which the tested model is fitted; the rest of the trial is held out."""
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
 FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
 """Constants that only scale others: no trial determines them."""
-SECONDS: Final = 6.0
-"""Length, s, of the first part of each trial to which the simulation is fitted."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +60,7 @@ class FittedBench:
     """Bench or rig as fitted.
 
     `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output,
-    in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  The field `told`: parameters of the
+    in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  Field `told`: parameters of the
     prediction equations converted from another form, such as that of `bowden identify`.  `rig`: terms of a rig of
     another kind; None for a bench, which is a rope over a knee.
     """
@@ -178,9 +174,9 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
         if any("gait_percent" in t for t in tables):
             raise InputError(f"a gait, but no rope that a tension stretches over a knee: {unlike}")
         return _rig(usable, given, findings)
-    unseen = _unseen(rest, simulation_fit.fitted(first, early, SECONDS))
+    unseen = _unseen(rest, simulation_fit.fitted(first, early))
     whole = identified(tables)
-    values = simulation_fit.fitted(tables, whole, SECONDS)
+    values = simulation_fit.fitted(tables, whole)
     return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
                        pulls=pulls, warnings=tuple(f.text for f in findings))
 
@@ -188,8 +184,8 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:
     """Return the trials with a rope position that grows as the rope is pulled, and the sign of the recorded position.
 
-    The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.  A regression tells
-    the sign of most trials; where it contradicts, the simulation of the first trial with either sign decides.
+    The sign is 1 if the trials were recorded so, and −1 if their rope columns had to be negated.  The sign of
+    most trials follows from a regression; where it contradicts, from simulations of the first trial with either sign.
     """
     if not can_be_of_bench(tables) or any(PATH_MODEL.lacking(t) for t in tables) or all(
             PATH_MODEL.pulls(t) for t in tables):
@@ -221,9 +217,9 @@ def _part(given: Table, low: float, high: float) -> Table:
     return dataclasses.replace(given, columns={n: v[rows] for n, v in given.columns.items()})
 
 
-def _parts(tables: Sequence[Table]) -> tuple[list[Table], list[Table]]:
-    """Return the first part of each trial, for the fit, and the last part, held out to test that fit."""
-    return [_part(t, 0.0, FITTED_SHARE) for t in tables], [_part(t, FITTED_SHARE, 1.0) for t in tables]
+def _parts(tables: Sequence[Table], share: float = 0.6) -> tuple[list[Table], list[Table]]:
+    """Return the first `share` of each trial, for the fit, and the last part, held out to test that fit."""
+    return [_part(t, 0.0, share) for t in tables], [_part(t, share, 1.0) for t in tables]
 
 
 def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
@@ -251,7 +247,7 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
         stated = RELATION_PARAMETERS[name]
         half = 1.96 * math.hypot(sigma, values[name] - found.values[name])
         value, low, high = (min(max(values[name] + side * half, stated.low), stated.high) for side in (0.0, -1.0, 1.0))
-        constants[name] = Constant(value, low, high, stated.unit, sigma < rig_fit.DETERMINED * found.prior_sigma[name])
+        constants[name] = Constant(value, low, high, stated.unit, rig_fit.determined(sigma, found.prior_sigma[name]))
     return constants | {n: Constant(values[n], values[n], values[n], RELATION_PARAMETERS[n].unit, False)
                         for n in FIXED}
 

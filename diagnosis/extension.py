@@ -9,29 +9,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.data.table import Table
 from diagnosis.findings import Findings
-from parameters import InputError, read_toml
-from physics.bench_model import RIG, TABLES
+from parameters import InputError
+from physics.bench_model import RIG
 from physics.calibration import VERSION, rows
 from physics.effects.catalogue import CATALOGUE, apply
-from physics.effects.effects_table import EVIDENCE, TABLE, stated
+from physics.effects.effects_table import EVIDENCE, TABLE
 
 HEAD: Final = (
     "# What a diagnosis found that the simulation lacks. The simulator loads it as --plant-model, the extended\n"
     "# controller as --controller-model; a value may be edited, its interval is evidence.\n")
-
-
-@dataclass(frozen=True)
-class Extension:
-    """Content of an extended.toml: values of each effect, SI, by name, and the table `[found]` as `evidence`."""
-
-    effects: Mapping[str, Mapping[str, float]]
-    evidence: Mapping[str, Any]
 
 
 def text(found: Findings, trials: Sequence[Table]) -> str:
@@ -89,15 +80,3 @@ def _inline(pairs: Iterable[tuple[str, Any]]) -> str:
 
 def _cell(value: Any) -> str:
     return repr(float(value)) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
-
-
-def read(path: str | Path) -> Extension:
-    """Read an extended.toml; raises `InputError` for another format and for effects that the catalogue lacks."""
-    given = read_toml(Path(path))
-    for name in given:
-        if name not in TABLES:
-            raise InputError(f"{path}: unknown table {name}; expected [{EVIDENCE}] and [{TABLE}.NAME].")
-    evidence = given.get(EVIDENCE, {})
-    if not isinstance(evidence, Mapping):
-        raise InputError(f"{path}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
-    return Extension(stated(given, str(path)), evidence)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -19,7 +19,7 @@ from diagnosis.bench_fit import oriented, turned
 from diagnosis.data import integrity, scales, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder, can_be_of_bench, rig_model_of
-from diagnosis.evidence.held_out import BLOCK_S
+from diagnosis.evidence.held_out import cycles_of
 from diagnosis.evidence.likelihood_data import MOTION
 from diagnosis.findings import Findings
 from diagnosis.wire_faults import WireFindings
@@ -185,23 +185,18 @@ class Finder:
         return None if known is None else bench_model.from_tables(known, "calibration")
 
 
-CLOCK: Final = 0.2
-"""Tolerance, relative, within which the change of an inertia equals the square of the ratio of the sampling periods.
-
-Also the least deviation of that ratio from 1 that counts as a wrong clock."""
-
-
-def _clock(trials: Sequence[Table], healthy: Sequence[Table], found: Findings) -> str:
+def _clock(trials: Sequence[Table], healthy: Sequence[Table], found: Findings, tolerance: float = 0.2) -> str:
     """Return a sentence if a wrong clock in `time_s` explains a changed inertia of a rig; else "".
 
-    If the clock runs k times too fast, accelerations appear k² times too small, and the inertia k² times too large.
+    If the clock runs k times too fast, accelerations appear k² times too small, and the inertia k² times too large,
+    within `tolerance`, relative; a ratio k closer to 1 than that is no wrong clock.
     """
     told = (found.evidence or {}).get("shifts", {}).get("inertia")
     if told is None or told["from"] <= 0.0:
         return ""
     paces = [float(np.median(np.concatenate([np.diff(t["time_s"]) for t in group]))) for group in (trials, healthy)]
     factor, change = paces[0] / paces[1], told["to"] / told["from"]
-    if abs(factor - 1.0) < CLOCK or abs(change / factor**2 - 1.0) > CLOCK:
+    if abs(factor - 1.0) < tolerance or abs(change / factor**2 - 1.0) > tolerance:
         return ""
     return (f"{', '.join(t.source for t in trials)}: time_s advances {factor:.3g} times as far a row as in the "
             f"reference trials, and the inertia would be {change:.3g} times as large, which is what a clock off by "
@@ -229,14 +224,13 @@ def diagnose(
     return Finder(calibration, lowpass).examine(healthy).diagnose(trials, holdout)
 
 
-def _short(trials: Sequence[Table]) -> str:
-    """Return a sentence if the trials have too few cycles for a cross-validation, else ""."""
-    cycles = int(sum(np.floor(float(t["time_s"][-1] - t["time_s"][0]) / BLOCK_S) if "cycle" not in t
-                     else np.unique(t["cycle"][np.isfinite(t["cycle"])]).size for t in trials))
-    if cycles >= integrity.LEAST_CYCLES:
+def _short(trials: Sequence[Table], least: int = 3) -> str:
+    """Return a sentence if the trials have fewer than the `least` cycles for a cross-validation, else ""."""
+    cycles = sum(np.unique(cycles_of(t)).size for t in trials)
+    if cycles >= least:
         return ""
-    return (f"{', '.join(t.source for t in trials)}: {cycles} cycles; expected at least {integrity.LEAST_CYCLES}, so "
-            "that some stay unseen.")
+    return (f"{', '.join(t.source for t in trials)}: {cycles} cycles; expected at least {least}, so that some stay "
+            "unseen.")
 
 
 def _of_wire(carried: WireFindings, warnings: list[str]) -> Findings:

@@ -60,7 +60,7 @@ class Findings:
     undecided: str | None = None
 
     def unnamed(self) -> Findings:
-        """Return these findings with the causes and the ambiguity set moved to `candidates`, so that no cause is named.
+        """Return findings whose causes and ambiguity set are `candidates`, so that no cause is named.
 
         Used for a bench that was never identified: an identification may remove the causes.
         """

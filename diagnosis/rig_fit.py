@@ -7,7 +7,7 @@ the first part of each trial alone, measures how well such a model predicts the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from parameters import InputError
 from physics.effects.hypotheses import Read
 from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
-
-DETERMINED: Final = 0.7
-"""Posterior 1σ over prior 1σ below which a constant counts as determined by the trials."""
 
 
 class RigConstant(NamedTuple):
@@ -82,6 +79,11 @@ def _fitted(tables: Sequence[Table]) -> tuple[RigModel, ReferenceFit]:
     return model, fit_reference(model, sessions)
 
 
+def determined(sigma: float, prior_sigma: float) -> bool:
+    """Return whether trials hold more information on a constant than its prior: 1/σ² − 1/σ₀² > 1/σ₀²."""
+    return 0.0 < 2.0 * sigma**2 < prior_sigma**2
+
+
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
@@ -96,9 +98,9 @@ def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, RigConstant]:
         value, slopes = _linearised(model, read, q)
         sd, before = (float(np.sqrt(slopes @ c @ slopes)) for c in (
             posterior, np.diag(model.constants.bench_sd[free] ** 2)))
-        if not 0.0 < sd < DETERMINED * before:
+        if not determined(sd, before):
             continue
-        (low, high), unit = RELATION_PARAMETERS[name].rig_bounds, model.unit(RELATION_PARAMETERS[name].unit)
+        (low, high), unit = RELATION_PARAMETERS[name].rig_bounds, model.rig.unit(RELATION_PARAMETERS[name].unit)
         value, least, most = (min(max(each, low), high) for each in (value, value - 1.96 * sd, value + 1.96 * sd))
         found[name] = RigConstant(value, least, most, unit)
     return found

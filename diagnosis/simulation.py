@@ -6,10 +6,8 @@ The model is the many-segment path of `physics.plant` with its sensors.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -18,53 +16,16 @@ from numpy.typing import NDArray
 
 from diagnosis.data.compared_signals import directions
 from diagnosis.data.table import Table
+from diagnosis.evidence.likelihood_data import START_S
 from parameters import InputError
 from physics import memory_laws
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS
-from physics.path_parameters import STRETCH_BEND, STRETCH_LINEAR
-from physics.plant import PlantParameters, imposed
-from physics.plant.imposed import ImposedMotion, Tensions
+from physics.plant import imposed
+from physics.plant.imposed import ImposedMotion
 from physics.plant.leg import KNEE_AT_FIT
+from physics.simulated_bench import SimulatedTensions, plant_of, readings
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
-
-SETTLE_S: Final = 0.3
-"""Time left out at the start of a trial, s: the friction states depend on the rope's unrecorded earlier motion."""
-
-PLANT: Final = "plant."
-NAMED: Final[Mapping[str, str]] = {
-    name: p.plant.removeprefix(PLANT) for name, p in RELATION_PARAMETERS.items()
-    if p.plant.startswith(PLANT)
-    and p.plant.removeprefix(PLANT) in {f.name for f in dataclasses.fields(PlantParameters)}}
-"""Parameter of the prediction equations → field of `PlantParameters` of the same quantity."""
-ELSEWHERE: Final = frozenset({"slack", "rope_zero", "knee_backlash", "drum_radius"})
-"""Parameters of `NAMED` that are not copied to the plant: the zeros, the backlash and the drum are handled apart."""
-
-
-@dataclass(frozen=True)
-class SimulatedTensions:
-    """START and END tension, N, as the simulated sensors read them, shape (samples,)."""
-
-    tension_start_n: Array
-    tension_end_n: Array
-
-
-def plant_of(values: Values, seconds: float) -> PlantParameters:
-    """Return the plant parameters for values of the prediction equations; `seconds`: length of the trial.
-
-    Friction drift is stated per length of the trial, at least 1 s.
-    """
-    share = min(max(values["cable_share"], 0.01), 0.8) * STRETCH_LINEAR
-    sheath = min(PARAMETERS["sheath_compliance"].nominal, share)
-    preload, scale = values["home_preload"], values["stiffness_scale"]
-    homed = (STRETCH_LINEAR / scale - STRETCH_LINEAR) * preload + STRETCH_BEND * preload**2 * (
-        (1.0 + values["stiffness_shape"]) / scale - 1.0)
-    taken = {field: values[name] for name, field in NAMED.items() if name not in ELSEWHERE}
-    return dataclasses.replace(
-        PlantParameters(), **taken, fabric_presliding_m=values["presliding"] * values["fabric_presliding_ratio"],
-        lead_compliance=max(share - 0.5 * sheath, 0.25 * share), sheath_compliance=sheath,
-        encoder_zero_m=values["rope_zero"] + values["slack"] - homed, friction_drift_s=max(seconds, 1.0))
 
 
 def simulate(given: Table, values: Values) -> SimulatedTensions:
@@ -73,7 +34,7 @@ def simulate(given: Table, values: Values) -> SimulatedTensions:
     A knee that is not recorded counts as locked.  Raises `InputError` if the rope position is missing.
     """
     true = imposed.simulate(plant_of(values, length_s(given)), motion(given, values["knee_backlash"]))
-    return read(given["time_s"], true, values)
+    return readings(given["time_s"], true, values)
 
 
 def length_s(given: Table) -> float:
@@ -90,27 +51,8 @@ def motion(given: Table, backlash_rad: float) -> ImposedMotion:
         raise InputError(f"{given.source}: no column servo_position_m; the simulation needs the rope's motion.")
     time = given["time_s"]
     knee = given["knee_angle_rad"] if "knee_angle_rad" in given else np.full(time.size, KNEE_AT_FIT)
-    knee = memory_laws.play(knee, _first(time), backlash_rad) if backlash_rad > 0.0 else knee
+    knee = memory_laws.play(knee, np.arange(time.size) == 0, backlash_rad) if backlash_rad > 0.0 else knee
     return imposed.motion(time, _filled(given["servo_position_m"]), _filled(knee))
-
-
-def read(time: Array, true: Tensions, values: Values) -> SimulatedTensions:
-    """Return the readings, N, of sensors with parameters `values` for true tensions at the times `time`, s."""
-    start, end = true
-    progress = (time - time[0]) / float(time[-1] - time[0])
-    end = memory_laws.lag(end, time, _first(time), values["end_filter"]) if values["end_filter"] > 0.0 else end
-    skew, lag = values["timestamp_skew"], values["end_delay"]
-    return SimulatedTensions(
-        values["start_gain"] * np.interp(time - skew, time, start) + values["start_offset"]
-        + values["start_drift"] * progress,
-        values["end_gain"] * np.interp(time - skew - lag, time, end) + values["end_offset"]
-        + values["end_drift"] * progress)
-
-
-def _first(time: Array) -> NDArray[np.bool_]:
-    fresh = np.zeros(time.size, dtype=np.bool_)
-    fresh[0] = True
-    return fresh
 
 
 def _filled(values: Array) -> Array:
@@ -133,8 +75,8 @@ def compared(given: Table, told: SimulatedTensions) -> dict[str, Any]:
 
 
 def counted(given: Table) -> NDArray[np.bool_]:
-    """Return a mask of the samples later than `SETTLE_S` after the start."""
-    return np.asarray(given["time_s"] > given["time_s"][0] + SETTLE_S)
+    """Return a mask of the samples later than `START_S` after the start."""
+    return np.asarray(given["time_s"] > given["time_s"][0] + START_S)
 
 
 def _figures(given: Table, name: str, simulated: Array, loads_n: Sequence[float] = (5.0, 20.0, 40.0), phases: int = 10

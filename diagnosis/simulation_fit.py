@@ -17,15 +17,18 @@ from scipy.optimize import least_squares
 from diagnosis import simulation
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.likelihood_data import LOWPASS_HZ
 from diagnosis.evidence.reference_fit import ReferenceFit
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array
-from physics.parameters import RELATION_PARAMETERS
+from physics.parameters import RELATION_PARAMETERS, Parameter
+from physics.path_constants import INDEX, SESSION_SD
 from physics.path_parameters import DIRECT, simulation_values
 from physics.plant import imposed
 from physics.plant.imposed import ImposedMotion, Tensions
 from physics.plant.state_layout import PlantParameters
+from physics.simulated_bench import plant_of, readings
 
 Values = Mapping[str, float]
 
@@ -33,23 +36,9 @@ REFITTED: Final = (
     "mu1", "mu2", "fabric_wrap", "load_slope", "viscous", "stribeck_ratio", "presliding", "fabric_presliding_ratio",
     "stiffness_scale", "stiffness_shape", "cable_share", "rope_zero", "rope_per_knee", "timestamp_skew", "end_delay")
 """Parameters of the second fit: those in which the force path and the simulation differ."""
-DIFFERENCE: Final = 0.6
-"""1σ of a parameter's difference between force path and simulation, relative to its size (`SIZE`, else nominal)."""
-SIZE: Final = {"load_slope": 0.3, "viscous": 10.0, "stiffness_shape": 1.0, "timestamp_skew": 5e-3, "end_delay": 5e-3,
-               "rope_zero": 5e-3}
-"""Size, SI, of parameters whose nominal value is 0 or no measure of their size."""
-NOISE_N: Final = 1.0
-"""1σ of a sample, N: 0.3 N of model error, correlated over ten samples of `LOOKED_AT_HZ`."""
-LOOKED_AT_HZ: Final = 100.0
-"""Rate of the compared samples, Hz."""
-OWN: Final = {"rope_zero": 2e-4, "start_offset": 0.1, "end_offset": 0.1}
+OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
+    ("rope_zero", "zero"), ("start_offset", "start_offset"), ("end_offset", "end_offset"))}
 """Parameters that deviate from trial to trial, with the published 1σ between sessions, SI."""
-CENTRE, STEP = 10.0, 0.03
-"""Value of each variable of the fit at the prior mean, and its finite-difference step, both in prior σ.
-
-`CENTRE` is not 0 since SciPy's finite-difference step is relative to the variable."""
-EVALUATIONS: Final = 10
-"""Largest number of steps of the fit; each step simulates every trial once per parameter."""
 
 
 @dataclass(frozen=True)
@@ -126,38 +115,45 @@ class _Simulated:
         last = int(np.searchsorted(given["time_s"], given["time_s"][0] + seconds))
         self.table = dataclasses.replace(given, columns={n: v[:last] for n, v in given.columns.items()})
         self.signals = [n for n in simulation.SIGNALS if n in given]
-        step = float(np.median(np.diff(self.table["time_s"])))
         known = np.flatnonzero(simulation.counted(self.table) & np.all(
             [np.isfinite(self.table[n]) for n in self.signals], axis=0))
-        self.rows = known[:: max(1, round(1.0 / (step * LOOKED_AT_HZ)))]
+        self.rows = known[:: max(1, round(1.0 / (LOWPASS_HZ * float(np.median(np.diff(self.table["time_s"]))))))]
         self._motion: ImposedMotion = simulation.motion(self.table, 0.0)
         self._last: tuple[PlantParameters, Tensions] | None = None
 
     def residual(self, values: Values) -> Array:
-        """Return measured less simulated tensions, divided by `NOISE_N`."""
-        plant = simulation.plant_of(values, simulation.length_s(self.table))
+        """Return measured less simulated tensions, N, at samples `1 / LOWPASS_HZ` apart."""
+        plant = plant_of(values, simulation.length_s(self.table))
         if self._last is None or self._last[0] != plant:
             self._last = plant, imposed.simulate(plant, self._motion)
-        told = simulation.read(self.table["time_s"], self._last[1], values)
-        return np.concatenate([(self.table[n] - getattr(told, n))[self.rows] for n in self.signals]) / NOISE_N
+        told = readings(self.table["time_s"], self._last[1], values)
+        return np.concatenate([(self.table[n] - getattr(told, n))[self.rows] for n in self.signals])
 
 
-def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float) -> dict[str, float]:
+def _size(parameter: Parameter) -> float:
+    """Return the size of a parameter: its nominal value, or half its likely range under a fault if that is larger."""
+    low, high = parameter.likely or (0.0, 0.0)
+    return max(abs(parameter.nominal), 0.5 * (high - low))
+
+
+def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float = 6.0, steps: int = 10,
+           difference: float = 0.6) -> dict[str, float]:
     """Fit the simulation to the first `seconds` of each trial, from the parameters of the fitted path.
 
-    The estimate is the maximum a posteriori.  Its prior is the posterior of the force path, widened by the difference
-    between force path and simulation (`DIFFERENCE`).  Returns all parameters by name, SI.
+    The estimate is the maximum a posteriori after at most `steps` steps.  Its prior is the posterior of the force path,
+    widened by the `difference` between force path and simulation, relative to the size of each parameter.  1σ of a
+    sample is 1 N.  Returns all parameters by name, SI.
     """
     simulated = [_Simulated(t, seconds) for t in trials]
     names = [n for n in REFITTED if n in bench.sigma]
-    width = np.array([np.hypot(bench.sigma[n], DIFFERENCE * SIZE.get(n, abs(RELATION_PARAMETERS[n].nominal)))
-                      for n in names])
+    width = np.array([np.hypot(bench.sigma[n], difference * _size(RELATION_PARAMETERS[n])) for n in names])
     own = [(k, n) for k in range(len(trials)) for n in OWN if len(trials) > 1]
     mean = np.concatenate([[bench.values[n] for n in names], np.zeros(len(own))])
     scale = np.concatenate([width, [OWN[n] for _, n in own]])
     low = np.array([*(RELATION_PARAMETERS[n].low for n in names), *(-5.0 * OWN[n] for _, n in own)])
     high = np.array([*(RELATION_PARAMETERS[n].high for n in names), *(5.0 * OWN[n] for _, n in own)])
-    bounds = [(edge - mean) / scale + CENTRE for edge in (low, high)]
+    # the variables are 10 at the prior mean, since SciPy's finite-difference step is relative to them
+    bounds = [10.0 + (edge - mean) / scale for edge in (low, high)]
 
     def values(x: Array, trial: int) -> dict[str, float]:
         told = {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}
@@ -167,10 +163,9 @@ def fitted(trials: Sequence[Table], bench: IdentifiedBench, seconds: float) -> d
         return told
 
     def residual(u: Array) -> Array:
-        x = mean + scale * (u - CENTRE)
-        return np.concatenate([*(s.residual(values(x, k)) for k, s in enumerate(simulated)), u - CENTRE])
+        x = mean + scale * (u - 10.0)
+        return np.concatenate([*(s.residual(values(x, k)) for k, s in enumerate(simulated)), u - 10.0])
 
-    start = np.clip(np.full(mean.size, CENTRE), bounds[0] + 1e-6, bounds[1] - 1e-6)
-    found = least_squares(residual, start, bounds=bounds, diff_step=STEP / CENTRE, max_nfev=EVALUATIONS)
-    x = mean + scale * (found.x - CENTRE)
+    start = np.clip(np.full(mean.size, 10.0), bounds[0] + 1e-6, bounds[1] - 1e-6)
+    x = mean + scale * (least_squares(residual, start, bounds=bounds, diff_step=3e-3, max_nfev=steps).x - 10.0)
     return {**bench.values, **dict(zip(names, x[:len(names)].tolist(), strict=True))}

@@ -17,8 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from diagnosis.data.table import AGE_SUFFIX, Table
-from diagnosis.evidence.decision import NAMED_NATS
-from diagnosis.evidence.evidence_finder import SURROGATE
+from diagnosis.evidence.decision import NAMED_NATS, SURROGATE
 from diagnosis.findings import Figures
 from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import pkgutil
 import re
 import tomllib
@@ -67,3 +68,22 @@ def test_the_walk_of_one_signal_names_what_is_there() -> None:
         for file in re.findall(r"`([\w/.]+)`", files):
             assert re.search(rf"\b{name}\b", (ROOT / file).read_text(encoding="utf-8")), (name, file)
     assert {name for name, _ in rows} == {"start_n", "sample", "value", "tension_start_n"}
+
+
+def numbers(path: Path) -> set[str]:
+    """Return the upper-case names of a module in whose value a number stands, each as module.NAME."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None and any(
+                isinstance(part, ast.Constant) and type(part.value) in (int, float) for part in ast.walk(node.value)):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = [name for t in targets for name in (t.elts if isinstance(t, ast.Tuple) else [t])]
+            found |= {f"{path.stem}.{name.id}" for name in names if isinstance(name, ast.Name) and name.id.isupper()}
+    return found
+
+
+def test_every_number_of_the_diagnosis_is_on_its_page_and_there_are_at_most_twenty() -> None:
+    there = set().union(*(numbers(path) for path in (ROOT / "diagnosis").rglob("*.py")))
+    page = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
+    assert there == set(re.findall(r"(?m)^\| `(\w+\.[A-Z_]+)` \|", page))
+    assert len(there) <= 20

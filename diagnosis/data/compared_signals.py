@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from physics.laws import Array
-
-STILL_M_S: Final = 1e-3
-"""Rope speed, m/s, up to which the rope counts as still."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +32,6 @@ class Compared:
         return self.signals[name] if name in self.signals else np.full(self.measured.size, np.nan)
 
 
-def directions(speed: Array) -> dict[str, NDArray[np.bool_]]:
+def directions(speed: Array, still_m_s: float = 1e-3) -> dict[str, NDArray[np.bool_]]:
     """Return masks of the samples with the rope pulled, paid out or still, from the rope's `speed`, m/s."""
-    return {"pulled": speed > STILL_M_S, "paid out": speed < -STILL_M_S, "still": np.abs(speed) <= STILL_M_S}
+    return {"pulled": speed > still_m_s, "paid out": speed < -still_m_s, "still": np.abs(speed) <= still_m_s}

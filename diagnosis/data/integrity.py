@@ -19,10 +19,6 @@ from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 from trial.convert.lab_table import TO_SI
 
-LEAST_ROWS: Final = 100
-"""Fewest samples of a trial, and of a comparison of two columns."""
-LEAST_CYCLES: Final = 3
-"""Fewest cycles of the trials, so that some of them can be held out."""
 WIDEST: Final = {"m": (RELATION_PARAMETERS["rope_zero"].high - RELATION_PARAMETERS["rope_zero"].low, "mm"),
                  "rad": (math.tau, "deg")}
 """By unit of a column: span that no bench exceeds, and the unit of `TO_SI` that was probably recorded.
@@ -45,11 +41,11 @@ def signals_in(given: Table) -> Iterator[tuple[str, Array]]:
             yield name, values
 
 
-def stamps(given: Table, gap_steps: float = 5.0) -> Iterator[Finding]:
+def stamps(given: Table, gap_steps: float = 5.0, least_rows: int = 100) -> Iterator[Finding]:
     """Yield findings on time stamps that are too few, missing, not rising, or uneven; gaps: above `gap_steps` steps."""
     time = given["time_s"]
-    if len(time) < LEAST_ROWS:
-        yield Finding(f"{given.source}: {len(time)} rows; expected at least {LEAST_ROWS}.", True)
+    if len(time) < least_rows:
+        yield Finding(f"{given.source}: {len(time)} rows; expected at least {least_rows}.", True)
         return
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:

@@ -18,10 +18,6 @@ from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")
 RANGED: Final = ("servo_force_n", *TENSIONS)
-DECADE: Final = 10.0
-"""Ratio above which a column is in another unit: neighbouring units of a length or a force differ by ten or more.
-
-Too small, wear or another seal, which change forces about threefold, would be refused."""
 
 
 def contradictions(given: Table, loaded_n: float = 10.0, still: float = 0.02, copied: float = 0.99
@@ -62,12 +58,15 @@ def rope_per_knee(given: Table) -> float | None:
 
 
 def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator[Finding]:
-    """Yield findings on forces whose largest value is over ten times that of the reference trials (`DECADE`)."""
+    """Yield findings on forces whose largest value is a decade or more above that of the reference trials.
+
+    Neighbouring units differ by that much; wear, or another seal, changes forces about threefold.
+    """
     for name in RANGED:
         usual = max((float(np.nanmax(np.abs(t[name]))) for t in healthy if _has_force(t, name)), default=0.0)
         for given in trials:
             most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
-            if most > DECADE * usual:
+            if most > 10.0 * usual:
                 column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
                                      if given.turning and known == name), (name, "N"))
                 yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
@@ -101,7 +100,7 @@ def against_bench(
         if mine is None:
             continue
         factor = abs(mine / known)
-        alike = abs(math.log(factor)) < 0.5 * math.log(DECADE)
+        alike = abs(math.log10(factor)) < 0.5
         if mine * known < 0.0 and alike:
             yield Finding(f"{given.source}: knee_angle_rad has the other sign than {where} ({mine:.4g} m of rope per "
                           f"rad, expected about {known:.4g}); flexion is negative: turn the column's sign.", True)

@@ -38,10 +38,6 @@ TURNING: Final[Mapping[str, tuple[str, str]]] = {
     "servo_position_rad": ("servo_position_m", "rad"), "servo_target_rad": ("servo_target_m", "rad"),
     "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m")}
 """By column of a turning axis: the equivalent signal on a lever of 1 m, and the unit of the column."""
-TURNED_UNITS: Final[Mapping[str, str]] = {
-    "N": "N·m", "m": "rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad", "m/s": "rad/s"}
-"""Unit of a linear axis → unit of the same quantity of a turning axis."""
-
 
 @dataclass(frozen=True)
 class Table:

@@ -9,7 +9,7 @@ C: covariance of the data in the reference condition.  Two effects look alike if
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from diagnosis.evidence.hypothesis_search import hypotheses
 from diagnosis.evidence.posterior import Observed, PosteriorMode, response
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
-
-FARTHEST: Final = 6.0
-"""Largest detection limit that is stated, in prior σ of an effect."""
 
 
 def least_size(square: float, nats: float) -> float:
@@ -58,20 +55,23 @@ class DetectionLimit(NamedTuple):
 
 
 def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str, float]) -> dict[str, DetectionLimit]:
-    """Return the detection limit of each effect, at the mode `null` and the constants `bench`; above `FARTHEST` None.
+    """Return the detection limit of each effect, at the mode `null` and the constants `bench`.
+
+    The value of a limit outside the bounds of its parameter is None.
     """
     told: dict[str, DetectionLimit] = {}
     model, table = observed.model, null.table
     for name, variants in hypotheses(observed, bench).items():
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
         best = min((_response(observed, null, variant) for variant in variants), key=lambda r: r.size)
-        value = None
-        if best.size <= FARTHEST:
-            q = null.q.copy()
+        low, high, unit = model.limits(name, parameter)
+        q, value = null.q.copy(), None
+        if np.isfinite(best.size):
             for constant, share in best.variant.directions[0].along.items():
                 q[table.index[constant]] += best.size * best.variant.directions[0].sd * share
-            value = abs(read(table.named(q), bench) - read(table.named(null.q), bench))
-        told[name] = DetectionLimit(parameter, model.limits(name, parameter)[2], value, best)
+            reached = read(table.named(q), bench)
+            value = abs(reached - read(table.named(null.q), bench)) if low <= reached <= high else None
+        told[name] = DetectionLimit(parameter, unit, value, best)
     return told
 
 

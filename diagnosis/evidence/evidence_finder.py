@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.data.table import Table
 from diagnosis.evidence import decision
-from diagnosis.evidence.decision import NAMED_NATS, STRAINED, Decision
+from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, SURROGATE, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.forward_model import ForwardModel, predicted
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
@@ -27,34 +27,21 @@ from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
 from physics.effects.separating_experiments import EXPERIMENTS
 
-SURROGATE: Final = 0.1
-"""1σ of a parameter by systematic model error, relative to the parameter's change.
-
-The model's friction and stretch equations differ from the bench's.  With this value the 95 % intervals cover 90 to
-98 % on the development population; too small, they would be too narrow."""
-
 NO_REFERENCE: Final = (
     "{}: is not of a rope over a knee, and a rig of another kind has no population to compare it with: name trials of "
     "this rig in the reference condition with --healthy, or identify it with bowden fit.")
-COMPRESSED: Final = 0.1
-"""Largest compression of a rope, relative to its largest tension; a rig with more compression is no rope."""
 
 
-def model_of(reference: Sequence[Table], trials: Sequence[Table]) -> ForwardModel:
-    """Return the forward model for reference trials and trials of one rig: the bench's, if they can be of a bench."""
-    return PATH_MODEL if can_be_of_bench([*reference, *trials]) else rig_model_of(reference, trials)
-
-
-def can_be_of_bench(trials: Sequence[Table]) -> bool:
+def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:
     """Return whether trials can be of a rope over a knee.
 
     A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, START
-    has no compression beyond `COMPRESSED`, and no axis turns.
+    has no compression beyond the share `compressed` of its largest tension, and no axis turns.
     """
     if any("gait_percent" in t for t in trials):
         return True
     return not any(t.turning or PATH_MODEL.lacking(t) for t in trials) and all(
-        t["tension_start_n"].min() > -COMPRESSED * t["tension_start_n"].max() for t in trials)
+        t["tension_start_n"].min() > -compressed * t["tension_start_n"].max() for t in trials)
 
 
 def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
@@ -135,10 +122,9 @@ class EvidenceFinder:
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
-        beyond = _beyond(found, decided, bench)
-        if beyond:
+        while beyond := _beyond(found, decided, bench):
             said.append(beyond)
-            decided = decision.unexplained(decided)
+            decided = decision.without_last(found, decided)
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
             if split is None:
@@ -226,7 +212,7 @@ class EvidenceFinder:
     def _untold(self, outputs: Sequence[str]) -> list[str]:
         """Return a sentence per missing output on the effects that this column would make observable.
 
-        Without reference trials, one more sentence says what they would add.
+        Without reference trials, one more sentence is about what they would add.
         """
         effects = self.model.hypotheses
         said = [] if self._tables else [
@@ -280,7 +266,7 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
 
     No reference trial has the motion of an experiment, so the model error there is estimated from the residual of the
     best effect of the set.  An effect is removed if the evidence of another one is `NAMED_NATS` higher or more.  If
-    even the best effect needs constants far outside the session scatter (`STRAINED`), None: the set stays as it is.
+    even the best effect needs constants far outside the session scatter (`DOUBTED`), None: the set stays as it is.
     """
     observed = reference.observe(*read, *others)
     modes = _refitted(found, {name: found.single[name] for name in decided.among}, observed)
@@ -294,7 +280,7 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
     observed = replace(observed, weight=weight)
     modes = _refitted(found, modes, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
-    if best.cost > STRAINED * observed.data.size:
+    if best.cost > DOUBTED * observed.data.size:
         return None
     kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))

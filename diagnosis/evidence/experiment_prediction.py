@@ -23,7 +23,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.stats import norm
 
 from diagnosis.data.table import table
-from diagnosis.evidence.decision import SET_SHARE
+from diagnosis.evidence.decision import SET_SHARE, SURROGATE
 from diagnosis.evidence.hypothesis_search import Searched
 from diagnosis.evidence.likelihood_data import GRID_S, PathRecording
 from diagnosis.evidence.outputs import predict
@@ -37,16 +37,6 @@ from physics.path_constants import named
 
 DECIDES: Final = 0.7
 """Probability from which an experiment counts as deciding; among deciding experiments the shortest comes first."""
-MODEL_SHARE: Final = 0.15
-"""1σ of the share of the evidence by systematic error of the friction and stretch equations.
-
-This error grows with the evidence; without it each predicted probability would be close to 0 or 1."""
-ROUNDS: Final = 12
-"""Iterations that find the rope position at which END has the value that the experiment asks for."""
-RELAXED: Final = 0.6
-"""Under-relaxation of the rope correction in each iteration; with 1 the friction of the path makes it oscillate."""
-REST_S: Final = 1.0
-"""Time at rest at the first waypoint before an experiment begins, s."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +121,11 @@ def _planned(name: str, found: Searched, effects: Sequence[str], reference: Refe
 
 def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes: dict[str, tuple[Array, Array]],
              prior: Gaussian) -> tuple[float, float, tuple[str, str]]:
-    """Return the probability that only the true effect remains, and nats and names of the least distinct pair."""
+    """Return the probability that only the true effect remains, and nats and names of the least distinct pair.
+
+    The share of the evidence has a systematic error of twice `SURROGATE`, since evidence grows with the square of the
+    size of an effect.  Without it each probability would be close to 0 or 1.
+    """
     told = {effect: _Predicted(found.single[effect], [found.variants[effect]], prior, observed, slopes[effect])
             for effect in effects}
     null = _Predicted(found.null, [], prior, observed, slopes[""])
@@ -147,7 +141,7 @@ def _decides(found: Searched, effects: Sequence[str], observed: Observed, slopes
             least = min(least, (nats, (true, other)))
             best = gains[true] + whole
             share = (gains[other] + whole - nats) / best
-            spread = np.hypot(MODEL_SHARE, np.sqrt(2.0 * nats) / best)
+            spread = np.hypot(2.0 * SURROGATE, np.sqrt(2.0 * nats) / best)
             alone = min(alone, float(norm.cdf((SET_SHARE - share) / spread)))
         chances.append(alone)
     return float(np.mean(chances)), float(least[0]), least[1]
@@ -179,15 +173,17 @@ def motion_of(name: str, q: Array, like: PathRecording | Any) -> PathRecording:
 
 
 @functools.lru_cache(maxsize=32)
-def _followed(name: str, bench: bytes, size: int) -> tuple[tuple[str, Array], ...]:
-    """Return the simulated columns of an experiment; the rope position is iterated until END follows the waypoints.
+def _followed(name: str, bench: bytes, size: int, rest_s: float = 1.0, rounds: int = 12
+              ) -> tuple[tuple[str, Array], ...]:
+    """Return the simulated columns of an experiment; `rounds` corrections of the rope lead END along the waypoints.
 
-    `bench`: bytes of the coordinates, `size` of them, since a cached function needs hashable arguments.
+    `bench`: bytes of the coordinates, `size` of them, since a cached function needs hashable arguments.  The bench
+    rests for `rest_s` at the first waypoint.
     """
     q = np.frombuffer(bench, np.float64, size)
     constants = named(q)
     points = EXPERIMENTS[name].waypoints
-    at = np.concatenate([[0.0, REST_S], REST_S + np.cumsum([p.seconds for p in points])])
+    at = np.concatenate([[0.0, rest_s], rest_s + np.cumsum([p.seconds for p in points])])
     time = np.arange(0.0, at[-1], GRID_S)
     end = np.interp(time, at, [points[0].end_n] * 2 + [p.end_n for p in points])
     knee = np.deg2rad(np.interp(time, at, [points[0].knee_deg] * 2 + [p.knee_deg for p in points]))
@@ -195,9 +191,10 @@ def _followed(name: str, bench: bytes, size: int) -> tuple[tuple[str, Array], ..
     anchor = (constants["arm"] + (constants["arm2"] + constants["arm3"] * on) * on) * on
     per_n = STRETCH_M / constants["stiffness"]
     rope = constants["zero"] + anchor + 0.7 * per_n * end
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         path = _simulated(time, rope, knee, end, q)
-        rope = rope + RELAXED * per_n * np.clip(end - path.end[0], -5.0, 5.0)
+        # the whole correction would make the rope oscillate, by the friction of the path
+        rope = rope + 0.6 * per_n * np.clip(end - path.end[0], -5.0, 5.0)
     path = _simulated(time, rope, knee, end, q)
     return tuple({"time_s": time, "servo_position_m": rope, "knee_angle_rad": knee, "tension_start_n": path.start[0],
                   "tension_end_n": path.end[0], "servo_force_n": path.start[0]}.items())

@@ -1,12 +1,13 @@
-"""Interface of a forward model in the diagnosis by evidence: constants, recordings, predicted data, states, effects.
+"""Base of a forward model in the diagnosis by evidence: constants, recordings, predicted data, states, effects.
 
 Implementations: the force path of the bench (`path_model`) and a rig of another kind (`rig_model`).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +18,12 @@ from physics.effects.hypotheses import Hypothesis
 from physics.laws import Array
 
 
-class ForwardModel(Protocol):
+class ForwardModel(ABC):
     """A forward model: `constants`, and `hypotheses`, the effects that change them, by name of the catalogue.
 
     `signals`: every output that the model can have, with its unit.  `judged`: outputs whose error the headline gives.
-    `least`: least 1σ of the model error of a bin, by output.  `first_noise`: 1σ of the noise in the coarse and in the
-    fine stage of the first fit, by output.  `regressed`: constants whose population middle is set to the first
+    `least`: least 1σ of the model error of a bin, by output.  `first_noise`: 1σ of the noise in the first fit, by
+    output.  `regressed`: constants whose population middle is set to the first
     reference trial's value, since any value is equally likely.
 
     `states`: number of states of the discrepancy.  `load_state`: row of the state whose quartiles divide the data for
@@ -35,74 +36,76 @@ class ForwardModel(Protocol):
     without effect while another constant is zero, name of that other constant and a value to add to its coordinate.
     """
 
-    @property
-    def constants(self) -> ConstantTable: ...
-    @property
-    def hypotheses(self) -> Mapping[str, Hypothesis]: ...
-    @property
-    def signals(self) -> Mapping[str, str]: ...
-    @property
-    def judged(self) -> Sequence[str]: ...
-    @property
-    def least(self) -> Mapping[str, float]: ...
-    @property
-    def first_noise(self) -> tuple[Mapping[str, float], Mapping[str, float]]: ...
-    @property
-    def regressed(self) -> Sequence[str]: ...
-    @property
-    def states(self) -> int: ...
-    @property
-    def load_state(self) -> int: ...
-    @property
-    def pools_sessions(self) -> bool: ...
-    @property
-    def session_share(self) -> float: ...
-    @property
-    def nats_factor(self) -> float: ...
-    @property
-    def unlike_share(self) -> float: ...
-    @property
-    def amounts(self) -> Mapping[str, tuple[str, float]]: ...
+    constants: ConstantTable
+    hypotheses: Mapping[str, Hypothesis]
+    signals: Mapping[str, str]
+    judged: Sequence[str]
+    least: Mapping[str, float]
+    first_noise: Mapping[str, float]
+    regressed: Sequence[str]
+    states: int
+    load_state: int
+    pools_sessions: bool = False
+    session_share: float
+    nats_factor: float = 1.0
+    unlike_share: float
+    amounts: Mapping[str, tuple[str, float]]
 
+    @abstractmethod
     def lacking(self, table: Table) -> list[str]:
         """Return the columns that the likelihood needs and that a trial does not have."""
 
+    @abstractmethod
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
         """Return the bounds and the unit of an effect's parameter."""
 
+    @abstractmethod
     def record(self, table: Table) -> Any:
         """Return a trial as a `Recording` with the data of this model."""
 
-    def sessions(self, recordings: Any) -> Any:
-        """Return the reference recordings grouped by session, each session as one recording."""
-
+    @abstractmethod
     def predict(self, q: Array, trial: Any) -> Array:
         """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
 
+    @abstractmethod
     def simulated_states(self, q: Array, trial: Any) -> Array:
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
 
+    @abstractmethod
     def origin(self, trial: Any) -> Array:
         """Return start coordinates of the first fit, by regression."""
 
+    @abstractmethod
     def scanned(self, middle: Array, trial: Any) -> list[Array]:
-        """Return several start coordinates of the first fit, about `middle`."""
+        """Return start coordinates of the first fit about `middle`, the one with the smallest error first."""
+
+    def sessions(self, recordings: Sequence[Any]) -> list[Any]:
+        """Return the reference recordings grouped by session; each trial is one session unless overridden."""
+        return list(recordings)
 
     def session_at(self, q: Array) -> Array:
         """Return 1σ between sessions of each constant, in coordinates, of a bench at coordinates `q`."""
+        return self.constants.session_sd
 
     def growth(self, trial: Any, name: str, signal: Array) -> float:
         """Return the factor, at least 1, on the model error's variance if the `signal` of an output, shape (bins,),
-        exceeds that of the reference trials."""
+        exceeds that of the reference trials; 1 for a bench, whose gaits differ little in their peak forces."""
+        return 1.0
 
     def changing(self, trial: Any, name: str, signal: Array) -> float:
-        """Return the variance of the part of an output, shape (bins,), that the model error is proportional to."""
+        """Return the variance of the part of an output, shape (bins,), that the model error is proportional to.
+
+        It is constant for a bench, since no change of the bench makes its forces several times as large.
+        """
+        return 1.0
 
     def aliased(self, q: Array, trial: Any, name: str) -> Array | float:
         """Return the variance of an output's data that aliasing causes, by bin or for all bins."""
+        return 0.0
 
     def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
-        """Return the error of each output signal that corresponds to a residual of the data, by output."""
+        """Return the error of each output signal, by output, that corresponds to a residual of the data."""
+        return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
 
 
 def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:

@@ -22,12 +22,6 @@ from diagnosis.findings import Figures
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
-FOLDS: Final = 2
-"""Number of parts of the cycles; each part is predicted by a fit to the other."""
-BLOCK_S: Final = 2.0
-"""Length of a block, s, that replaces a cycle if a trial has no cycle numbers; about one gait cycle."""
-DRAWS: Final = 400
-"""Bootstrap samples of whole cycles for the interval of a gain."""
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
 
 
@@ -54,9 +48,10 @@ class HeldOut:
         """Return the figures by output; `held`: errors of held-out trials, for the figures on these."""
         return {name: self._figures(name, reference.scatter_n[name], held) for name in self.observed.outputs}
 
-    def _figures(self, name: str, floor: float, held: HeldOut | None) -> Figures:
+    def _figures(self, name: str, floor: float, held: HeldOut | None, draws: int = 400) -> Figures:
+        """Return the figures of one output; `draws`: bootstrap samples of whole cycles, for the gain's interval."""
         before, after = self._squares(name, "before"), self._squares(name, "after")
-        draw = np.random.default_rng(0).integers(0, len(before), (DRAWS, len(before)))
+        draw = np.random.default_rng(0).integers(0, len(before), (draws, len(before)))
         gains = 100.0 * (1.0 - np.sqrt(after[draw, 0].sum(axis=1) / before[draw, 0].sum(axis=1)))
         low, high = np.percentile(gains, [2.5, 97.5])
         first, last = self._rms(name, "before"), self._rms(name, "after")
@@ -99,9 +94,9 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
     before = reference.missed(observed)
     if not chosen:
         return HeldOut(observed, before, before, blocks)
-    half = np.concatenate([np.tile(b % FOLDS, len(observed.outputs)) for b in blocks])
+    half = np.concatenate([np.tile(b % 2, len(observed.outputs)) for b in blocks])
     left = before.copy()
-    for fold in range(FOLDS):
+    for fold in (0, 1):
         seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
         at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
         left = np.where(half == fold, rest(observed, at), left)
@@ -114,26 +109,32 @@ def rest(observed: Observed, at: PosteriorMode) -> Array:
 
 
 def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDArray[np.intp]]:
-    """Return the cycle number of each bin, by trial, counted on from trial to trial.
-
-    A trial without cycle numbers is divided into blocks of `BLOCK_S`.
-    """
+    """Return the cycle number of each bin, by trial, counted on from trial to trial."""
     told: list[NDArray[np.intp]] = []
     first = 0
     for table, trial in zip(tables, trials, strict=True):
-        number = np.floor(trial.binned(trial.time_s) / BLOCK_S)
-        if "cycle" in table:
-            number = np.floor(_nearest(trial, table, "cycle"))
+        number = cycles_of(table)[_nearest(trial, table)]
         block = (number - number.min()).astype(np.intp) + first
         told.append(block)
         first = int(block.max()) + 1
     return told
 
 
-def _nearest(trial: Recording, table: Table, name: str) -> Array:
-    """Return a column at the times of the bins, without interpolation since the column may wrap."""
+def cycles_of(table: Table, block_s: float = 2.0) -> Array:
+    """Return the cycle number of each sample; without cycle numbers, blocks of `block_s`, about one gait cycle.
+
+    The last block holds what is left of the trial, too.
+    """
+    if "cycle" in table:
+        return np.asarray(np.floor(np.nan_to_num(table["cycle"])))
+    blocks = np.floor((table["time_s"] - table["time_s"][0]) / block_s)
+    return np.asarray(np.minimum(blocks, max(blocks[-1] - 1.0, 0.0)))
+
+
+def _nearest(trial: Recording, table: Table) -> NDArray[np.intp]:
+    """Return the sample at the time of each bin; columns that wrap are not interpolated."""
     at = np.searchsorted(table["time_s"], trial.binned(trial.time_s) + table["time_s"][0])
-    return np.asarray(np.nan_to_num(table[name][np.minimum(at, table["time_s"].size - 1)]))
+    return np.asarray(np.minimum(at, table["time_s"].size - 1))
 
 
 def _along(trial: Recording, table: Table) -> Mapping[str, Array]:
@@ -145,5 +146,5 @@ def _along(trial: Recording, table: Table) -> Mapping[str, Array]:
         elif name in trial.outputs:
             told[name] = trial.binned(trial.measured(name))
         elif name in table:
-            told[name] = _nearest(trial, table, name)
+            told[name] = np.nan_to_num(table[name][_nearest(trial, table)])
     return told

@@ -16,17 +16,9 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
 FOREMOST: Final = 7
-"""Number of effects fitted after each screen at the mode without effect."""
-ADDED: Final = 4
-"""Number of effects fitted after a screen at the reference constants, where no constant has taken up an effect."""
-FOREMOST_STARTS: Final = 3
-"""Number of best effects that are refitted from the best mode of all, and from whose modes the null is refitted."""
-PAIRED: Final = 4
-"""Number of second effects fitted together with the best one."""
-RESTART: Final = 2.0
-"""Least rise of the log evidence, nats, by a restart from another hypothesis' mode; above the accuracy of a mode."""
-RESTARTS: Final = 3
-"""Largest number of screens, each at the null's mode after a restart."""
+"""Number of effects that are fitted after a linear screen at the null's mode; half of it after any other ranking.
+
+If it is too small, a screen may miss the true effect; the time of a search grows with it."""
 
 
 @dataclass
@@ -71,17 +63,17 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
     found = Searched(observed, prior, max((mode(observed, prior, start=at) for at in (None, *starts)),
                                           key=lambda m: m.log_evidence))
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
-    _screen(found, offered, mode(observed, prior, rounds=0), ADDED)
-    for _ in range(RESTARTS):
+    # at the reference constants no constant has taken up an effect
+    _screen(found, offered, mode(observed, prior, descends=False), FOREMOST // 2)
+    _screen(found, offered, found.null, FOREMOST)
+    while _restarted(found):
         _screen(found, offered, found.null, FOREMOST)
-        if not found.single or not _restarted(found):
-            break
     _cross(found)
     return found
 
 
 def search_pairs(found: Searched, best: str) -> None:
-    """Fit pairs of `best` with the `PAIRED` effects that a linear screen at its mode ranks first."""
+    """Fit pairs of `best` with the effects that a linear screen at its mode ranks first."""
     offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
     at, first = found.single[best], found.variants[best]
     rated = []
@@ -98,7 +90,7 @@ def search_pairs(found: Searched, best: str) -> None:
         fitted = _fit(found, [first, variant], begun(at, variant, sizes, [first]))
         if fitted is not None:
             found.pair[(best, name)], found.paired[name] = fitted, variant
-        if len(taken) == PAIRED:
+        if len(taken) == FOREMOST // 2:
             return
 
 
@@ -115,12 +107,7 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
                                    key=lambda r: float(r[0]))
         rated.append((gain, name, variant, sizes))
     for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:most]:
-        fitted = _fit(found, [variant], begun(base, variant, sizes))
-        if fitted is None or fitted.log_evidence < found.null.log_evidence - RESTART:
-            again = _fit(found, [variant], begun(base, variant))
-            if again is not None and (fitted is None or again.log_evidence > fitted.log_evidence):
-                fitted = again
-        _keep(found, name, variant, fitted)
+        _keep(found, name, variant, _fit(found, [variant], begun(base, variant, sizes)))
 
 
 def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:
@@ -140,21 +127,21 @@ def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | 
     return True
 
 
-def _restarted(found: Searched) -> bool:
-    """Refit the null from the modes of the best effects; return whether its log evidence rose by `RESTART` or more."""
+def _restarted(found: Searched, least: float = 2.0) -> bool:
+    """Refit the null from the modes of better effects; return whether its log evidence rose by `least` nats or more."""
     before = found.null.log_evidence
-    for name in [name for name, gain in found.gains().items() if gain >= RESTART][:FOREMOST_STARTS]:
+    for name in [name for name, gain in found.gains().items() if gain >= least][:FOREMOST // 2]:
         again = _fit(found, [], begun(found.single[name], None))
         if again is not None and again.log_evidence > found.null.log_evidence:
             found.null = again
-    return found.null.log_evidence >= before + RESTART
+    return found.null.log_evidence >= before + least
 
 
 def _cross(found: Searched) -> None:
     """Refit the best effects from the best mode of all, if that is not the null's, and the null once more."""
     if not found.single:
         return
-    order = list(found.gains())[:FOREMOST_STARTS]
+    order = list(found.gains())[:FOREMOST // 2]
     best = max([found.null, *found.single.values()], key=lambda at: at.log_evidence)
     for name in order:
         if found.single[name] is not best and best is not found.null:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -11,20 +12,14 @@ from scipy.signal import butter, sosfiltfilt, sosfreqz
 from diagnosis.data.table import Table
 from physics.laws import Array
 
-GRID_S: Final = 4e-3
-"""Step of the simulation, s: a tenth of the shortest transient after a 40 Hz low-pass."""
-BIN: Final = 4
-"""Samples of the time grid averaged to one datum: 16 ms, longer than the correlation time of the low-pass."""
 LOWPASS_HZ: Final = 40.0
-"""Cut-off of the low-pass of all signals, Hz."""
-RATIO_HZ: Final = 20.0
-"""Cut-off, Hz, of the low-pass of the measured ratio END/START, which weights START in the output of END."""
+"""Cut-off, Hz, of the low-pass of all signals: the motion of rope and knee has no power above."""
+GRID_S: Final = round(1.0 / (2.0 * math.pi * LOWPASS_HZ), 3)
+"""Step of the simulation, s: the time constant of the low-pass, in whole milliseconds."""
 START_S: Final = 0.4
 """Time left out at the start of a trial, s, since the friction states are unknown there."""
 TAUT_N: Final = 3.0
 """START tension, N, up to which the ratio END/START is not computed and is 0.8 instead."""
-COARSEST_N: Final = 0.01
-"""Least 1σ of a bin's sensor noise, N: the quantisation step of the sensors."""
 SIGNALS: Final = ("tension_end_n", "tension_start_n", "servo_force_n")
 """Outputs of the forward model of the bench."""
 MOTION: Final = ("servo_position_m", "knee_angle_rad")
@@ -41,31 +36,31 @@ def lacking(table: Table) -> list[str]:
 class Recording:
     """Signals of one trial, low-passed alike on one time grid, and its `data`, means over bins of `width` samples.
 
+    A bin is four time constants of the low-pass long, so that the noise of two data is about independent.
+
     `outputs`: names of the signals in `data`, which holds all bins of one output after the other.  `noise_n`: 1σ of a
-    bin's sensor noise by output, at least `coarsest`.  `skip`: bins left out at the start.  `along`: signals on the
-    time grid against which errors can be plotted.
+    bin's sensor noise by output.  `skip`: bins left out at the start.  `along`: signals on the time grid against which
+    errors can be plotted.
     """
 
     data: Array
     along: Mapping[str, Array]
 
-    def __init__(self, table: Table, outputs: Sequence[str], grid_s: float = GRID_S, lowpass_hz: float = LOWPASS_HZ,
-                 skip_s: float = START_S, coarsest: Mapping[str, float] | None = None,
-                 width: int = BIN) -> None:
+    def __init__(self, table: Table, outputs: Sequence[str], lowpass_hz: float = LOWPASS_HZ,
+                 skip_s: float = START_S) -> None:
         time = table["time_s"]
-        self.grid_s, self.lowpass_hz, self.width = grid_s, lowpass_hz, width
+        self.lowpass_hz, self.width = lowpass_hz, round(4.0 * LOWPASS_HZ / lowpass_hz)
         self.rate = 1.0 / float(np.median(np.diff(time)))
-        grid = np.arange(time[0], time[-1], grid_s)
-        self._table, self._grid = table, grid[:grid.size // width * width]
+        grid = np.arange(time[0], time[-1], GRID_S)
+        self._table, self._grid = table, grid[:grid.size // self.width * self.width]
         self._sos = _lowpass(self.rate, lowpass_hz)
         self.source = table.source
         self.time_s: Array = self._grid - self._grid[0]
         self.progress: Array = self.time_s / self.time_s[-1]
-        self.skip = round(skip_s / grid_s / width)
+        self.skip = round(skip_s / GRID_S / self.width)
         self.outputs = tuple(outputs)
         self._signals = {name: self.sampled(name) for name in self.outputs}
-        self.noise_n = {name: _noise(table[name], self, (coarsest or {}).get(name, COARSEST_N))
-                        for name in self.outputs}
+        self.noise_n = {name: _noise(table[name], self) for name in self.outputs}
 
     def sampled(self, name: str, cutoff_hz: float | None = None) -> Array:
         """Return a column on the time grid after a zero-phase low-pass; `cutoff_hz`: Hz (None: `lowpass_hz`)."""
@@ -122,22 +117,22 @@ class PathRecording(Recording):
     def _ratio(self) -> Array:
         if "tension_end_n" not in self._signals:
             return np.zeros_like(self.rope_m)
-        sos = butter(2, RATIO_HZ, fs=1.0 / GRID_S, output="sos")
+        sos = butter(2, 0.5 * LOWPASS_HZ, fs=1.0 / GRID_S, output="sos")
         start, end = (sosfiltfilt(sos, self._signals[n]) for n in ("tension_start_n", "tension_end_n"))
         return np.asarray(np.clip(np.where(start > TAUT_N, end / np.maximum(start, TAUT_N), 0.8), 0.3, 1.3))
 
 
-def _noise(values: Array, of: Recording, coarsest: float) -> float:
+def _noise(values: Array, of: Recording) -> float:
     """Return 1σ of a bin's sensor noise, estimated from third differences, which are about 0 for a smooth signal."""
     sample = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / np.sqrt(20.0)
-    return float(max(sample * np.sqrt(_passed(of)), coarsest))
+    return float(sample * np.sqrt(_passed(of)))
 
 
 def _passed(of: Recording) -> float:
     """Return the variance of white noise after low-pass and averaging over a bin, relative to its variance before."""
     frequency = np.linspace(0.0, 0.5 * of.rate, 2001)[1:]
     _, low = sosfreqz(_lowpass(of.rate, of.lowpass_hz), worN=frequency, fs=of.rate)
-    mean = np.sin(np.pi * of.width * of.grid_s * frequency) / (of.width * np.sin(np.pi * of.grid_s * frequency))
+    mean = np.sin(np.pi * of.width * GRID_S * frequency) / (of.width * np.sin(np.pi * GRID_S * frequency))
     return float(np.mean(np.abs(low) ** 4 * mean**2))
 
 

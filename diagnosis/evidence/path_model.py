@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -10,51 +10,36 @@ from scipy.signal import lfilter
 
 from diagnosis.data.table import Table
 from diagnosis.evidence import likelihood_data, outputs
-from diagnosis.evidence.likelihood_data import GRID_S, SIGNALS, PathRecording
-from physics.constant_table import ConstantTable
+from diagnosis.evidence.forward_model import ForwardModel
+from diagnosis.evidence.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import HYPOTHESES, Hypothesis
+from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 from physics.path_constants import CONSTANTS, INDEX, named
 
 UNRESOLVED: Final = 0.5
 """Share of the inertia force above 15 Hz that counts as noise of the servo force, since 200 Hz sampling aliases it."""
-SCAN: Final = {"zero": 1.5e-3 * np.arange(-16.0, 9.0), "stiffness": np.array([-1.0, -0.5, 0.0, 0.5, 1.0]),
-               "friction": np.array([-0.6, 0.0, 0.6])}
-"""Grid of start points simulated before the first fit.
-
-`zero`: departure of the rope zero from the regression's, m.  `stiffness`, `friction`: logarithm of the ratio to the
-population's middle."""
-STARTS: Final = 4
-"""Number of start points of the first fit: the best of the grid, with different stiffness or friction."""
-COARSE_N: Final = 2.0
-FINE_N: Final = 0.4
-"""1σ of the noise, N, in the coarse and in the fine stage of the first fit; the coarse one avoids local minima."""
+MODEL_ERROR_N: Final[Mapping[str, float]] = {"tension_end_n": 0.1, "tension_start_n": 0.1, "servo_force_n": 0.25}
+"""Typical 1σ of the discrepancy, and of the model error of a bin, N, on the development population, by output."""
 
 
-class PathModel:
+class PathModel(ForwardModel):
     """Forward model of the bench; its data are those of `PathRecording`."""
 
-    constants: ConstantTable = CONSTANTS
-    hypotheses: Mapping[str, Hypothesis] = HYPOTHESES
+    constants = CONSTANTS
+    hypotheses = HYPOTHESES
     signals: Mapping[str, str] = dict.fromkeys(SIGNALS, "N")
     judged = ("tension_start_n", "tension_end_n")
-    least: Mapping[str, float] = {"tension_end_n": 0.04, "tension_start_n": 0.04, "servo_force_n": 0.1}
+    least: Mapping[str, float] = {name: 0.4 * sd for name, sd in MODEL_ERROR_N.items()}
     """Least 1σ of the model error of a bin, N; every bench of the development population has a larger model error."""
-    first_noise = (dict.fromkeys(SIGNALS, COARSE_N), dict.fromkeys(SIGNALS, FINE_N))
+    first_noise: Mapping[str, float] = {name: 4.0 * sd for name, sd in MODEL_ERROR_N.items()}
     regressed = ("zero", "arm", "stiffness")
     states = 9
     load_state = 4
     """Row of the logarithm of START tension among the states."""
-    pools_sessions = False
     session_share = 0.35
-    nats_factor = 1.0
     unlike_share = 0.2
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
-
-    def sessions(self, recordings: Sequence[PathRecording]) -> list[PathRecording]:
-        """Return the recordings unchanged, since each trial of the bench is one session."""
-        return list(recordings)
 
     def lacking(self, table: Table) -> list[str]:
         """Return the needed columns that a trial does not have."""
@@ -101,7 +86,7 @@ class PathModel:
         return found is None or found[2] > 0.0
 
     def scanned(self, middle: Array, trial: PathRecording) -> list[Array]:
-        """Return the `STARTS` coordinates about `middle` with the smallest error on the trial, simulated in one batch.
+        """Return the best zero about `middle` of each stiffness and friction, the smallest error on the trial first.
 
         A scan is needed since the fit has no gradient at a rope zero at which the simulated rope is slack.
         """
@@ -109,7 +94,7 @@ class PathModel:
         chosen: dict[tuple[float, float], int] = {}
         for k in np.argsort(errors):
             chosen.setdefault((q[INDEX["stiffness"], k], q[INDEX["cable"], k]), int(k))
-        return [q[:, k] for k in list(chosen.values())[:STARTS]]
+        return [q[:, k] for k in chosen.values()]
 
     def scan_error(self, table: Table) -> float:
         """Return the smallest mean absolute error, N, of a trial on the grid of start points."""
@@ -117,25 +102,18 @@ class PathModel:
         return float(self._scan(self.origin(trial), trial)[1].min())
 
     def _scan(self, middle: Array, trial: PathRecording) -> tuple[Array, Array]:
-        """Return the grid's coordinates about `middle`, shape (constants, points), and the mean absolute errors, N."""
-        zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(*SCAN.values(), indexing="ij"))
+        """Return the grid's coordinates about `middle`, shape (constants, points), and the mean absolute errors, N.
+
+        Axes: departure of the rope zero from the regression's, m, in steps in which a slack rope is not missed, and
+        logarithms of stiffness and friction over the population's middle.
+        """
+        zero, stiffness, friction = (axis.ravel() for axis in np.meshgrid(
+            np.linspace(-24e-3, 12e-3, 25), np.linspace(-1.0, 1.0, 5), np.linspace(-0.6, 0.6, 3), indexing="ij"))
         q = np.repeat(middle[:, None], zero.size, axis=1)
         q[INDEX["zero"]] += zero
         q[INDEX["stiffness"]] = stiffness
         q[INDEX["cable"]] = q[INDEX["fabric"]] = friction
         return q, np.abs(self.predict(q, trial) - trial.data).mean(axis=1)
-
-    def session_at(self, q: Array) -> Array:
-        """Return the published 1σ between sessions of each constant, in coordinates; `q` has no influence."""
-        return CONSTANTS.session_sd
-
-    def growth(self, trial: PathRecording, name: str, signal: Array) -> float:
-        """Return 1, since the peak forces of the bench's gaits differ little."""
-        return 1.0
-
-    def changing(self, trial: PathRecording, name: str, signal: Array) -> float:
-        """Return 1, since no change of the bench makes its forces several times as large."""
-        return 1.0
 
     def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:
         """Return the variance of the servo force by aliased inertia forces, N², by bin; 0 for the other outputs."""
@@ -145,7 +123,7 @@ class PathModel:
 
     def errors(self, trial: PathRecording, residual: Array) -> dict[str, Array]:
         """Return the error of each output signal, N, by output, from the residual of the data."""
-        errors = {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
+        errors = super().errors(trial, residual)
         if "tension_end_n" in errors:  # its datum is END less the measured ratio times START
             errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
         return errors
@@ -156,7 +134,7 @@ def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
 
     None if fewer than 50 samples are taut.
     """
-    taut = trial.start_n > 4.0
+    taut = trial.start_n > TAUT_N
     load = trial.start_n[taut]
     if load.size < 50:
         return None

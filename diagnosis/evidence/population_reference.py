@@ -5,7 +5,7 @@
     c ~ N(0, amplitude²)                      discrepancy, of the size that benches of the population have
 
 The posterior of q is that of the linearised g at its mode.  A constant without information on it, such as the rope
-zero, keeps the wide prior, so that no effect on it can be told.
+zero, keeps the wide prior, so that an effect on it cannot be detected.
 """
 
 from __future__ import annotations
@@ -16,28 +16,22 @@ from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from diagnosis.evidence.decision import SURROGATE
 from diagnosis.evidence.forward_model import ForwardModel
 from diagnosis.evidence.likelihood_data import Recording
+from diagnosis.evidence.path_model import MODEL_ERROR_N
 from diagnosis.evidence.posterior import Gaussian
-from diagnosis.evidence.reference_fit import FEATURES, QUARTERS, ReferenceFit, Scaling, first_mode
+from diagnosis.evidence.reference_fit import FEATURES, ReferenceFit, first_mode, scaling_of
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.laws import Array
 from physics.parameters import PARAMETERS
 from physics.path_parameters import simulation_values
 
-TYPICAL: Final[Mapping[str, tuple[float, float, float]]] = {
-    "tension_end_n": (0.1, 0.1, 2.0), "tension_start_n": (0.1, 0.1, 2.0), "servo_force_n": (0.3, 0.2, 2.0)}
-"""By output: 1σ of the discrepancy, N; 1σ of the model error, N; inflation of the noise variance by autocorrelation."""
-TYPICAL_COST: Final = 1.0
-"""Cost per datum of a reference trial at its mode."""
-LUMPED: Final = 0.1
-"""1σ of a calibrated value by the difference between its equation and that of the path, relative to the value."""
 UNSTATED: Final = ("rope_zero", "home_preload")
 """Calibrated values that are not compared, since they depend on the tension at homing."""
-STEPS: Final = 6
-"""Gauss–Newton steps from the population's middle to a calibration."""
 
 
 class Stated(NamedTuple):
@@ -48,7 +42,10 @@ class Stated(NamedTuple):
 
 
 def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
-    """Return the values that a calibration determines, by parameter of the simulation; each has an interval."""
+    """Return the values that a calibration determines, by parameter of the simulation; each has an interval.
+
+    1σ has the difference between the value's equation and that of the path, too (`SURROGATE`).
+    """
     model = bench_model.from_tables(calibration or {}, "calibration")
     middle, variance = _simulated(model), dict[str, float]()
     for name, known in model.evidence.items():
@@ -59,7 +56,7 @@ def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
             moved = (high[parameter] - low[parameter]) / (2.0 * 1.96)
             if moved:
                 variance[parameter] = variance.get(parameter, 0.0) + moved**2
-    return {name: Stated(middle[name], math.hypot(math.sqrt(told), LUMPED * abs(middle[name])))
+    return {name: Stated(middle[name], math.hypot(math.sqrt(told), SURROGATE * abs(middle[name])))
             for name, told in variance.items()}
 
 
@@ -75,15 +72,14 @@ def reference_of_population(model: ForwardModel, trials: Sequence[Recording],
     """Return the reference condition for `trials` of a bench without reference trials.
 
     The origin, at which the states of the discrepancy are simulated, is a fit of the first trial under the prior.
+    Model error and discrepancy are those of the population; autocorrelation doubles the variance.
     """
     free, outputs = list(model.constants.free), trials[0].outputs
     bench_mean, bench_covariance = _calibrated(model, stated_values(calibration))
-    typical = np.array([TYPICAL[name] for name in outputs])
+    amplitude = np.array([MODEL_ERROR_N[name] for name in outputs])
     origin = first_mode(model, trials[0], Gaussian(
         _zeros(model), bench_mean, bench_covariance + np.diag(model.constants.session_sd[free] ** 2))).q
     states = [model.simulated_states(origin, trial) for trial in trials]
-    every = np.concatenate(states, axis=1)
-    amplitude = typical[:, 0]
     features = np.repeat(amplitude**2, FEATURES)
     zero = np.zeros(features.size)
     mean = np.concatenate([bench_mean - origin[free], zero])
@@ -97,9 +93,8 @@ def reference_of_population(model: ForwardModel, trials: Sequence[Recording],
                        origin[free])
     return ReferenceFit(
         model, outputs, origin, bench, Gaussian(origin, mean, covariance + np.diag(session)),
-        Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6), amplitude, np.repeat(typical[:, 1:2] ** 2, 4, axis=1),
-        typical[:, 2], np.quantile(every[model.load_state], QUARTERS), 0,
-        {name: TYPICAL[name][1] for name in outputs}, TYPICAL_COST, ((q, zero),))
+        scaling_of(model, states), amplitude, np.repeat(amplitude[:, None] ** 2, 4, axis=1),
+        np.full(len(outputs), 2.0), 0, {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, ((q, zero),))
 
 
 def _zeros(model: ForwardModel) -> Array:
@@ -109,27 +104,20 @@ def _zeros(model: ForwardModel) -> Array:
 def _calibrated(model: ForwardModel, stated: Mapping[str, Stated]) -> tuple[Array, Array]:
     """Return mean and covariance of the free constants' coordinates, given calibrated values.
 
-    Mode of Σ((g(q) − v)/σ)² + Σ(q/bench_sd)² by Gauss–Newton steps, with the covariance of its linearisation.
+    Mode of Σ((g(q) − v)/σ)² + Σ(q/bench_sd)², with the covariance of its linearisation.
     """
     free = list(model.constants.free)
     sd = model.constants.bench_sd[free]
-    at = np.zeros(len(free))
     q = _zeros(model)
     names = [name for name in stated if name in simulation_values(model.constants.named(q))]
     if not names:
-        return at, np.diag(sd**2)
+        return np.zeros(len(free)), np.diag(sd**2)
     value, width = (np.array(each) for each in zip(*(stated[name] for name in names), strict=True))
 
-    def told(x: Array) -> Array:
-        q[free] = x
+    def residual(x: Array) -> Array:
+        q[free] = sd * x
         given = simulation_values(model.constants.named(q))
-        return np.array([given[name] for name in names])
+        return np.concatenate([(np.array([given[name] for name in names]) - value) / width, x])
 
-    for _ in range(STEPS):
-        here = told(at)
-        slopes = np.stack([(told(at + step) - here) / step[k]
-                           for k, step in enumerate(np.diag(0.01 * sd))], axis=1) * sd / width[:, None]
-        information = np.eye(len(free)) + slopes.T @ slopes
-        error = (value - here) / width + slopes @ (at / sd)
-        at = sd * np.linalg.solve(information, slopes.T @ error)
-    return at, np.linalg.inv(information) * sd * sd[:, None]
+    found = least_squares(residual, np.zeros(len(free)))
+    return sd * found.x, np.linalg.inv(found.jac.T @ found.jac) * sd * sd[:, None]

@@ -24,16 +24,10 @@ HUBER: Final = 5.0
 """Residual, σ, above which the loss grows linearly.
 
 Such residuals occur in the 16 ms bins in which a loose rope snaps taut."""
-ROUNDS: Final = 20
-"""Largest number of Gauss–Newton steps."""
 CLOSE: Final = 0.3
 """Decrease of the cost in one step below which the mode counts as reached; 0.3 is 0.15 nats."""
-TRIES: Final = 7
-"""Largest number of steps with the slopes of one linearisation."""
 LONGEST: Final = 2.0
 """Longest step of a constant, in σ of its prior; the model is about linear over that distance."""
-STEEPER: Final = 6.0
-"""Factor of the Levenberg–Marquardt damping after a step that does not reduce the cost."""
 
 
 @dataclass(frozen=True)
@@ -173,11 +167,12 @@ def bounded(residual: Array, weight: Array) -> Array:
 
 
 def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), start: Array | None = None,
-         rounds: int = ROUNDS) -> PosteriorMode:
+         descends: bool = True, tries: int = 7) -> PosteriorMode:
     """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
-    `start`: departures at which the descent begins (None: the prior's mean).  `rounds`: largest number of steps; with 0
-    the linearisation at `start` is returned.
+    `start`: departures at which the descent begins (None: the prior's mean).  `descends`: if false, the linearisation
+    at `start` is returned.  `tries`: largest number of steps with the slopes of one linearisation.  Marquardt's (1963)
+    factor of ten changes the damping.
     Raises `numpy.linalg.LinAlgError` if the problem is numerically singular.
     """
     table = observed.model.constants
@@ -204,15 +199,15 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     (now, residual), damping = cost(x), 0.0
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
-    for _ in range(max(rounds, 1)):
+    while True:
         before, (design, weights) = now, linearised(x, residual)
         inward = design @ factor
         square = eye + inward.T @ (inward * weights[:, None])
         inner = cho_factor(square)
-        if rounds == 0:
+        if not descends:
             break
         solved = inner if damping == 0.0 else cho_factor(square + damping * eye)
-        for _ in range(TRIES):
+        for _ in range(tries):
             pull = inward.T @ (bounded(residual, weight) * residual) - solve_triangular(factor, x - mean, lower=True)
             step = factor @ cho_solve(solved, pull)
             step /= max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST)
@@ -225,9 +220,9 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
             elif now < before:
                 break
             else:
-                damping = max(STEEPER * damping, 0.5)
+                damping = max(10.0 * damping, 1.0)
                 solved = cho_factor(square + damping * eye)
-        damping = damping / 4.0 if damping > 0.3 else 0.0
+        damping = damping / 10.0 if damping > 1.0 else 0.0
         if before - now < CLOSE:
             break
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's

@@ -17,25 +17,19 @@ from scipy.linalg import cho_factor, cho_solve
 
 from diagnosis.evidence.forward_model import ForwardModel, jacobian, predicted
 from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.posterior import CLOSE, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
+from diagnosis.evidence.posterior import CLOSE, HUBER, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
 from physics.laws import Array
 
 FEATURES: Final = 60
 """Random Fourier features per output; 120 features give the same held-out likelihood of reference trials."""
 POOLED: Final = 2.0
-"""Factor from residual variance to model error of a rig, whose pooled sessions differ in more than its constants."""
-MOST_TAU: Final = 12.0
-"""Largest factor by which autocorrelation inflates the noise variance."""
-QUARTERS: Final = (0.25, 0.5, 0.75)
-"""Quantiles of the load state that divide the data for the estimate of the model error."""
-STAGES: Final = 3
-"""Number of estimates of noise and discrepancy; each follows a descent to the joint mode."""
+"""Factor from residual variance to model error of a rig, whose pooled sessions differ in more than its constants.
+
+With 1 the repeats of a rubber seal get a name, `presliding`, with 67 nats."""
 PRIOR_SESSIONS: Final = 3.0
 """Weight of the model's prior 1σ between sessions, in equivalent sessions.
 
 Two sessions alone would determine the scatter badly."""
-ROUNDS: Final = 8
-"""Largest number of steps of a descent."""
 
 
 @cache
@@ -50,10 +44,21 @@ def waves(signals: tuple[str, ...], states: int) -> dict[str, tuple[Array, Array
 
 
 class Scaling(NamedTuple):
-    """Mean and standard deviation of the states over the reference trials, each of shape (states,)."""
+    """Mean and standard deviation of the states over the reference trials, each of shape (states,).
+
+    `quarters`: quartiles of the load state, which divide the data for the estimate of the model error.
+    """
 
     mean: Array
     sd: Array
+    quarters: Array
+
+
+def scaling_of(model: ForwardModel, states: Sequence[Array]) -> Scaling:
+    """Return the scaling of the states of several trials, each of shape (states, bins)."""
+    every = np.concatenate(states, axis=1)
+    return Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6,
+                   np.quantile(every[model.load_state], [0.25, 0.5, 0.75]))
 
 
 @dataclass(frozen=True)
@@ -62,8 +67,8 @@ class ReferenceFit:
 
     `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
     further trial, which is `bench` with the session deviation.  `amplitude`: 1σ of the discrepancy by output.
-    `model_error`: variance by output and load quarter, N².  `tau`: noise inflation by output.  `quarters`: bounds of
-    the load quarters.  `trials`: number of reference trials.  `cost`: mean cost per datum of the reference trials at
+    `model_error`: variance by output and load quarter, N².  `tau`: noise inflation by output.  `trials`: number of
+    reference trials.  `cost`: mean cost per datum of the reference trials at
     their modes.  `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS
     error by output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
@@ -77,7 +82,6 @@ class ReferenceFit:
     amplitude: Array
     model_error: Array
     tau: Array
-    quarters: Array
     trials: int
     scatter_n: Mapping[str, float]
     cost: float
@@ -131,7 +135,7 @@ class ReferenceFit:
         return np.repeat(np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
     def _variance(self, trial: Recording, states: Array) -> Array:
-        quarter = np.searchsorted(self.quarters, states[self.model.load_state])
+        quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
         parts, growth = [], self._growth(trial, predicted(self.model, self.origin, trial))
         for k, name in enumerate(self.outputs):
             variance = growth[k] * self.model_error[k][quarter] + trial.noise_n[name] ** 2
@@ -160,15 +164,17 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
     return _Fit(model, trials, session_sd).run()
 
 
-def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian) -> PosteriorMode:
-    """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants."""
+def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
+    """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants.
+
+    A first descent with `HUBER` times the noise, in which few residuals are outliers, avoids local minima.
+    """
     free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
-    weights = [np.repeat([noise[n] ** -2 for n in trial.outputs], trial.bins) for noise in model.first_noise]
+    weight = np.repeat([model.first_noise[n] ** -2 for n in trial.outputs], trial.bins)
     even = np.ones(len(trial.outputs))
-    rough, fine = (Observed(model, (trial,), none, w, even, 1.0, np.ones(w.size)) for w in weights)
-    starts = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)]
-    return min((mode(fine, prior, start=mode(rough, prior, start=start, rounds=10).x, rounds=10) for start in starts),
-               key=lambda m: m.cost)
+    rough, fine = (Observed(model, (trial,), none, w, even, 1.0, np.ones(w.size)) for w in (weight / HUBER**2, weight))
+    begin = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)[:starts]]
+    return min((mode(fine, prior, start=mode(rough, prior, start=start).x) for start in begin), key=lambda m: m.cost)
 
 
 class _Linear(NamedTuple):
@@ -197,23 +203,22 @@ class _Fit:
         self.bench_sd: Array = self.constants.bench_sd[self.free]
         self.outputs = trials[0].outputs
         self.origin = model.origin(trials[0])
-        fine = np.array([model.first_noise[1][name] for name in self.outputs])
+        fine = np.array([model.first_noise[name] for name in self.outputs])
         self.amplitude = 0.5 * fine
         self.model_error = np.repeat(fine[:, None] ** 2, 4, axis=1)
         self.tau = np.ones(len(self.outputs))
-        self.quarters = np.zeros(3)
         self.scatter_n: dict[str, float] = {}
         self.linear: list[_Linear] = []
         self.identified: list[tuple[Array, Array]] = []
 
-    def run(self) -> ReferenceFit:
+    def run(self, stages: int = 3) -> ReferenceFit:
         """Fit the first trial from several starts, then all trials jointly, and return the fit.
 
-        Estimates of noise and discrepancy alternate with descents to the joint mode.
+        Estimates of noise and discrepancy alternate with descents to the joint mode, `stages` times.
         """
         wide = Gaussian(self.origin, np.zeros(len(self.free)), np.diag(self.bench_sd**2))
         self._recentre(first_mode(self.model, self.trials[0], wide).q)
-        for stage in range(STAGES):
+        for stage in range(stages):
             if stage == 1:
                 self._recentre(self._constants(self.bench))
             self._descend()
@@ -227,8 +232,8 @@ class _Fit:
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.amplitude,
-                            self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n,
-                            self._mean_cost(), tuple(self.identified))
+                            self.model_error, self.tau, len(self.trials), self.scatter_n, self._mean_cost(),
+                            tuple(self.identified))
 
     def _bounded(self, bench: Gaussian) -> Gaussian:
         """Return the bench with a covariance for "positive" constants linearised where their value is above 0.
@@ -286,23 +291,24 @@ class _Fit:
     def _descend(self) -> None:
         """Move to the joint mode of bench and trials by Gauss–Newton steps, each shortened until the cost falls."""
         now = self._cost(self.bench, self.at)
-        for _ in range(ROUNDS):
+        while True:
             self.linear = [self._linearised(k) for k in range(len(self.trials))]
             bench = self._posterior(range(len(self.trials))).mean
             at = [self._trial_given(k, bench) for k in range(len(self.trials))]
             longest = max(float(np.abs((there - here)[:len(self.free)] / self.bench_sd).max())
                           for here, there in zip([self.bench, *self.at], [bench, *at], strict=True))
-            share = min(1.0, LONGEST / longest)
-            while share > 0.01:
-                tried = self.bench + share * (bench - self.bench)
+
+            def moved(share: float, bench: Array = bench, at: Sequence[Array] = at) -> tuple[Array, list[Array]]:
                 trials = [here + share * (there - here) for here, there in zip(self.at, at, strict=True)]
-                then = self._cost(tried, trials)
+                return self.bench + share * (bench - self.bench), trials
+
+            for share in min(1.0, LONGEST / longest) * 0.5 ** np.arange(7):
+                then = self._cost(*moved(share))
                 if then < now:
                     break
-                share *= 0.4
             else:
                 return
-            self.bench, self.at, fall, now = tried, trials, now - then, then
+            (self.bench, self.at), fall, now = moved(share), now - then, then
             if fall < CLOSE * len(self.trials):
                 return
 
@@ -352,10 +358,8 @@ class _Fit:
     def _recentre(self, q: Array) -> None:
         """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""
         self.states = [self.model.simulated_states(q, trial) for trial in self.trials]
-        every = np.concatenate(self.states, axis=1)
-        self.scaling = Scaling(every.mean(axis=1), every.std(axis=1) + 1e-6)
+        self.scaling = scaling_of(self.model, self.states)
         self.features = [features(self.model, s, self.scaling, self.outputs) for s in self.states]
-        self.quarters = np.quantile(every[self.model.load_state], QUARTERS)
         self.origin = q
         self.session_sd = self._stated(self.model.session_at(q))
         self._set_amplitude([self.trials[0].data - predicted(self.model, q, self.trials[0])], self.trials[:1])
@@ -401,27 +405,26 @@ class _Fit:
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.amplitude,
-                            self.model_error, self.tau, self.quarters, len(self.trials), self.scatter_n, 1.0)
+                            self.model_error, self.tau, len(self.trials), self.scatter_n, 1.0)
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
         more = POOLED if self.model.pools_sessions else 1.0
         squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
-        tau = np.zeros(len(self.outputs))
+        self.tau = np.zeros(len(self.outputs))
         rests = [self._residual(k, x) for k, x in enumerate(self.at)]
         for residual, trial, states in zip(rests, self.trials, self.states, strict=True):
-            quarter = np.searchsorted(self.quarters, states[self.model.load_state])
+            quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)
-                tau[k] += autocorrelation(rest) / len(rests)
+                self.tau[k] += autocorrelation(rest) / len(rests)
                 known = trial.noise_n[name] ** 2 + self.model.aliased(self.origin, trial, name)
-                squared = np.minimum(rest**2, 25.0 * np.median(rest**2) + 1e-9) - known
+                squared = np.minimum(rest**2, HUBER**2 * np.median(rest**2) + 1e-9) - known
                 for j in range(4):
                     squares[k, j] += float(squared[quarter == j].sum())
                     counts[k, j] += int((quarter == j).sum())
         least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
-        self.tau = np.minimum(tau, MOST_TAU)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
 
@@ -443,6 +446,7 @@ class _Fit:
         A single reference trial is predicted by its own model.
         """
         squares: dict[str, list[float]] = {name: [] for name in self.outputs}
+        self.linear = [self._linearised(k) for k in range(len(self.trials))]
         for j, trial in enumerate(self.trials):
             models = self._others(j)
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
@@ -459,13 +463,15 @@ class _Fit:
         others = [k for k in range(len(self.trials)) if k != j] or [j]
         if not self.model.pools_sessions:
             return [self.identified[k] for k in others]
-        self.linear = self.linear or [self._linearised(k) for k in range(len(self.trials))]
         mean = self._posterior(others).mean
         return [(self._constants(mean), mean[len(self.free):])]
 
 
-def autocorrelation(rest: Array) -> float:
-    """Return 1 + 2·Σ of the autocorrelations of a residual, summed up to the first lag with less than 0.05."""
+def autocorrelation(rest: Array, most: float = 12.0) -> float:
+    """Return 1 + 2·Σ of the autocorrelations of a residual, summed up to the first lag with less than 0.05.
+
+    It is at most `most`: a residual that hardly changes is no noise.
+    """
     even = rest - rest.mean()
     power = float(np.mean(even**2))
     total = 1.0
@@ -474,4 +480,4 @@ def autocorrelation(rest: Array) -> float:
         if share < 0.05:
             break
         total += 2.0 * share
-    return total
+    return min(total, most)

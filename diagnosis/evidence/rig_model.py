@@ -1,26 +1,23 @@
 """Forward model of a rig other than the bench; its outputs are chosen by the recorded columns.
 
-    START force      ratio·END + offset + friction between the two + spring of position      if END is recorded
-                     k·e·(1 + c·e²) + d·ė,  e = position − arm·joint angle − zero            else, with a joint angle
-    drive force      START + friction + inertia + gravity of a turning axis + spring + offset
-    joint angle      zero + ratio·position + compliance·START and END                        if END is recorded, too
+    START force      friction and spring between START and END, if END is recorded; else a spring to the joint.
+    drive force      START or gravity, friction, inertia, spring.
+    joint angle      zero + ratio·position + compliance·START and END, if END is recorded, too.
 
-Inputs are the measured motion and the measured END.  Friction is that of `physics.effects.rig_hypotheses`.  Priors are
-wide and scale with the signals of the reference trials.  1σ between sessions is a share of the fitted constant.
+Equations: `physics.rig_forces`.  Constants and priors: `physics.rig_constants`.  Inputs are the measured motion and the
+measured END.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.data.table import TURNED_UNITS, Table
-from diagnosis.evidence.likelihood_data import GRID_S, Recording
-from diagnosis.evidence.outputs import dahl_states
-from physics.constant_table import ConstantTable, ModelConstant
+from diagnosis.data.table import Table
+from diagnosis.evidence.forward_model import ForwardModel
+from diagnosis.evidence.likelihood_data import GRID_S, LOWPASS_HZ, START_S, Recording
 from physics.effects.hypotheses import SENSOR, Hypothesis, Read
 from physics.effects.rig_hypotheses import (
     STRETCH_M_PER_N,
@@ -31,76 +28,31 @@ from physics.effects.rig_hypotheses import (
 )
 from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
-
-START, END, FORCE, JOINT = "tension_start_n", "tension_end_n", "servo_force_n", "knee_angle_rad"
-MOTION_HZ: Final = 40.0
-"""Cut-off, Hz, of the low-pass of the motion from which the friction states are computed."""
-OUTPUT_HZ: Final = 20.0
-"""Cut-off, Hz, of the low-pass of measured and predicted outputs; accelerations above it are noise."""
-WIDTH: Final = 8
-"""Samples of the time grid per datum: 32 ms, longer than the correlation time of the low-pass."""
-TRAVELS: Final = (1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
-"""Pre-sliding distances at which the first fit may start, relative to the stroke."""
-STARTS: Final = 2
-"""Number of pre-sliding distances at which the first fit starts."""
-SETTLED: Final = 0.5
-"""Distance travelled, relative to the stroke, after which friction no longer depends on the motion before the trial."""
-ALIKE: Final = 1.25
-"""Factor in load, speed and stroke within which two recordings are of the same condition."""
-WHOLE: Final = 0.08
-"""1σ between sessions of the logarithm of a rig's friction; measured on a rubber seal in five sessions."""
-SHARE: Final = 0.1
-"""1σ between sessions of the shares of friction that depend on load and on speed.
-
-Each part of a rubber seal's friction differs by 18 % between five sessions; with 0.05 one of four repeats is named."""
-FIRM: Final = 0.02
-"""1σ between sessions of a mass, relative to its value."""
-SPRING: Final = 0.03
-"""1σ between sessions of a spring constant, relative to its value."""
-ZERO: Final = 0.003
-"""1σ between sessions of an offset, relative to the largest value of its signal."""
-RATIO: Final = 0.005
-"""1σ between sessions of the ratio of two sensors."""
-ANGLE: Final = 0.02
-"""1σ between sessions of the angle of a mass on a turning axis, rad; it depends on the zero of the encoder."""
-
-
-class RigScale(NamedTuple):
-    """Sizes of the signals over the reference trials, in the units of the signals.
-
-    `stroke`: mean span of the position.  `speed`, `acceleration`, `end`: RMS.  `joint`: RMS of the joint angle about
-    its mean.  `spread` and `peak`: standard deviation and largest absolute value by output.
-    """
-
-    stroke: float
-    speed: float
-    acceleration: float
-    end: float
-    joint: float
-    spread: Mapping[str, float]
-    peak: Mapping[str, float]
+from physics.rig_constants import END, FORCE, JOINT, REGRESSED, START, RigColumns, RigScale, session_sd, table_of
+from physics.rig_forces import RigMotion, dahl_states, drive_force, spring_force, start_force
 
 
 class RigRecording(Recording):
     """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
 
-    Inputs are START, END and joint angle, as far as recorded.
+    Inputs are START, END and joint angle, as far as recorded.  Outputs pass half the cut-off of the motion, since
+    accelerations above it are noise.
     """
 
-    def __init__(self, table: Table, outputs: Sequence[str], coarsest: Mapping[str, float]) -> None:
+    def __init__(self, table: Table, outputs: Sequence[str]) -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
-        time = table["time_s"]
-        first = time[np.searchsorted(gone, SETTLED * np.ptp(at))] - time[0] if np.ptp(at) > 0.0 else 0.0
-        super().__init__(table, outputs, GRID_S, OUTPUT_HZ, min(max(first, 0.2), 0.3 * (time[-1] - time[0])), coarsest,
-                         WIDTH)
-        self.position = self.sampled("servo_position_m", MOTION_HZ)
-        self.x = self.position
+        # after half a stroke friction no longer depends on the motion before the trial
+        time = table["time_s"] - table["time_s"][0]
+        settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
+        super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]))
+        self.x = self.sampled("servo_position_m", LOWPASS_HZ)
         self.v = np.gradient(self.x, GRID_S)
         self.a = np.gradient(self.v, GRID_S)
-        self.inputs = {name: self.sampled(name, MOTION_HZ) for name in (START, END, JOINT) if name in table}
-        self.along = {"rope_m_s": self.v, "servo_position_m": self.position, **self.inputs}
-        self._smoother = butter(2, OUTPUT_HZ, fs=1.0 / GRID_S, output="sos")
+        self.motion = RigMotion(self.x, self.v, self.a, self.progress)
+        self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
+        self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
+        self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
 
     def smoothed(self, values: Array) -> Array:
@@ -154,13 +106,12 @@ class RigSession:
 Taken = RigRecording | RigSession
 
 
-class RigModel:
+class RigModel(ForwardModel):
     """Forward model of the rig of the reference trials `tables`; the module lists its outputs.
 
     `sense`: −1 if friction lowers START as the position grows, else 1.
     """
 
-    regressed: tuple[str, ...]
     amounts: Mapping[str, tuple[str, float]] = {"rest_speed": ("rest", 0.1), "drive_rest_speed": ("drive_rest", 0.1)}
     states = 6
     load_state = 3
@@ -170,33 +121,31 @@ class RigModel:
     unlike_share = 0.7
 
     def __init__(self, tables: Sequence[Table]) -> None:
-        self.turning = all(t.turning for t in tables)
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
-        self.has_end = START in has and END in has
-        self.sprung = START in has and JOINT in has and not self.has_end
+        self.has_end = {START, END} <= has
+        self.sprung = {START, JOINT} <= has and not self.has_end
         self.angled = self.has_end and JOINT in has
+        self.loaded = START in has
         self.outputs = tuple(name for name, there in (
             (START, self.has_end or self.sprung), (FORCE, FORCE in has), (JOINT, self.angled)) if there)
-        self.loaded = START in has
-        self.signals: Mapping[str, str] = {
+        self.turning = all(t.turning for t in tables)
+        self.rig = RigColumns(self.outputs, self.turning, self.has_end, self.sprung, self.angled, self.loaded)
+        self.signals = {
             name: "rad" if name == JOINT else "N·m" if self.turning else "N" for name in self.outputs}
         self.judged = tuple(name for name in self.outputs if name != JOINT)
         if not self.outputs:
             return
         self.scale = self._scaled(tables)
-        self.least: Mapping[str, float] = {n: 0.003 * s for n, s in self.scale.spread.items()}
-        self.constants = ConstantTable(self._rows(), {
-            "load_share": (-0.5, 1.5), "viscous_share": (-0.5, 1.5), "drive_load_share": (-0.5, 1.5),
-            "drive_viscous_share": (-0.5, 1.5), "rest": (-0.7, 3.0), "drive_rest": (-0.7, 3.0),
-            "drive_asymmetry": (-0.9, 0.9), "demand_gain": (0.3, 3.0), "drift": (-0.95, 3.0)})
-        self.hypotheses: Mapping[str, Hypothesis] = self._hypotheses()
+        self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
+        self.constants = table_of(self.rig, self.scale)
+        self.hypotheses = self._hypotheses()
         self.sense, every = 1.0, RigSession([self.record(t) for t in tables])
         if self.has_end:
             self.sense = self._sense(every)
         self.regressed = tuple(n for n in self.constants.names if n in REGRESSED)
         left = every.data - self.predict(self.origin(every)[:, None], every)[0]
-        rough = {n: max(float(np.std(every.part(left, k))), self.least[n]) for k, n in enumerate(self.outputs)}
-        self.first_noise = ({n: 3.0 * s for n, s in rough.items()}, rough)
+        self.first_noise = {
+            n: max(float(np.std(every.part(left, k))), self.least[n]) for k, n in enumerate(self.outputs)}
 
     # -- columns, sizes and constants of the rig ---------------------------------------------------------------------
 
@@ -213,11 +162,7 @@ class RigModel:
         """
         row = RELATION_PARAMETERS[parameter]
         low, high = row.rig_bounds
-        return low, high, self.unit(row.unit)
-
-    def unit(self, linear: str) -> str:
-        """Return the unit on this linear or turning axis of a quantity that has the unit `linear` on a linear one."""
-        return TURNED_UNITS.get(linear, linear) if self.turning else linear
+        return low, high, self.rig.unit(row.unit)
 
     def stated(self) -> dict[str, Read]:
         """Return the parameters that a fit of the rig states, as functions of its constants."""
@@ -233,10 +178,10 @@ class RigModel:
 
     def record(self, table: Table) -> RigRecording:
         """Return a trial of this rig on the time grid of the likelihood."""
-        return RigRecording(table, self.outputs, {n: 1e-4 * s for n, s in self.scale.spread.items()})
+        return RigRecording(table, self.outputs)
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
-        made = [RigRecording(t, self.outputs, {}) for t in tables]
+        made = [self.record(t) for t in tables]
 
         def rms(values: Sequence[Array]) -> float:
             return float(np.sqrt(np.mean(np.concatenate(values) ** 2))) or 1.0
@@ -256,87 +201,6 @@ class RigModel:
         return RigScale(float(np.mean([np.ptp(m.x) for m in made])) or 1.0, rms([m.v for m in made]),
                         rms([m.a for m in made]), rms(ends), rms(joints), spread, peak)
 
-    def _rows(self) -> list[ModelConstant]:
-        """Return the constants that the outputs need, in units of rotation if the axis turns."""
-        rows: list[ModelConstant] = []
-        if START in self.outputs and self.has_end:
-            rows += self._friction_rows("", START, True) + self._tension_rows()
-        if self.sprung:
-            rows += self._spring_rows()
-        if FORCE in self.outputs:
-            rows += self._friction_rows("drive_", FORCE, self.turning or self.loaded) + self._drive_rows()
-        if self.angled:
-            rows += self._joint_rows()
-        return [row._replace(unit=self.unit(row.unit)) for row in rows]
-
-    def _friction_rows(self, prefix: str, output: str, load: bool) -> list[ModelConstant]:
-        row, size, stroke, speed = ModelConstant, self.scale.spread[output], self.scale.stroke, self.scale.speed
-        unit = "N·m" if self.turning else "N"
-        rows = [
-            row(prefix + "friction", unit, size, "log", 1.5, WHOLE, "friction at the RMS of load and speed"),
-            row(prefix + "load_share", "", 0.0, "linear", 0.4 if load else 0.0, SHARE, "share of it that load carries",
-                step=0.02),
-            row(prefix + "viscous_share", "", 0.0, "linear", 0.4, SHARE, "share of it that speed carries"),
-            row(prefix + "travel", "m", 1e-2 * stroke, "log", 2.0, 0.2, "pre-sliding distance"),
-            row(prefix + "rest", "", 0.0, "linear", 0.4, 0.04, "static over sliding friction, less 1"),
-            row(prefix + "rest_speed", "m/s", 0.2 * speed, "log", 1.0, 0.1, "Stribeck speed"),
-        ]
-        if not prefix:  # between two tensions an asymmetry is confounded with ratio and offset
-            return [*rows, row("drift", "", 0.0, "linear", 0.1, 0.05, "change over the recording")]
-        return [*rows, *(row(prefix + name, "", 0.0, "linear", 0.1, 0.02, f"{kind} friction more one way")
-                         for name, kind in (("asymmetry", "dry"), ("viscous_asymmetry", "viscous")))]
-
-    def _tension_rows(self) -> list[ModelConstant]:
-        row, size, peak = ModelConstant, self.scale.spread[START], self.scale.peak[START]
-        return [
-            row("ratio", "", 1.0, "linear", 0.2, RATIO, "START over END without friction"),
-            row("offset", "N", 0.0, "linear", 0.1 * peak, ZERO * peak, "difference of the sensors' zeros"),
-            row("spring", "N/m", 0.0, "linear", size / self.scale.stroke, 0.05 * size / self.scale.stroke,
-                "force between the tensions by position"),
-            row("start_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of START behind motion and END"),
-        ]
-
-    def _spring_rows(self) -> list[ModelConstant]:
-        row, size, stroke = ModelConstant, self.scale.spread[START], self.scale.stroke
-        stiff = size / (0.3 * stroke)
-        return [
-            row("stiffness", "N/m", stiff, "log", 2.0, SPRING, "spring between drive and joint"),
-            row("arm", "m/rad", 0.0, "linear", stroke / self.scale.joint, 0.002 * stroke / self.scale.joint,
-                "position by joint angle at constant stretch"),
-            row("zero", "m", 0.0, "linear", 10.0 * stroke, 10.0 * stroke, "position at which the spring is loose"),
-            row("cubic", "", 0.0, "linear", 0.3, 0.02, "share of the cubic term at a tenth of the stroke"),
-            row("damping", "N·s/m", 0.0, "linear", size / self.scale.speed, 0.1 * size / self.scale.speed,
-                "damping of the spring"),
-            row("start_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of START behind motion"),
-        ]
-
-    def _drive_rows(self) -> list[ModelConstant]:
-        row, size, peak = ModelConstant, self.scale.spread[FORCE], self.scale.peak[FORCE]
-        heavy = size / self.scale.acceleration
-        rows = [
-            row("inertia", "kg", 0.0, "positive", 3.0 * heavy, FIRM * heavy, "mass that the drive moves", 0.01 * heavy),
-            row("drive_offset", "N", 0.0, "linear", size, ZERO * peak, "constant force"),
-            row("drive_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of the force behind the motion"),
-            row("demand_gain", "", 1.0, "linear", 0.0, 0.0, "force that the drive gives over what it reports",
-                step=0.01),
-        ]
-        if self.turning:
-            return [*rows, row("unbalance", "N·m", size, "log", 1.5, FIRM, "largest torque of gravity"),
-                    row("unbalance_phase", "rad", 0.0, "linear", 2.0, ANGLE, "angle of the mass from below at 0")]
-        stiff = size / self.scale.stroke
-        return [*rows, row("drive_spring", "N/m", 0.0, "linear", stiff, 0.05 * stiff, "force by position")]
-
-    def _joint_rows(self) -> list[ModelConstant]:
-        row, spread, stroke = ModelConstant, self.scale.spread[JOINT], self.scale.stroke
-        give = spread / max(self.scale.spread[START], 1e-9)
-        return [
-            row("joint_zero", "rad", 0.0, "linear", 10.0, 10.0, "joint angle at position 0 without load"),
-            row("joint_ratio", "rad/m", 0.0, "linear", spread / stroke * 10.0, 0.002 * spread / stroke,
-                "joint angle by position"),
-            row("give", "rad/N", 0.0, "linear", give, SPRING * give, "joint angle by START"),
-            row("give_end", "rad/N", 0.0, "linear", give, SPRING * give, "joint angle by END"),
-        ]
-
     def _hypotheses(self) -> dict[str, Hypothesis]:
         made: dict[str, Hypothesis] = {}
         if START in self.outputs and self.has_end:
@@ -352,7 +216,10 @@ class RigModel:
     # -- prediction --------------------------------------------------------------------------------------------------
 
     def sessions(self, recordings: Sequence[RigRecording]) -> list[RigSession]:
-        """Return recordings grouped by session; two recordings in the same condition belong to different sessions."""
+        """Return recordings grouped by session; two recordings in the same condition belong to different sessions.
+
+        Two conditions are the same if load, speed and stroke differ by less than a quarter.
+        """
         made: list[list[RigRecording]] = []
         for one in recordings:
             rank = sum(self._alike(one, other) for session in made for other in session)
@@ -366,65 +233,24 @@ class RigModel:
             load = np.abs(r.inputs[END]).mean() if self.has_end else 1.0
             return np.array([load, np.sqrt(np.mean(r.v**2)), np.ptp(r.x)])
         ratio = condition(one) / (condition(other) + 1e-30)
-        return bool(np.all((ratio > 1.0 / ALIKE) & (ratio < ALIKE)))
+        return bool(np.all((ratio > 0.8) & (ratio < 1.25)))
 
     def predict(self, q: Array, trial: Taken) -> Array:
         """Return the predicted data of each column of coordinates `q`, shape (sets, data)."""
         if isinstance(trial, RigSession):
             return trial.joined([self.predict(q, r) for r in trial.recordings])
         given = dict(zip(self.constants.names, self.constants.values(q)[:, :, None], strict=True))
-        told = {}
-        if START in self.outputs:
-            told[START] = self._start(given, trial)
-        if FORCE in self.outputs:
-            told[FORCE] = self._force(given, trial)
-        if self.angled:
-            told[JOINT] = (given["joint_zero"] + given["joint_ratio"] * trial.x + given["give"] * trial.inputs[START]
-                           + given["give_end"] * trial.inputs[END])
-        return np.concatenate([trial.smoothed(told[name]) for name in trial.outputs], axis=1)
-
-    def _start(self, given: Mapping[str, Array], trial: RigRecording) -> Array:
+        told, inputs, motion = {}, trial.inputs, trial.motion
         if self.has_end:
-            end = trial.inputs[END]
-            signal = (given["ratio"] * end + given["offset"] + given["spring"] * (trial.x - trial.x.mean())
-                      + self._rubbed(given, trial, "", np.abs(end) / self.scale.end))
-        else:
-            stretch = trial.x - given["arm"] * trial.inputs[JOINT] - given["zero"]
-            reach = 0.1 * self.scale.stroke
-            signal = given["stiffness"] * stretch * (1.0 + given["cubic"] * (stretch / reach) ** 2) + (
-                given["damping"] * np.gradient(stretch, GRID_S, axis=-1))
-        return _late(signal, given["start_lag"])
-
-    def _force(self, given: Mapping[str, Array], trial: RigRecording) -> Array:
-        load = np.zeros_like(trial.x)
-        if self.turning:
-            load = given["unbalance"] * np.sin(trial.x + given["unbalance_phase"])
-        elif self.loaded:
-            load = trial.inputs[START]
-        force = load + given["inertia"] * trial.a + given["drive_offset"] + self._rubbed(
-            given, trial, "drive_", np.abs(load) / self.scale.spread[FORCE])
-        if not self.turning:
-            force = force + given["drive_spring"] * (trial.x - trial.x.mean())
-        return _late(force, given["drive_lag"]) / given["demand_gain"]
-
-    def _rubbed(self, given: Mapping[str, Array], trial: RigRecording, prefix: str, load: Array) -> Array:
-        """Return the friction force, shape (sets, samples); `load`: relative to its RMS or scale."""
-        travels, row = np.unique(given[prefix + "travel"][:, 0], return_inverse=True)
-        slip = dahl_states(trial.x, travels)[row.ravel()]
-        a, b = given[prefix + "load_share"], given[prefix + "viscous_share"]
-        dry = 1.0 - a - b
-        dry = 0.5 * (dry + np.sqrt(dry * dry + 4e-4))
-        speed = trial.v / self.scale.speed
-        slow = given[prefix + "rest_speed"]
-        # the Stribeck curve is 1 at the RMS speed, so that `friction` is the sliding friction of these trials
-        settled = np.exp(-((self.scale.speed / slow) ** 2))
-        curve = 1.0 + given[prefix + "rest"] * (np.exp(-((trial.v / slow) ** 2)) - settled)
-        if not prefix:
-            drift = 1.0 + given["drift"] * (trial.progress - 0.5)
-            return np.asarray(self.sense * given["friction"] * drift * ((dry + a * load) * slip * curve + b * speed))
-        dry_part = (dry * (1.0 + given["drive_asymmetry"] * slip) + a * load) * slip * curve
-        return np.asarray(given["drive_friction"] * (
-            dry_part + b * (speed + given["drive_viscous_asymmetry"] * np.abs(speed))))
+            told[START] = start_force(given, motion, inputs[END], self.sense, self.scale, GRID_S)
+        if self.sprung:
+            told[START] = spring_force(given, motion, inputs[JOINT], self.scale, GRID_S)
+        if FORCE in self.outputs:
+            told[FORCE] = drive_force(given, motion, inputs.get(START), self.rig, self.scale, GRID_S)
+        if self.angled:
+            told[JOINT] = (given["joint_zero"] + given["joint_ratio"] * trial.x + given["give"] * inputs[START]
+                           + given["give_end"] * inputs[END])
+        return np.concatenate([trial.smoothed(told[name]) for name in trial.outputs], axis=1)
 
     def simulated_states(self, q: Array, trial: Taken) -> Array:
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
@@ -448,12 +274,16 @@ class RigModel:
         return self.scanned(np.zeros(len(self.constants)), trial)[0]
 
     def scanned(self, middle: Array, trial: Taken) -> list[Array]:
-        """Return the `STARTS` coordinates with the smallest error on the trial, one per pre-sliding distance."""
-        starts = [self._regressed(middle, trial, travel * self.scale.stroke) for travel in TRAVELS]
+        """Return coordinates of the first fit, one per pre-sliding distance, the smallest error on the trial first."""
+        starts = [self._regressed(middle, trial, travel) for travel in self._travels()]
         data = self.predict(np.stack(starts, axis=1), trial)
         weight = np.repeat([1.0 / self.scale.spread[n] for n in trial.outputs], trial.bins)
         misses = np.abs((data - trial.data) * weight).mean(axis=1)
-        return [starts[k] for k in np.argsort(misses)[:STARTS]]
+        return [starts[k] for k in np.argsort(misses)]
+
+    def _travels(self) -> Array:
+        """Return the pre-sliding distances at which the first fit may start: from 1e-4 to 0.3 of the stroke."""
+        return np.asarray(np.geomspace(1e-4, 0.3, 7) * self.scale.stroke)
 
     def _regressed(self, middle: Array, trial: Taken, travel: float) -> Array:
         q = middle.copy()
@@ -516,8 +346,8 @@ class RigModel:
         """Return −1 if friction lowers START as the position grows, else 1, by regression of START."""
         end, position = all_trials.inputs[END], all_trials.x - all_trials.x.mean()
         misses = []
-        for travel in TRAVELS:
-            rubs = self._friction_terms(all_trials, travel * self.scale.stroke, np.abs(end) / self.scale.end)
+        for travel in self._travels():
+            rubs = self._friction_terms(all_trials, travel, np.abs(end) / self.scale.end)
             columns = [*rubs, end, np.ones_like(end), position]
             told = _fitted(all_trials, START, columns)
             rest = all_trials.binned(all_trials.measured(START))
@@ -529,14 +359,7 @@ class RigModel:
 
     def session_at(self, q: Array) -> Array:
         """Return 1σ between sessions of each constant, in coordinates, of a rig at coordinates `q`."""
-        sd, given, index = self.constants.session_sd.copy(), self.constants.named(q), self.constants.index
-        own = {"inertia": FIRM * abs(given.get("inertia", 0.0)), "give": SPRING * abs(given.get("give", 0.0)),
-               "give_end": SPRING * abs(given.get("give_end", 0.0)), "joint_ratio": 0.005 * abs(given.get(
-                   "joint_ratio", 0.0)), "arm": 0.005 * abs(given.get("arm", 0.0))}
-        for name, width in own.items():
-            if name in index:
-                sd[index[name]] = max(width, 1e-3 * self.constants.bench_sd[index[name]])
-        return sd
+        return session_sd(self.constants, q)
 
     def growth(self, trial: Taken, name: str, signal: Array) -> float:
         """Return the factor, at least 1, by which the model error's variance grows with the `signal` of an output."""
@@ -556,24 +379,6 @@ class RigModel:
         elif name == FORCE and self.loaded:
             signal = signal - trial.binned(trial.inputs[START])
         return 1.0 if name == JOINT else float(np.var(signal))
-
-    def aliased(self, q: Array, trial: Taken, name: str) -> Array | float:
-        """Return 0: the low-pass of the outputs removes aliased frequencies."""
-        return 0.0
-
-    def errors(self, trial: Taken, residual: Array) -> dict[str, Array]:
-        """Return the error of each output signal, by output: its rows of `residual`."""
-        return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
-
-
-REGRESSED: Final = frozenset({
-    "friction", "drive_friction", "ratio", "offset", "spring", "stiffness", "arm", "zero", "inertia", "drive_offset",
-    "unbalance", "unbalance_phase", "drive_spring", "joint_zero", "joint_ratio", "give", "give_end"})
-"""Constants without a typical value; their prior is centred at the regression of the first reference trial."""
-
-
-def _late(signals: Array, lag_s: Array) -> Array:
-    return np.asarray(signals - lag_s * np.gradient(signals, GRID_S, axis=-1))
 
 
 def _rest(signal: Array, columns: Sequence[Array]) -> Array:

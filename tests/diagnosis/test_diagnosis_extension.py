@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from diagnosis.data.table import Table, table
-from diagnosis.extension import read, text
+from diagnosis.extension import text
 from diagnosis.findings import Findings
 from eds.declaration import PathNodes
 from parameters import InputError
-from physics import bench_model
-from physics.bench_model import BenchModel
+from physics.bench_model import BenchModel, read
 from physics.calibration import ScalarEvidence
 from physics.effects.catalogue import CATALOGUE, apply, complete
 from virtual_bus.machine import plant_model
@@ -40,10 +39,10 @@ def test_what_is_written_is_read_and_reaches_the_plant(tmp_path: Path) -> None:
     path.write_text(text(found, [TRIAL]), encoding="utf-8")
     extension = read(path)
     assert extension.effects == {"presliding": {"presliding": 4e-4}, "end_gain": {"end_gain": 1.05}}
-    assert extension.evidence["on"] == ["gait.mcap"]
-    assert extension.evidence["class"] == ["presliding", "end_gain", "stiffness"]
-    assert extension.evidence["gain_percent"] == {"presliding": 31.23, "end_gain": 31.23}
-    assert extension.evidence["lowpass_hz"] == 20.0
+    assert extension.found["on"] == ["gait.mcap"]
+    assert extension.found["class"] == ["presliding", "end_gain", "stiffness"]
+    assert extension.found["gain_percent"] == {"presliding": 31.23, "end_gain": 31.23}
+    assert extension.found["lowpass_hz"] == 20.0
     assert plant_model.read(str(path), NODES).effects == apply(extension.effects)
 
 
@@ -53,7 +52,7 @@ def test_the_bench_stands_in_the_same_file_as_what_was_found(tmp_path: Path) -> 
                      bench=known)
     path = tmp_path / "extended.toml"
     path.write_text(text(found, [TRIAL]), encoding="utf-8")
-    model = bench_model.read(path)
+    model = read(path)
     assert model.values == known.values
     assert model.evidence["mu1"] == ScalarEvidence(0.10, 0.12)
     assert model.effects == {"presliding": {"presliding": 4e-4}}

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.table import Table, table
-from diagnosis.evidence.evidence_finder import EvidenceFinder, model_of
-from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.evidence.evidence_finder import EvidenceFinder, can_be_of_bench
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Findings
@@ -63,8 +62,8 @@ def test_a_gait_is_a_benchs_and_a_turning_axis_is_not() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     gait = table("gait", {"time_s": time, "gait_percent": 100.0 * (time % 1.0), "servo_position_m": np.sin(time),
                           "tension_start_n": 20.0 + np.sin(time), "knee_angle_rad": np.sin(time)})
-    assert model_of([gait], [gait]) is PATH_MODEL
-    assert isinstance(model_of([pendulum(1)], [pendulum(2)]), RigModel)
+    assert can_be_of_bench([gait])
+    assert not can_be_of_bench([pendulum(1)])
 
 
 def fitted(trials: list[Table]) -> tuple[RigModel, ReferenceFit, dict[str, float]]:

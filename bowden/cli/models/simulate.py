@@ -13,7 +13,7 @@ from bowden.cli.app import app
 if TYPE_CHECKING:
     from diagnosis.bench_fit import FittedBench
     from diagnosis.data.table import Table
-    from diagnosis.simulation import SimulatedTensions
+    from physics.simulated_bench import SimulatedTensions
 
 Trial = Annotated[Path, typer.Argument(
     metavar="TRIAL", help="MCAP, or CSV (.gz) with rope position and knee angle (none: locked).", show_default=False)]

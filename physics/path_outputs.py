@@ -1,0 +1,87 @@
+"""Readings of a bench's sensors and drive from the simulated force path, for a batch of sets of constants.
+
+`given`: constants of `physics.path_constants`, shape (constants, sets).  Signals have shape (samples,), SI, on a time
+grid of `step_s`; results have shape (sets, samples).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from scipy.signal import lfilter
+
+from physics.laws import Array
+from physics.path_constants import INDEX
+from physics.plant.leg import GRAVITY
+from physics.rig_forces import dahl_states
+
+
+class PathMotion(Protocol):
+    """Measured motion of rope and knee with its derivatives, measured START, N, and progress of the trial, 0 … 1."""
+
+    rope_m: Array
+    rope_m_s: Array
+    rope_m_s2: Array
+    knee_rad: Array
+    knee_rad_s2: Array
+    start_n: Array
+    progress: Array
+
+
+def start_reading(given: Array, start: Array, motion: PathMotion, step_s: float) -> Array:
+    """Return the reading of START, N, of the tension `start`: gain, offset, drift and lag."""
+    return _read(given, "start", _late(start, given[INDEX["start_lag"]], step_s), motion)
+
+
+def end_reading(given: Array, end: Array, motion: PathMotion, step_s: float) -> Array:
+    """Return the reading of END, N, of the tension `end`: carried mass, lag, low-pass, gain, offset and drift."""
+    mass, swing = (given[INDEX[name]][:, None] for name in ("end_mass", "end_swing"))
+    carried = end + GRAVITY * mass * np.cos(motion.knee_rad) + swing * motion.knee_rad_s2
+    return _read(given, "end", _filtered(_late(carried, given[INDEX["end_lag"]], step_s),
+                                         given[INDEX["end_filter"]], step_s), motion)
+
+
+def _read(given: Array, sensor: str, tension: Array, motion: PathMotion) -> Array:
+    gain, offset, drift = (given[INDEX[f"{sensor}_{name}"]][:, None] for name in ("gain", "offset", "drift"))
+    return np.asarray(gain * tension + offset + drift * motion.progress)
+
+
+def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
+    """Return the servo force, N, by the prediction equation `drive_force`, shape (sets, samples).
+
+    Terms: measured START tension at the drum, friction, inertia, offset.
+    """
+    def column(name: str) -> Array:
+        return np.asarray(given[INDEX[name]][:, None])
+
+    start = motion.start_n + column("start_lag") * np.gradient(motion.start_n, step_s)
+    tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")
+    angle = motion.rope_m / column("drum")
+    arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / column("drum")
+    travels, row = np.unique(given[INDEX["drive_travel"]], return_inverse=True)
+    slip = dahl_states(motion.rope_m, travels)[row]
+    coulomb = column("drive_coulomb") * slip * (1.0 + column("drive_asymmetry") * slip)
+    viscous = column("drive_viscous") * (
+        motion.rope_m_s + column("drive_viscous_asymmetry") * np.abs(motion.rope_m_s))
+    force = tension * arm + coulomb + viscous + column("drive_inertia") * motion.rope_m_s2 + column("drive_offset")
+    return np.asarray(force / column("demand_gain"))
+
+
+def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
+    """Return each row of `signals` delayed by its lag, s: up to one step by its derivative, exact to 1 %."""
+    out = signals - lag_s[:, None] * np.gradient(signals, step_s, axis=-1)
+    time = step_s * np.arange(signals.shape[1])
+    for j in np.flatnonzero(np.abs(lag_s) > step_s):
+        out[j] = np.interp(time - lag_s[j], time, signals[j])
+    return np.asarray(out)
+
+
+def _filtered(signals: Array, time_s: Array, step_s: float) -> Array:
+    """Return each row of `signals` after a first-order low-pass with its time constant, s."""
+    time = step_s * np.arange(signals.shape[1])
+    for j in np.flatnonzero(time_s > 1e-5):
+        keep = float(np.exp(-step_s / time_s[j]))
+        behind, _ = lfilter([1.0 - keep], [1.0, -keep], signals[j], zi=[keep * signals[j, 0]])
+        signals[j] = np.interp(time + 0.5 * step_s, time, behind)
+    return signals

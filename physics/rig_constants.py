@@ -1,0 +1,160 @@
+"""Constants of a rig other than the bench, with their priors: one row a constant, sized by the rig's own signals.
+
+1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant; for
+the friction of a seal it is the scatter that `python -m benchmarks.rig_changes` shows over the sessions of four rubber
+seals, else a usual repeatability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, NamedTuple
+
+from physics.constant_table import ConstantTable, ModelConstant
+from physics.laws import Array
+
+START, END, FORCE, JOINT = "tension_start_n", "tension_end_n", "servo_force_n", "knee_angle_rad"
+TURNED_UNITS: Final[Mapping[str, str]] = {
+    "N": "N·m", "m": "rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad", "m/s": "rad/s"}
+"""Unit of a linear axis → unit of the same quantity of a turning axis."""
+
+
+class RigScale(NamedTuple):
+    """Sizes of the signals over the reference trials, in the units of the signals.
+
+    `stroke`: mean span of the position.  `speed`, `acceleration`, `end`: RMS.  `joint`: RMS of the joint angle about
+    its mean.  `spread` and `peak`: standard deviation and largest absolute value by output.
+    """
+
+    stroke: float
+    speed: float
+    acceleration: float
+    end: float
+    joint: float
+    spread: Mapping[str, float]
+    peak: Mapping[str, float]
+
+
+class RigColumns(NamedTuple):
+    """Kind of a rig by its columns: `outputs`, whether the axis turns, and which other forces and angles are recorded.
+
+    `has_end`: START and END.  `sprung`: START and a joint angle, with a spring between.  `angled`: joint angle beside
+    START and END.  `loaded`: START is the load of the drive.
+    """
+
+    outputs: tuple[str, ...]
+    turning: bool
+    has_end: bool
+    sprung: bool
+    angled: bool
+    loaded: bool
+
+    def unit(self, linear: str) -> str:
+        """Return the unit on this linear or turning axis of a quantity that has the unit `linear` on a linear one."""
+        return TURNED_UNITS.get(linear, linear) if self.turning else linear
+
+
+BOUNDS: Final = {
+    "load_share": (-0.5, 1.5), "viscous_share": (-0.5, 1.5), "drive_load_share": (-0.5, 1.5),
+    "drive_viscous_share": (-0.5, 1.5), "rest": (-0.7, 3.0), "drive_rest": (-0.7, 3.0),
+    "drive_asymmetry": (-0.9, 0.9), "demand_gain": (0.3, 3.0), "drift": (-0.95, 3.0)}
+"""Bounds that keep friction positive."""
+REGRESSED: Final = frozenset({
+    "friction", "drive_friction", "ratio", "offset", "spring", "stiffness", "arm", "zero", "inertia", "drive_offset",
+    "unbalance", "unbalance_phase", "drive_spring", "joint_zero", "joint_ratio", "give", "give_end"})
+"""Constants without a typical value; their prior is centred at the regression of the first reference trial."""
+RELATIVE_SD: Final = {"inertia": 0.02, "give": 0.03, "give_end": 0.03, "joint_ratio": 0.005, "arm": 0.005}
+"""1σ between sessions, relative to the value, of linear constants whose size only a fit can give."""
+
+
+def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
+    """Return the constants that the outputs of a rig need, in units of rotation if the axis turns."""
+    rows: list[ModelConstant] = []
+    if START in rig.outputs and rig.has_end:
+        rows += [*_friction("", START, True, scale), *_tension(scale)]
+    if rig.sprung:
+        rows += _spring(scale)
+    if FORCE in rig.outputs:
+        rows += [*_friction("drive_", FORCE, rig.turning or rig.loaded, scale), *_drive(rig, scale)]
+    if rig.angled:
+        rows += _joint(scale)
+    return ConstantTable([row._replace(unit=rig.unit(row.unit)) for row in rows], BOUNDS)
+
+
+def session_sd(table: ConstantTable, q: Array) -> Array:
+    """Return 1σ between sessions of each constant, in coordinates, of a rig at coordinates `q`."""
+    sd, given = table.session_sd.copy(), table.named(q)
+    for name in RELATIVE_SD.keys() & table.index.keys():
+        at = table.index[name]
+        sd[at] = max(RELATIVE_SD[name] * abs(given[name]), 1e-3 * table.bench_sd[at])
+    return sd
+
+
+def _friction(prefix: str, output: str, load: bool, scale: RigScale) -> Sequence[ModelConstant]:
+    row = ModelConstant
+    rows = [
+        row(prefix + "friction", "N", scale.spread[output], "log", 1.5, 0.08, "friction at the RMS of load and speed"),
+        row(prefix + "load_share", "", 0.0, "linear", 0.4 if load else 0.0, 0.1, "share of it that load carries",
+            step=0.02),
+        row(prefix + "viscous_share", "", 0.0, "linear", 0.4, 0.1, "share of it that speed carries"),
+        row(prefix + "travel", "m", 1e-2 * scale.stroke, "log", 2.0, 0.2, "pre-sliding distance"),
+        row(prefix + "rest", "", 0.0, "linear", 0.4, 0.04, "static over sliding friction, less 1"),
+        row(prefix + "rest_speed", "m/s", 0.2 * scale.speed, "log", 1.0, 0.1, "Stribeck speed"),
+    ]
+    if not prefix:  # between two tensions an asymmetry is confounded with ratio and offset
+        return [*rows, row("drift", "", 0.0, "linear", 0.1, 0.05, "change over the recording")]
+    return [*rows, *(row(prefix + name, "", 0.0, "linear", 0.1, 0.02, f"{kind} friction more one way")
+                     for name, kind in (("asymmetry", "dry"), ("viscous_asymmetry", "viscous")))]
+
+
+def _tension(scale: RigScale) -> Sequence[ModelConstant]:
+    row, size, peak = ModelConstant, scale.spread[START], scale.peak[START]
+    return [
+        row("ratio", "", 1.0, "linear", 0.2, 0.005, "START over END without friction"),
+        row("offset", "N", 0.0, "linear", 0.1 * peak, 0.003 * peak, "difference of the sensors' zeros"),
+        row("spring", "N/m", 0.0, "linear", size / scale.stroke, 0.05 * size / scale.stroke,
+            "force between the tensions by position"),
+        row("start_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of START behind motion and END"),
+    ]
+
+
+def _spring(scale: RigScale) -> Sequence[ModelConstant]:
+    row, size, stroke = ModelConstant, scale.spread[START], scale.stroke
+    return [
+        row("stiffness", "N/m", size / (0.3 * stroke), "log", 2.0, 0.03, "spring between drive and joint"),
+        row("arm", "m/rad", 0.0, "linear", stroke / scale.joint, 0.002 * stroke / scale.joint,
+            "position by joint angle at constant stretch"),
+        row("zero", "m", 0.0, "linear", 10.0 * stroke, 10.0 * stroke, "position at which the spring is loose"),
+        row("cubic", "", 0.0, "linear", 0.3, 0.02, "share of the cubic term at a tenth of the stroke"),
+        row("damping", "N·s/m", 0.0, "linear", size / scale.speed, 0.1 * size / scale.speed, "damping of the spring"),
+        row("start_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of START behind motion"),
+    ]
+
+
+def _drive(rig: RigColumns, scale: RigScale) -> Sequence[ModelConstant]:
+    row, size = ModelConstant, scale.spread[FORCE]
+    heavy, stiff = size / scale.acceleration, size / scale.stroke
+    rows = [
+        row("inertia", "kg", 0.0, "positive", 3.0 * heavy, RELATIVE_SD["inertia"] * heavy, "mass that the drive moves",
+            0.01 * heavy),
+        row("drive_offset", "N", 0.0, "linear", size, 0.003 * scale.peak[FORCE], "constant force"),
+        row("drive_lag", "s", 0.0, "linear", 5e-3, 5e-4, "lag of the force behind the motion"),
+        row("demand_gain", "", 1.0, "linear", 0.0, 0.0, "force that the drive gives over what it reports", step=0.01),
+    ]
+    if rig.turning:
+        return [*rows, row("unbalance", "N·m", size, "log", 1.5, 0.02, "largest torque of gravity"),
+                row("unbalance_phase", "rad", 0.0, "linear", 2.0, 0.02, "angle of the mass from below at 0; session: "
+                    "zero of the encoder")]
+    return [*rows, row("drive_spring", "N/m", 0.0, "linear", stiff, 0.05 * stiff, "force by position")]
+
+
+def _joint(scale: RigScale) -> Sequence[ModelConstant]:
+    row, spread, stroke = ModelConstant, scale.spread[JOINT], scale.stroke
+    give = spread / max(scale.spread[START], 1e-9)
+    return [
+        row("joint_zero", "rad", 0.0, "linear", 10.0, 10.0, "joint angle at position 0 without load"),
+        row("joint_ratio", "rad/m", 0.0, "linear", spread / stroke * 10.0, 0.002 * spread / stroke,
+            "joint angle by position"),
+        row("give", "rad/N", 0.0, "linear", give, RELATIVE_SD["give"] * give, "joint angle by START"),
+        row("give_end", "rad/N", 0.0, "linear", give, RELATIVE_SD["give_end"] * give, "joint angle by END"),
+    ]

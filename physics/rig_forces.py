@@ -1,0 +1,99 @@
+"""Forces of a rig other than the bench from its measured motion, for a batch of sets of constants.
+
+Each function takes constants by name, of shape (sets, 1), and signals of shape (samples,), SI, and returns an array of
+shape (sets, samples).  A set of constants is a row of `physics.rig_constants`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from physics.laws import Array
+from physics.rig_constants import RigColumns, RigScale
+
+Constants = Mapping[str, Array]
+
+
+class RigMotion(NamedTuple):
+    """Motion of a rig: position `x`, m or rad, its derivatives `v` and `a`; progress of the recording, 0 … 1."""
+
+    x: Array
+    v: Array
+    a: Array
+    progress: Array
+
+
+@njit(cache=True)
+def dahl_states(rope, travels):  # type: ignore[no-untyped-def]
+    """Return the friction state −1…1 for each pre-sliding distance, shape (travels, samples)."""
+    out = np.zeros((travels.size, rope.size))
+    for j in range(travels.size):
+        s = 0.0
+        for i in range(1, rope.size):
+            way = (rope[i] - rope[i - 1]) / travels[j]
+            s = (s + way) / (1.0 + abs(way))
+            out[j, i] = s
+    return out
+
+
+def friction(given: Constants, motion: RigMotion, prefix: str, load: Array, speed: float) -> Array:
+    """Return the friction force by the equation of `physics.effects.rig_hypotheses`.
+
+    `load`: relative to its RMS or scale.  `speed`: RMS speed, at which the Stribeck curve is 1, so that `friction` is
+    the sliding friction of the trials that gave it.
+    """
+    travels, row = np.unique(given[prefix + "travel"][:, 0], return_inverse=True)
+    slip = dahl_states(motion.x, travels)[row.ravel()]
+    a, b = given[prefix + "load_share"], given[prefix + "viscous_share"]
+    dry = 1.0 - a - b
+    dry = 0.5 * (dry + np.sqrt(dry * dry + 4e-4))
+    slow = given[prefix + "rest_speed"]
+    curve = 1.0 + given[prefix + "rest"] * (np.exp(-((motion.v / slow) ** 2)) - np.exp(-((speed / slow) ** 2)))
+    drag = motion.v / speed
+    size = given[prefix + "friction"]
+    if prefix:
+        dry = dry * (1.0 + given["drive_asymmetry"] * slip)
+        drag = drag + given["drive_viscous_asymmetry"] * np.abs(drag)
+    else:
+        size = size * (1.0 + given["drift"] * (motion.progress - 0.5))
+    return np.asarray(size * ((dry + a * load) * slip * curve + b * drag))
+
+
+def start_force(given: Constants, motion: RigMotion, end: Array, sense: float, scale: RigScale, step_s: float) -> Array:
+    """Return START from END, N: ratio, offset, spring of position and friction; `sense`: its sign over the motion."""
+    rubbed = friction(given, motion, "", np.abs(end) / scale.end, scale.speed)
+    return late(given["ratio"] * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean())
+                + sense * rubbed, given["start_lag"], step_s)
+
+
+def spring_force(given: Constants, motion: RigMotion, joint: Array, scale: RigScale, step_s: float) -> Array:
+    """Return the force of the spring between drive and joint, N: k·e·(1 + c·e²) + d·ė, e its stretch."""
+    stretch = motion.x - given["arm"] * joint - given["zero"]
+    signal = given["stiffness"] * stretch * (1.0 + given["cubic"] * (stretch / (0.1 * scale.stroke)) ** 2) + (
+        given["damping"] * np.gradient(stretch, step_s, axis=-1))
+    return late(signal, given["start_lag"], step_s)
+
+
+def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: RigColumns, scale: RigScale,
+                step_s: float) -> Array:
+    """Return the force that a drive reports: load, friction, inertia, offset, spring of position.
+
+    The load is the torque of gravity on a turning axis, else START (None: no load).
+    """
+    load = np.zeros_like(motion.x) if start is None else start
+    if rig.turning:
+        load = given["unbalance"] * np.sin(motion.x + given["unbalance_phase"])
+    force = load + given["inertia"] * motion.a + given["drive_offset"] + friction(
+        given, motion, "drive_", np.abs(load) / scale.spread["servo_force_n"], scale.speed)
+    if not rig.turning:
+        force = force + given["drive_spring"] * (motion.x - motion.x.mean())
+    return late(force, given["drive_lag"], step_s) / given["demand_gain"]
+
+
+def late(signals: Array, lag_s: Array, step_s: float) -> Array:
+    """Return signals delayed by a lag, s, that is short beside their changes; `step_s`: step of their time grid."""
+    return np.asarray(signals - lag_s * np.gradient(signals, step_s, axis=-1))
