@@ -93,8 +93,8 @@ def reference_of_population(model: ForwardModel, trials: Sequence[Recording],
                        origin[free])
     return ReferenceFit(
         model, outputs, origin, bench, Gaussian(origin, mean, covariance + np.diag(session)),
-        scaling_of(model, states), amplitude, np.repeat(amplitude[:, None] ** 2, 4, axis=1),
-        np.full(len(outputs), 2.0), 0, {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, ((q, zero),))
+        scaling_of(model, states), np.repeat(amplitude[:, None] ** 2, 4, axis=1), np.full(len(outputs), 2.0),
+        {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, ((q, zero),))
 
 
 def _zeros(model: ForwardModel) -> Array:

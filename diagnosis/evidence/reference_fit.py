@@ -25,7 +25,7 @@ FEATURES: Final = 60
 POOLED: Final = 2.0
 """Factor from residual variance to model error of a rig, whose pooled sessions differ in more than its constants.
 
-With 1 the repeats of a rubber seal get a name, `presliding`, with 67 nats."""
+With 1, repeats of a rubber seal are named `presliding`."""
 PRIOR_SESSIONS: Final = 3.0
 """Weight of the model's prior 1σ between sessions, in equivalent sessions.
 
@@ -66,11 +66,10 @@ class ReferenceFit:
     """Bench as fitted to its reference trials.
 
     `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
-    further trial, which is `bench` with the session deviation.  `amplitude`: 1σ of the discrepancy by output.
-    `model_error`: variance by output and load quarter, N².  `tau`: noise inflation by output.  `trials`: number of
-    reference trials.  `cost`: mean cost per datum of the reference trials at
-    their modes.  `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS
-    error by output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
+    further trial, which is `bench` with the session deviation.  `model_error`: variance by output and load quarter, N².
+    `tau`: noise inflation by output.  `cost`: mean cost per datum of the reference trials at their modes.
+    `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
+    output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
 
     model: ForwardModel
@@ -79,10 +78,8 @@ class ReferenceFit:
     bench: Gaussian
     prior: Gaussian
     scaling: Scaling
-    amplitude: Array
     model_error: Array
     tau: Array
-    trials: int
     scatter_n: Mapping[str, float]
     cost: float
     identified: tuple[tuple[Array, Array], ...] = ()
@@ -231,9 +228,8 @@ class _Fit:
         # features stay those simulated at the origin: the states change by far less than the length scale
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
-        return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.amplitude,
-                            self.model_error, self.tau, len(self.trials), self.scatter_n, self._mean_cost(),
-                            tuple(self.identified))
+        return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
+                            self.tau, self.scatter_n, self._mean_cost(), tuple(self.identified))
 
     def _bounded(self, bench: Gaussian) -> Gaussian:
         """Return the bench with a covariance for "positive" constants linearised where their value is above 0.
@@ -404,8 +400,8 @@ class _Fit:
 
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
-        return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.amplitude,
-                            self.model_error, self.tau, len(self.trials), self.scatter_n, 1.0)
+        return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.model_error,
+                            self.tau, self.scatter_n, 1.0)
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
