@@ -1,8 +1,8 @@
 """Constants of a rig other than the bench, with their priors: one row a constant, sized by the rig's own signals.
 
-1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant; for
-the friction of a seal it is the scatter that `python -m benchmarks.rig_changes` shows over the sessions of four rubber
-seals, else a usual repeatability.
+1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant: for
+the size of friction and the shares of load and speed as measured on a rubber seal in five sessions, else a usual
+repeatability.  With half of it for the shares, one of four repeats of that seal is named.
 """
 
 from __future__ import annotations
