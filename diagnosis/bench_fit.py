@@ -24,6 +24,7 @@ from diagnosis.data import integrity, table
 from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import can_be_of_bench
 from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.rig_fit import Constant
 from diagnosis.simulation_fit import IdentifiedBench, identified
 from parameters import InputError, declarations, read_toml
 from physics import bench_model
@@ -42,17 +43,6 @@ ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
 FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
 """Constants that only scale others: no trial determines them."""
-
-
-@dataclass(frozen=True)
-class Constant:
-    """One constant: value, 95 % interval, unit, and whether the data determine its value."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
-    determined: bool
 
 
 @dataclass(frozen=True)
@@ -203,10 +193,9 @@ def turned(given: Table) -> Table:
 def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[integrity.Finding]) -> FittedBench:
     first, rest = _parts(usable)
     found = rig_fit.fit(first, rest, usable)
-    constants = {name: Constant(*constant, True) for name, constant in found.constants.items()}
     blind = (f"{name}: the last part of each trial is predicted no better than by a constant; record longer trials, "
              "or more kinds of motion." for name, row in found.signals.items() if row["unseen"] > row["spread"])
-    return FittedBench(constants, {}, found.signals, tuple(Path(t.source).name for t in given),
+    return FittedBench(found.constants, {}, found.signals, tuple(Path(t.source).name for t in given),
                        warnings=(*(f.text for f in findings), *blind), rig=found.effects)
 
 

@@ -7,6 +7,7 @@ the first part of each trial alone, measures how well such a model predicts the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,13 +22,15 @@ from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 
 
-class RigConstant(NamedTuple):
-    """Constant of a rig in its SI unit: value, and 95 % interval from the posterior of the fit."""
+@dataclass(frozen=True)
+class Constant:
+    """One fitted constant: value, 95 % interval, unit, and whether the data determine its value."""
 
     value: float
     low: float
     high: float
     unit: str
+    determined: bool
 
 
 class FittedRig(NamedTuple):
@@ -39,7 +42,7 @@ class FittedRig(NamedTuple):
     """
 
     effects: tuple[str, ...]
-    constants: dict[str, RigConstant]
+    constants: dict[str, Constant]
     signals: dict[str, dict[str, Any]]
 
 
@@ -63,7 +66,7 @@ def fit(first: Sequence[Table], rest: Sequence[Table], whole: Sequence[Table]) -
     return FittedRig(terms, constants, signals)
 
 
-def _beside_ideal(parameter: str, constants: Mapping[str, RigConstant]) -> bool:
+def _beside_ideal(parameter: str, constants: Mapping[str, Constant]) -> bool:
     """Return whether the interval of a parameter excludes its value in an ideal transmission."""
     if parameter not in constants:
         return False
@@ -88,7 +91,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, RigConstant]:
+def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, Constant]:
     """Return the constants that the trials determine, each with an interval inside the bounds of its table."""
     free = list(model.constants.free)
     q = fitted.bench_coordinates()
@@ -102,7 +105,7 @@ def _constants(model: RigModel, fitted: ReferenceFit) -> dict[str, RigConstant]:
             continue
         (low, high), unit = RELATION_PARAMETERS[name].rig_bounds, model.rig.unit(RELATION_PARAMETERS[name].unit)
         value, least, most = (min(max(each, low), high) for each in (value, value - 1.96 * sd, value + 1.96 * sd))
-        found[name] = RigConstant(value, least, most, unit)
+        found[name] = Constant(value, least, most, unit, True)
     return found
 
 
