@@ -2,16 +2,17 @@
 
     python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--noise N] [--workers N]
 
-Prints, over reference trials, how many reach a log Bayes factor, with the rate's 95 % interval, and the largest one of
-each effect; over trials with one hidden effect that is named, the share of the best log Bayes factor that the truth
-has; over benches with several reference trials, the scatter of each constant between sessions, in its session σ; over
-reference trials, the log likelihood of a further one by a factor on the variance of the model error.
+Prints, over reference trials, the verdicts and how many reach a log Bayes factor, with the rate's 95 % interval, and
+the largest one of each effect; over trials with one hidden effect that is named, the share of the best log Bayes factor
+that the truth has; over benches with several reference trials, the scatter of each constant between sessions, in its
+session σ; over reference trials, the log likelihood of a further one by a factor on the variance of the model error.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -50,11 +51,11 @@ def hidden_jobs(count: int) -> list[Job]:
     return [job for turn in zip(*each, strict=False) for job in turn][:count]
 
 
-def gains(job: Job) -> dict[str, float]:
-    """Return the log Bayes factors of a case; none where wire or integrity come first."""
+def gains(job: Job) -> tuple[str, dict[str, float]]:
+    """Return the verdict and the log Bayes factors of a case; none of these where wire or integrity come first."""
     made = case(job)
     said = diagnose([made.trial], healthy=list(made.healthy))
-    return dict((said.evidence or {}).get("log_bayes_factors", {}))
+    return said.verdict, dict((said.evidence or {}).get("log_bayes_factors", {}))
 
 
 def scatter(job: Job) -> Array | None:
@@ -82,13 +83,15 @@ def likelihoods(job: Job) -> Array:
 
 
 def quantiles(largest: Sequence[float]) -> list[str]:
-    """Return a line for each error rate: the threshold that keeps it, and its interval (Clopper–Pearson)."""
-    told = []
-    for nats in (10.0, 14.0, NAMED_NATS, 30.0):
-        beyond, n = sum(v >= nats for v in largest), len(largest)
-        low, high = binomtest(beyond, n).proportion_ci()
-        told.append(f"{nats:g} nats: {beyond} of {n} reference trials reach it ({100 * low:.1f} … {100 * high:.1f} %)")
-    return told
+    """Return a line for each threshold: how many reference trials reach it."""
+    return [f"{nats:g} nats: {_rate(sum(v >= nats for v in largest), len(largest))} of the reference trials reach it"
+            for nats in (10.0, NAMED_NATS, 14.0, 20.0, 30.0)]
+
+
+def _rate(count: int, whole: int) -> str:
+    """Return a count with the 95 % interval of its rate (Clopper–Pearson)."""
+    low, high = binomtest(count, whole).proportion_ci()
+    return f"{count} of {whole} ({100 * low:.1f} … {100 * high:.1f} %)"
 
 
 def main(arguments: list[str]) -> None:
@@ -115,12 +118,16 @@ def main(arguments: list[str]) -> None:
             for factor, rise in zip(NOISE, rises, strict=True)))
     asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
     found: dict[Job, dict[str, float]] = {}
+    verdicts: Counter[str] = Counter()
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
         for job, said in zip(asked, crew.map(gains, asked), strict=True):
-            found[job] = said
+            found[job] = said[1]
+            verdicts.update([] if job.hidden else [said[0]])
     none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
     if not asked:
         return
+    print("verdict of reference trials:", ", ".join(
+        f"{name} {_rate(count, verdicts.total())}" for name, count in verdicts.most_common()))
     print("\n".join(quantiles(none)))
     effects = sorted({name for j in asked if not j.hidden for name in found[j]})
     print("largest of reference trials, nats:", ", ".join(
