@@ -171,7 +171,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     """Return the posterior mode of trials; `variants` of effects widen the `prior`.
 
     `start`: departures at which the descent begins (None: the prior's mean).  `descends`: if false, the linearisation
-    at `start` is returned.  `tries`: largest number of steps with the slopes of one linearisation.  Marquardt's (1963)
+    at `start` is returned.  `tries`: largest number of trial steps from one linearisation.  Marquardt's (1963)
     factor of ten changes the damping.
     Raises `numpy.linalg.LinAlgError` if the problem is numerically singular.
     """
@@ -207,21 +207,16 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         if not descends:
             break
         solved = inner if damping == 0.0 else cho_factor(square + damping * eye)
+        pull = inward.T @ (weights * residual) - solve_triangular(factor, x - mean, lower=True)
         for _ in range(tries):
-            pull = inward.T @ (bounded(residual, weight) * residual) - solve_triangular(factor, x - mean, lower=True)
             step = factor @ cho_solve(solved, pull)
             step /= max(1.0, float(np.abs(step[:count] / spread).max()) / LONGEST)
             then, left = cost(x + step)
             if np.isfinite(then) and then < now:
-                fall, now, x, residual = now - then, then, x + step, left
-                if fall < CLOSE:
-                    break
-                # the next step is a chord step: the same slopes, at a small part of the cost of new ones
-            elif now < before:
+                now, x, residual = then, x + step, left
                 break
-            else:
-                damping = max(10.0 * damping, 1.0)
-                solved = cho_factor(square + damping * eye)
+            damping = max(10.0 * damping, 1.0)
+            solved = cho_factor(square + damping * eye)
         damping = damping / 10.0 if damping > 1.0 else 0.0
         if before - now < CLOSE:
             break
