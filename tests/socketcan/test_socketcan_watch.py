@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.socketcan import rig
+from tests.socketcan.conftest import NATIVE, lacks
 
-pytestmark = pytest.mark.guest("native")  # a guest of one core has none left for the watch beside a trial
+pytestmark = pytest.mark.guest(NATIVE)  # a guest of one core has none left for the watch beside a trial
 
 GAIT = ("--rate", 100, "--peak", 40, "--cycles", 3, "--period", 4)
 GAIN = 1.06
@@ -16,6 +17,8 @@ GAIN = 1.06
 
 
 def test_a_changed_bench_is_named_while_its_trial_runs(tmp_path: Path) -> None:
+    if (reason := lacks(NATIVE)) is not None:
+        pytest.skip(f"not run: {reason}")
     good, changed = tmp_path / "good.mcap", tmp_path / "changed.toml"
     changed.write_text(f"[effects.start_gain]\nstart_gain = {GAIN}\n", encoding="utf-8")
     assert rig.bowden(tmp_path, "trial", "-o", good, *GAIT).wait().status == 0
