@@ -43,7 +43,7 @@ DRIFTS: dict[str, Callable[[int], dict[str, float]]] = {
 
 
 def main() -> None:
-    """Print what was asked for."""
+    """Print the measurements that the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--alarms", type=Path, metavar="LOGBOOK",
                         help="logbook whose newest estimate gives the accuracy of a session")

@@ -165,6 +165,9 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
             raise InputError(f"a gait, but no rope that a tension stretches over a knee: {unlike}")
         return _rig(usable, given, findings)
     unseen = _unseen(rest, simulation_fit.fitted(first, early))
+    if not any("knee_angle_rad" in t for t in usable) and unseen["tension_start_n"]["rms_n"] > _spread(rest):
+        # no knee, and a bench with a locked one predicts no better than a constant
+        return _rig(usable, given, findings)
     whole = identified(tables)
     values = simulation_fit.fitted(tables, whole)
     return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
@@ -224,6 +227,11 @@ def _unseen(rest: Sequence[Table], values: Values) -> dict[str, Any]:
         if parts:
             figures[name] = {"rms_n": math.sqrt(float(np.mean(np.concatenate(parts) ** 2))), "peak_n": peak}
     return figures
+
+
+def _spread(rest: Sequence[Table]) -> float:
+    """Return the RMS variation of START about the mean of each trial, N."""
+    return math.sqrt(float(np.mean([np.nanvar(t["tension_start_n"]) for t in rest])))
 
 
 def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:

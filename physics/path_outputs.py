@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from physics.laws import Array
 from physics.path_constants import INDEX
 from physics.plant.leg import GRAVITY
-from physics.rig_forces import dahl_states
+from physics.rig_forces import dahl_states, late
 
 
 class PathMotion(Protocol):
@@ -70,11 +70,11 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
 def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
     """Return each row of `signals` delayed by its lag, s: up to one step by its derivative, exact to 1 %."""
-    out = signals - lag_s[:, None] * np.gradient(signals, step_s, axis=-1)
+    out = late(signals, lag_s[:, None], step_s)
     time = step_s * np.arange(signals.shape[1])
     for j in np.flatnonzero(np.abs(lag_s) > step_s):
         out[j] = np.interp(time - lag_s[j], time, signals[j])
-    return np.asarray(out)
+    return out
 
 
 def _filtered(signals: Array, time_s: Array, step_s: float) -> Array:

@@ -35,7 +35,6 @@ def test_strokes_of_the_same_seal_that_no_fit_has_seen_are_nothing_new(seal: Fin
 
 
 @pytest.mark.skipif(not SEAL.is_dir(), reason="the seal's recordings are not beside the repository")
-@pytest.mark.xfail(strict=False, reason="the seal's four files fit a bench within 20 %, so that no rig is fitted")
 def test_the_seals_terms_are_identified() -> None:
     found = bench_fit.fit(sorted(SEAL.glob("*_fit.csv.gz")))
     assert found.rig is not None
