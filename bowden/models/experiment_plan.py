@@ -106,7 +106,8 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: dict
     tried = tuple(sorted({t.experiment for t in trials} - {"", "gait"}))
     with threadpool_limits(1, user_api="blas"):
         reference = fit_reference(PATH_MODEL, [PATH_MODEL.record(t) for t in healthy], session_sd)
-        found = search(reference.observe(*(PATH_MODEL.record(t) for t in trials)), reference.prior, reference.starts())
+        observed = reference.observe(*(PATH_MODEL.record(t) for t in trials))
+        found = search(observed, reference.prior_of(observed), reference.starts())
         decided = decision.decide(found)
         experiments = predicted_experiments(found, decided.among, reference, tried)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))

@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
 from diagnosis.data.table import Table, table
-from diagnosis.evidence.decision import IMITATED, NAMED_NATS, SET_SHARE
+from diagnosis.evidence.decision import SET_SHARE, detected, threshold
 from diagnosis.evidence.likelihood_data import PathRecording
 from diagnosis.evidence.outputs import predict
 from diagnosis.evidence.posterior import bounded
@@ -94,6 +94,7 @@ class RunningEvidence:
         self.reference, self.span_s, self.reference_n = reference, span_s, reference_n
         self._size = reference.prior.mean.size
         self._precision = np.linalg.inv(reference.prior.covariance)
+        self._beyond, self._least = -1.0, 0.0
         self._square, self._pull = np.zeros_like(self._precision), np.zeros(self._size)
         self._x = np.zeros(self._size)
         self._variants = _variants(reference)
@@ -119,6 +120,9 @@ class RunningEvidence:
     def _take(self, recording: PathRecording, inside: Flags) -> None:
         """Linearise one cycle at the present null mode and add its sums."""
         observed = self.reference.observe(recording)
+        if observed.beyond > self._beyond:
+            self._beyond, self._least = observed.beyond, threshold(observed)
+            self._precision = np.linalg.inv(self.reference.prior_of(observed).covariance)
         q = self._coordinates(self._x)
         base, effects = self._slopes(q, recording)
         design = np.concatenate([base.slopes, observed.features], axis=1)[inside]
@@ -188,7 +192,7 @@ class RunningEvidence:
         order = sorted(rated, key=lambda name: -rated[name][0])
         best = order[0]
         nats, since, part, sizes = rated[best]
-        named_ones = [n for n in order if rated[n][0] >= IMITATED.get(n, 1.0) * NAMED_NATS]
+        named_ones = detected({n: rated[n][0] for n in order}, self._least)
         suspected = tuple(n for n in order if named_ones and rated[n][0] >= SET_SHARE * rated[named_ones[0]][0])
         error, peak = self._end_error(window, recording, inside, part if named_ones else None, sizes)
         cost = np.sqrt(max(error**2 - self.reference_n**2, 0.0)) / peak if peak > 0.0 else 0.0

@@ -7,14 +7,15 @@ errors.  `python -m tests.hidden.evidence_calibration` prints the quantiles that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.hypothesis_search import Searched, search_pairs
-from diagnosis.evidence.posterior import HUBER, PosteriorMode
+from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
+from diagnosis.evidence.posterior import HUBER, Observed, PosteriorMode
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -67,15 +68,17 @@ class Decision:
 def decide(found: Searched) -> Decision:
     """Return the verdict that the evidence of one trial supports.
 
-    If an effect is named, pairs with the best effect are fitted and added to `found`.
+    If an effect is named, further modes of the null and pairs with the best effect are fitted and added to `found`.
     """
+    least = threshold(found.observed)
+    if detected(found.gains(), least):
+        search_null(found)
     gains = found.gains()
-    factor = found.observed.model.nats_factor
-    named = [name for name, gain in gains.items() if gain >= factor * IMITATED.get(name, 1.0) * NAMED_NATS]
-    if not named:
+    seen = detected(gains, least)
+    if not seen:
         misfit = misfits(found, found.null)
         return Decision("unexplained" if lacks(misfit) else "none", (), (), None, gains, misfit)
-    best = named[0]
+    best = seen[0]
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
@@ -92,6 +95,19 @@ def decide(found: Searched) -> Decision:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
     return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
                     misfit)
+
+
+def threshold(observed: Observed) -> float:
+    """Return the log Bayes factor, nats, from which an effect is named in the trials of one session.
+
+    It grows with the motion that the reference trials do not have, as the session deviation of the path does.
+    """
+    return observed.model.nats_factor * math.hypot(1.0, observed.model.unseen * observed.beyond) * NAMED_NATS
+
+
+def detected(gains: Mapping[str, float], least: float) -> list[str]:
+    """Return the effects whose log Bayes factor exceeds the detection threshold `least`, in the order of `gains`."""
+    return [name for name, gain in gains.items() if gain >= IMITATED.get(name, 1.0) * least]
 
 
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from diagnosis.evidence.decision import NAMED_NATS
+from diagnosis.evidence.decision import threshold
 from diagnosis.evidence.hypothesis_search import hypotheses
 from diagnosis.evidence.posterior import Observed, PosteriorMode, response
 from physics.effects.hypotheses import Variant
@@ -32,11 +32,12 @@ class EffectResponse(NamedTuple):
     effect: Array
     applied: Array
     square: float
+    nats: float
 
     @property
     def size(self) -> float:
-        """Size, in prior σ, at which the log Bayes factor reaches the threshold of a named effect."""
-        return least_size(self.square, NAMED_NATS)
+        """Size, in prior σ, at which the log Bayes factor reaches `nats`, the threshold of a named effect."""
+        return least_size(self.square, self.nats)
 
     def alike(self, other: EffectResponse) -> float:
         """Return the share of this effect's evidence that `other`, scaled, explains."""
@@ -57,7 +58,7 @@ class DetectionLimit(NamedTuple):
 def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str, float]) -> dict[str, DetectionLimit]:
     """Return the detection limit of each effect, at the mode `null` and the constants `bench`.
 
-    The value of a limit outside the bounds of its parameter is None.
+    A limit outside the bounds of its parameter has the value None.
     """
     told: dict[str, DetectionLimit] = {}
     model, table = observed.model, null.table
@@ -77,4 +78,5 @@ def detection_limits(observed: Observed, null: PosteriorMode, bench: Mapping[str
 
 def _response(observed: Observed, null: PosteriorMode, variant: Variant) -> EffectResponse:
     effect, applied = response(null, observed, variant)
-    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]))
+    return EffectResponse(variant, effect[:, 0], applied[:, 1], float(effect[:, 0] @ applied[:, 1]),
+                          threshold(observed))

@@ -118,7 +118,7 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        found = search(observed, reference.prior, reference.starts())
+        found = search(observed, reference.prior_of(observed), reference.starts())
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
@@ -141,6 +141,7 @@ class EvidenceFinder:
         if decided.chosen and before**2 - after**2 < reference.rmse_n**2:
             said.append("The gain on held-out cycles is below what reference trials miss of each other: the name rests "
                         "on the likelihood.")
+        said += _unseen(found, decided)
         said += self._untold(outputs)
         at = _mode_of(found, decided)
         kept = None
@@ -151,7 +152,7 @@ class EvidenceFinder:
         relations = figures.figures(reference, kept)
         said += _worse(relations)
         error = {"reference": reference.rmse_n, "before": before, "after": after}
-        evidence = {"log_bayes_factors": decided.gains, "named_nats": self.model.nats_factor * NAMED_NATS,
+        evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(observed),
                     "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
@@ -241,6 +242,16 @@ class EvidenceFinder:
         gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
                 "gain_percent": max(gain, 0.0)}
+
+
+def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]:
+    """Return a sentence if nothing is named and the motion exceeds the reference trials' by the share `least` or more.
+    """
+    beyond = found.observed.beyond
+    if decided.chosen or found.observed.model.unseen == 0.0 or beyond < least:
+        return []
+    return [f"Knee motion or tension exceeds the range of the reference trials by {100.0 * beyond:.0f} %: only large "
+            "changes can be told. Record a reference trial (--healthy) with the motion and peak of the trial."]
 
 
 def _experiment(names: Sequence[str]) -> str:

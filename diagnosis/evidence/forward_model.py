@@ -29,7 +29,9 @@ class ForwardModel(ABC):
     `states`: number of states of the discrepancy.  `load_state`: row of the state whose quartiles divide the data for
     the estimate of the model error.  `session_share`: 1σ of the discrepancy's change between sessions, relative to the
     discrepancy.  `pools_sessions`: the scatter between sessions is estimated from the reference trials, with
-    `session_at` as prior.
+    `session_at` as prior.  `unseen`: growth of the session deviation, and of the detection threshold, with the motion
+    that the reference trials do not have.  `extrapolated`: constants of equations that motion and load enter, whose
+    session deviation grows so, as that of the judged outputs' discrepancy does.
 
     `nats_factor`: detection threshold relative to the bench's.  `unlike_share`: largest error on the reference trials,
     relative to the spread of the first judged output; above it they are of another rig.  `amounts`: for a constant
@@ -47,6 +49,8 @@ class ForwardModel(ABC):
     load_state: int
     pools_sessions: bool = False
     session_share: float
+    unseen: float = 0.0
+    extrapolated: Sequence[str] = ()
     nats_factor: float = 1.0
     unlike_share: float
     amounts: Mapping[str, tuple[str, float]]
@@ -70,6 +74,10 @@ class ForwardModel(ABC):
     @abstractmethod
     def simulated_states(self, q: Array, trial: Any) -> Array:
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
+
+    def motion(self, trial: Any) -> Array:
+        """Return the signals whose range in the reference trials a trial should not exceed, shape (signals, bins)."""
+        return np.zeros((0, 1))
 
     @abstractmethod
     def origin(self, trial: Any) -> Array:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode, screened
+from diagnosis.evidence.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 
@@ -70,6 +70,22 @@ def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) ->
         _screen(found, offered, found.null, FOREMOST)
     _cross(found)
     return found
+
+
+def search_null(found: Searched, starts: int = 4, share: float = 0.3) -> None:
+    """Fit the null from `starts` random departures from its mode, and the best effects from a better mode of it.
+
+    The departures are drawn from the prior, with `share` of its σ.
+    """
+    random, begin = np.random.default_rng(7), found.null
+    for _ in range(starts):
+        again = _fit(found, [], begin.x + share * begin.factor @ random.normal(size=begin.x.size))
+        if again is not None and again.log_evidence > found.null.log_evidence:
+            found.null = again
+    if found.null.log_evidence > begin.log_evidence + CLOSE:
+        offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
+        _screen(found, offered, found.null, FOREMOST // 2)
+        _cross(found)
 
 
 def search_pairs(found: Searched, best: str) -> None:

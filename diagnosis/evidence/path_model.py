@@ -12,6 +12,7 @@ from diagnosis.data.table import Table
 from diagnosis.evidence import likelihood_data, outputs
 from diagnosis.evidence.forward_model import ForwardModel
 from diagnosis.evidence.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
+from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
@@ -38,6 +39,9 @@ class PathModel(ForwardModel):
     load_state = 4
     """Row of the logarithm of START tension among the states."""
     session_share = 0.35
+    unseen = 7.0
+    """Without it, a gait of a higher peak than the only reference trial's gets a name (`evidence_calibration`)."""
+    extrapolated = force_path.NAMES
     unlike_share = 0.2
     amounts: Mapping[str, tuple[str, float]] = {"creep_time": ("creep", 1.5e-5)}
 
@@ -68,6 +72,12 @@ class PathModel(ForwardModel):
             trial.knee_rad / 0.4, np.gradient(trial.knee_rad, GRID_S) / 2.0, path.cable_slip[0], path.fabric_slip[0],
             np.log(start + 3.0), np.arcsinh(rate / 50.0), remembered / 15.0, np.arcsinh(trial.rope_m_s / 0.02),
             np.log(path.middle[0] + 3.0)]))
+
+    def motion(self, trial: PathRecording) -> Array:
+        """Return knee angle, its rate, and the tension that is led along the gait: END, or START if it is not measured.
+        """
+        tension = trial.measured("tension_end_n" if "tension_end_n" in trial.outputs else "tension_start_n")
+        return trial.binned(np.stack([trial.knee_rad, np.gradient(trial.knee_rad, GRID_S), tension]))
 
     def origin(self, trial: PathRecording) -> Array:
         """Return start coordinates: zero, lever arm and stiffness by regression of the rope on knee angle and load."""

@@ -72,7 +72,7 @@ def plan(simulated: Table, healthy: Sequence[Table] = (), calibration: Mapping[s
     with threadpool_limits(1, user_api="blas"):
         reference = finder.reference([given])
         observed = reference.observe(finder.model.record(given))
-        null = mode(observed, reference.prior, start=reference.starts()[0])
+        null = mode(observed, reference.prior_of(observed), start=reference.starts()[0])
         limits = detection_limits(observed, null, finder.model.constants.named(reference.bench_coordinates()))
     return Plan(tuple(_limit(name, limit, observed, limits) for name, limit in limits.items()),
                 {name: {"unit": finder.model.signals[name], "floor": reference.scatter_n[name]}

@@ -23,7 +23,7 @@ from diagnosis.evidence.forward_model import ForwardModel
 from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.path_model import MODEL_ERROR_N
 from diagnosis.evidence.posterior import Gaussian
-from diagnosis.evidence.reference_fit import FEATURES, ReferenceFit, first_mode, scaling_of
+from diagnosis.evidence.reference_fit import FEATURES, ReferenceFit, first_mode, reach_of, scaling_of
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.laws import Array
@@ -94,7 +94,7 @@ def reference_of_population(model: ForwardModel, trials: Sequence[Recording],
     return ReferenceFit(
         model, outputs, origin, bench, Gaussian(origin, mean, covariance + np.diag(session)),
         scaling_of(model, states), np.repeat(amplitude[:, None] ** 2, 4, axis=1), np.full(len(outputs), 2.0),
-        {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, ((q, zero),))
+        {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, reach_of(model, trials), ((q, zero),))
 
 
 def _zeros(model: ForwardModel) -> Array:

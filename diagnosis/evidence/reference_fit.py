@@ -61,13 +61,32 @@ def scaling_of(model: ForwardModel, states: Sequence[Array]) -> Scaling:
                    np.quantile(every[model.load_state], [0.25, 0.5, 0.75]))
 
 
+class Reach(NamedTuple):
+    """Smallest and largest value of each motion signal over the reference trials, each of shape (signals,)."""
+
+    lowest: Array
+    highest: Array
+
+    def exceeded(self, motion: Array) -> float:
+        """Return by how much `motion`, shape (signals, bins), exceeds the range, relative to it; the largest of all."""
+        outside = np.maximum(motion.max(axis=1) - self.highest, self.lowest - motion.min(axis=1))
+        return float(np.max(outside / (self.highest - self.lowest + 1e-6), initial=0.0))
+
+
+def reach_of(model: ForwardModel, trials: Sequence[Recording]) -> Reach:
+    """Return the range of the motion of several trials."""
+    every = np.concatenate([model.motion(trial) for trial in trials], axis=1)
+    return Reach(every.min(axis=1), every.max(axis=1))
+
+
 @dataclass(frozen=True)
 class ReferenceFit:
     """Bench as fitted to its reference trials.
 
     `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
     further trial, which is `bench` with the session deviation.  `model_error`: variance by output and load quarter, N².
-    `tau`: noise inflation by output.  `cost`: mean cost per datum of the reference trials at their modes.
+    `tau`: noise inflation by output.  `cost`: mean cost per datum of the reference trials at their modes.  `reach`:
+    range of their motion.
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
@@ -82,6 +101,7 @@ class ReferenceFit:
     tau: Array
     scatter_n: Mapping[str, float]
     cost: float
+    reach: Reach
     identified: tuple[tuple[Array, Array], ...] = ()
 
     def missed(self, observed: Observed) -> Array:
@@ -118,7 +138,17 @@ class ReferenceFit:
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         return Observed(self.model, trials, np.concatenate(made),
                         np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
-                        self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]))
+                        self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]),
+                        max(self.reach.exceeded(self.model.motion(t)) for t in trials))
+
+    def prior_of(self, observed: Observed) -> Gaussian:
+        """Return the prior of the session `observed`: session deviations grow where its motion leaves the references'.
+        """
+        session = np.diag(self.prior.covariance - self.bench.covariance)
+        constants = [self.model.constants.names[i] in self.model.extrapolated for i in self.model.constants.free]
+        discrepancy = np.repeat([name in self.model.judged for name in self.outputs], FEATURES)
+        growth = (self.model.unseen * observed.beyond) ** 2 * np.concatenate([constants, discrepancy])
+        return replace(self.prior, covariance=self.prior.covariance + np.diag(growth * session))
 
     def _growth(self, trial: Recording, data: Array) -> list[float]:
         """Return the growth of the model error's variance with the signals in `data`, by output."""
@@ -199,6 +229,7 @@ class _Fit:
         self.session_sd = self._stated(self.constants.session_sd)
         self.bench_sd: Array = self.constants.bench_sd[self.free]
         self.outputs = trials[0].outputs
+        self.reach = reach_of(model, trials)
         self.origin = model.origin(trials[0])
         fine = np.array([model.first_noise[name] for name in self.outputs])
         self.amplitude = 0.5 * fine
@@ -229,7 +260,7 @@ class _Fit:
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, self._mean_cost(), tuple(self.identified))
+                            self.tau, self.scatter_n, self._mean_cost(), self.reach, tuple(self.identified))
 
     def _bounded(self, bench: Gaussian) -> Gaussian:
         """Return the bench with a covariance for "positive" constants linearised where their value is above 0.
@@ -401,7 +432,7 @@ class _Fit:
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, 1.0)
+                            self.tau, self.scatter_n, 1.0, self.reach)
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +12,22 @@ import pytest
 
 from bowden.cli.app import run
 from diagnosis.data.table import Table, table
+from diagnosis.evidence.decision import NAMED_NATS, threshold
+from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.likelihood_data import GRID_S
+from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.finder import diagnose
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS
-from physics.path_constants import INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, values
+from physics.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, values
 from tests.hidden.family import Job, case
 from tests.plants.draws import set_aside, structure
 
 HIDDEN = (Job(60, ("friction_drift",), 18), Job(27, ("end_gain",), 26))
 HEALTHY = Job(39, (), 9)
+HIGHER = Job(226, (), 5036)
+"""In the reference condition: a trial at 50 N with one reference trial, at 40 N."""
 
 
 def path(**given: float) -> np.ndarray:
@@ -141,6 +147,34 @@ def test_beside_three_reference_trials_nothing_is_named_twice_alike(
     said = [json.dumps(diagnose([trial], healthy=reference).as_json()) for _ in range(2)]
     assert said[0] == said[1]
     assert json.loads(said[0])["class"] == []
+
+
+@pytest.mark.exhaustive
+def test_motion_that_no_reference_trial_has_widens_the_session_deviation_and_raises_the_threshold(
+        healthy: tuple[tuple[Table, ...], Table]) -> None:
+    known = healthy[0][0]
+    fit = EvidenceFinder([known]).reference([healthy[1]])
+    inside = fit.observe(PATH_MODEL.record(known))
+    assert inside.beyond == 0.0
+    assert threshold(inside) == NAMED_NATS
+    tighter = {**known.columns, "servo_position_m": known["servo_position_m"] + 4e-3}
+    outside = fit.observe(PATH_MODEL.record(replace(known, columns=tighter)))
+    assert outside.beyond > 0.1
+    grown = math.hypot(1.0, PATH_MODEL.unseen * outside.beyond)
+    assert threshold(outside) == pytest.approx(grown * NAMED_NATS)
+    session, wide = (np.diag(fit.prior_of(each).covariance - fit.bench.covariance)[:len(FREE)]
+                     for each in (inside, outside))
+    of_path = np.array([NAMES[i] in force_path.NAMES for i in FREE])
+    assert wide[of_path] == pytest.approx(session[of_path] * grown**2)
+    assert wide[~of_path] == pytest.approx(session[~of_path])
+
+
+@pytest.mark.exhaustive
+def test_a_gait_of_a_higher_peak_than_the_only_reference_trial_names_nothing_and_says_which_to_record() -> None:
+    made = case(HIGHER)
+    told = diagnose([made.trial], healthy=list(made.healthy))
+    assert told.verdict == "none"
+    assert "Record a reference trial (--healthy) with the motion and peak of the trial." in " ".join(told.warnings)
 
 
 def _written(folder: Path, name: str, given: Table) -> Path:

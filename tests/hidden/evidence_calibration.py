@@ -2,10 +2,12 @@
 
     python -m tests.hidden.evidence_calibration [--reference N] [--hidden N] [--scatter N] [--noise N] [--workers N]
 
-Prints, over reference trials, the verdicts and how many reach a log Bayes factor, with the rate's 95 % interval, and
-the largest one of each effect; over trials with one hidden effect that is named, the share of the best log Bayes factor
-that the truth has; over benches with several reference trials, the scatter of each constant between sessions, in its
-session σ; over reference trials, the log likelihood of a further one by a factor on the variance of the model error.
+Prints, over reference trials, the verdicts by the number of the bench's other ones and how many reach a log Bayes
+factor, with the rate's 95 % interval, and the largest one of each effect; over trials with one hidden effect that is
+named, the share of the best log Bayes factor that the truth has; over benches with several reference trials, the
+scatter of each constant between sessions, in its session σ; over reference trials, the log likelihood of a further one
+by a factor on the variance of the model error, and by a factor on the growth of the session deviation with motion that
+the bench's other ones do not have.
 """
 
 from __future__ import annotations
@@ -29,13 +31,16 @@ from diagnosis.finder import diagnose
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 from physics.path_constants import FREE, NAMES, SESSION_SD
-from tests.hidden.family import Job, case
+from tests.hidden.family import Job, case, session
 from tests.hidden.family_jobs import KINDS, jobs, serials
 
 FIRST_SEED = 5000
 """Seeds of the reference trials: none of `family_jobs` has them."""
 NOISE = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 """Factors on the variance of the model error at which a reference trial's likelihood is printed."""
+UNSEEN = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
+"""Factors on the growth of the session deviation at which it is printed, of trials with 10 % of unseen motion or more.
+"""
 
 
 def reference_jobs(count: int) -> list[Job]:
@@ -69,17 +74,24 @@ def scatter(job: Job) -> Array | None:
     return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(fitted.trials / (fitted.trials - 1)))
 
 
-def likelihoods(job: Job) -> Array:
-    """Return the log likelihood of a reference trial given the bench's other ones, nats, at each factor of `NOISE`."""
+def likelihoods(job: Job) -> tuple[Array, Array | None]:
+    """Return the log likelihood of a reference trial given the bench's other ones, nats, by `NOISE` and by `UNSEEN`.
+
+    The second one is None for a trial with less than 10 % of unseen motion.
+    """
     made = case(job)
     fitted = EvidenceFinder(list(made.healthy)).reference([made.trial])
     trial, told, start = PATH_MODEL.record(made.trial), [], None
     for factor in NOISE:
         observed = replace(fitted, model_error=factor * fitted.model_error).observe(trial)
-        at = mode(observed, fitted.prior, start=start)
+        at = mode(observed, fitted.prior_of(observed), start=start)
         tau, start = np.repeat(fitted.tau, trial.bins), at.x
         told.append(at.log_evidence + 0.5 * float(np.sum(np.log(observed.weight * tau) / tau)))
-    return np.array(told)
+    observed = fitted.observe(trial)
+    if observed.beyond < 0.1:
+        return np.array(told), None
+    grown = [fitted.prior_of(replace(observed, beyond=factor * observed.beyond)) for factor in UNSEEN]
+    return np.array(told), np.array([mode(observed, prior, start=start).log_evidence for prior in grown])
 
 
 def quantiles(largest: Sequence[float]) -> list[str]:
@@ -110,24 +122,27 @@ def main(arguments: list[str]) -> None:
         print("scatter between sessions, session σ:", ", ".join(
             f"{NAMES[i]} {v:.2f}" for i, v in zip(FREE, rms, strict=True)))
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        rated = np.array(list(crew.map(likelihoods, reference_jobs(given.noise))))
-    if rated.size:
-        rises = (rated - rated[:, [NOISE.index(1.0)]]).T
-        print("log likelihood of a reference trial, nats above factor 1, mean and number above 0:", ", ".join(
-            f"{factor:g}: {np.mean(rise):.1f} ({np.sum(rise > 0.0)} of {rise.size})"
-            for factor, rise in zip(NOISE, rises, strict=True)))
+        rated = list(crew.map(likelihoods, reference_jobs(given.noise)))
+    for what, factors, rows in (("model error", NOISE, [told for told, _ in rated]),
+                                ("unseen motion", UNSEEN, [told for _, told in rated if told is not None])):
+        if rows:
+            rises = (np.array(rows) - np.array(rows)[:, [factors.index(1.0)]]).T
+            print(f"log likelihood of a reference trial by {what}, nats above factor 1, mean and number above 0:",
+                  ", ".join(f"{factor:g}: {np.mean(rise):.1f} ({np.sum(rise > 0.0)} of {rise.size})"
+                            for factor, rise in zip(factors, rises, strict=True)))
     asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
     found: dict[Job, dict[str, float]] = {}
-    verdicts: Counter[str] = Counter()
+    verdicts: dict[int, Counter[str]] = {1: Counter(), 2: Counter(), 3: Counter()}
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
         for job, said in zip(asked, crew.map(gains, asked), strict=True):
             found[job] = said[1]
-            verdicts.update([] if job.hidden else [said[0]])
+            verdicts[session(job).healthy].update([] if job.hidden else [said[0]])
     none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
     if not asked:
         return
-    print("verdict of reference trials:", ", ".join(
-        f"{name} {_rate(count, verdicts.total())}" for name, count in verdicts.most_common()))
+    for healthy, told in [*verdicts.items(), ("1 to 3", sum(verdicts.values(), Counter()))]:
+        print(f"verdict of a trial in the reference condition, {healthy} reference trials:", ", ".join(
+            f"{name} {_rate(count, told.total())}" for name, count in told.most_common()))
     print("\n".join(quantiles(none)))
     effects = sorted({name for j in asked if not j.hidden for name in found[j]})
     print("largest of reference trials, nats:", ", ".join(
