@@ -348,9 +348,9 @@ def decoded(content: bytes) -> ReferenceFit:
     """Return the reference model of `encoded`; raises `InputError` for one that another version wrote."""
     from diagnosis.evidence.path_model import PATH_MODEL
     from diagnosis.evidence.posterior import Gaussian
-    from diagnosis.evidence.reference_fit import ReferenceFit, Scaling
+    from diagnosis.evidence.reference_fit import Reach, ReferenceFit, Scaling
 
-    kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling}
+    kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling, "reach": Reach}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         held = {name: arrays[name] for name in arrays.files}
 
@@ -364,7 +364,7 @@ def decoded(content: bytes) -> ReferenceFit:
         if "mapping" in value:
             return {k: built(v) for k, v in value["mapping"].items()}
         given = {k: built(v, k) for k, v in value["fields"].items()}
-        return kinds[name](**given) if name else ReferenceFit(PATH_MODEL, **given)
+        return kinds[name](**given) if name else ReferenceFit(PATH_MODEL, **{"reach": None, **given})
 
     try:
         made: ReferenceFit = built(json.loads(held["structure"].tobytes()))

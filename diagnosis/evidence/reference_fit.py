@@ -86,7 +86,7 @@ class ReferenceFit:
     `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
     further trial, which is `bench` with the session deviation.  `model_error`: variance by output and load quarter, N².
     `tau`: noise inflation by output.  `cost`: mean cost per datum of the reference trials at their modes.  `reach`:
-    range of their motion.
+    range of their motion, None in a logbook that does not hold it.
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
@@ -101,7 +101,7 @@ class ReferenceFit:
     tau: Array
     scatter_n: Mapping[str, float]
     cost: float
-    reach: Reach
+    reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
 
     def missed(self, observed: Observed) -> Array:
@@ -139,7 +139,7 @@ class ReferenceFit:
         return Observed(self.model, trials, np.concatenate(made),
                         np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
                         self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]),
-                        max(self.reach.exceeded(self.model.motion(t)) for t in trials))
+                        0.0 if self.reach is None else max(self.reach.exceeded(self.model.motion(t)) for t in trials))
 
     def prior_of(self, observed: Observed) -> Gaussian:
         """Return the prior of the session `observed`: session deviations grow where its motion leaves the references'.

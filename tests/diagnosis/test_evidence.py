@@ -157,8 +157,8 @@ def test_motion_that_no_reference_trial_has_widens_the_session_deviation_and_rai
     inside = fit.observe(PATH_MODEL.record(known))
     assert inside.beyond == 0.0
     assert threshold(inside) == NAMED_NATS
-    tighter = {**known.columns, "servo_position_m": known["servo_position_m"] + 4e-3}
-    outside = fit.observe(PATH_MODEL.record(replace(known, columns=tighter)))
+    higher = {**known.columns, "tension_end_n": 1.25 * known["tension_end_n"]}
+    outside = fit.observe(PATH_MODEL.record(replace(known, columns=higher)))
     assert outside.beyond > 0.1
     grown = math.hypot(1.0, PATH_MODEL.unseen * outside.beyond)
     assert threshold(outside) == pytest.approx(grown * NAMED_NATS)
