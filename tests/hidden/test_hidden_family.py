@@ -46,8 +46,8 @@ def test_what_was_hidden_is_in_the_class_or_the_reference_trials_lack_its_peak(t
 
 
 def test_without_end_a_drive_is_named_and_what_end_would_show_is_listed() -> None:
-    blind = answer(next(job for job in jobs("maxwell", aside=True) if job.hidden == ("drive_viscous",) and job.left_out),
-                   judged=False)
+    blind = answer(next(job for job in jobs("maxwell", aside=True)
+                        if job.hidden == ("drive_viscous",) and job.left_out), judged=False)
     assert blind.named == ("drive_viscous",)
     assert any(warning.startswith("With tension_end_n recorded these could be told") for warning in blind.warnings)
 
