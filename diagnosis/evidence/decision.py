@@ -106,7 +106,7 @@ def threshold(observed: Observed) -> float:
 
 
 def detected(gains: Mapping[str, float], least: float) -> list[str]:
-    """Return the effects whose log Bayes factor exceeds the detection threshold `least`, in the order of `gains`."""
+    """Return the effects whose log Bayes factor reaches the detection threshold `least`, in the order of `gains`."""
     return [name for name, gain in gains.items() if gain >= IMITATED.get(name, 1.0) * least]
 
 

@@ -248,7 +248,7 @@ def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]
     """Return a sentence if nothing is named and the motion exceeds the reference trials' by the share `least` or more.
     """
     beyond = found.observed.beyond
-    if decided.chosen or found.observed.model.unseen == 0.0 or beyond < least:
+    if decided.chosen or beyond < least:
         return []
     return [f"Knee motion or tension exceeds the range of the reference trials by {100.0 * beyond:.0f} %: only large "
             "changes can be told. Record a reference trial (--healthy) with the motion and peak of the trial."]

@@ -142,7 +142,7 @@ class ReferenceFit:
                         0.0 if self.reach is None else max(self.reach.exceeded(self.model.motion(t)) for t in trials))
 
     def prior_of(self, observed: Observed) -> Gaussian:
-        """Return the prior of the session `observed`: session deviations grow where its motion leaves the references'.
+        """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.
         """
         session = np.diag(self.prior.covariance - self.bench.covariance)
         constants = [self.model.constants.names[i] in self.model.extrapolated for i in self.model.constants.free]
