@@ -95,7 +95,7 @@ def _version(name: str) -> str:
 
 def commit() -> str:
     """Return the commit of the source tree in use, "+" behind it if the tree differs; "" outside a repository."""
-    here = Path(__file__).resolve().parent.parent
+    here = Path(__file__).resolve().parents[2]
     if not (here / ".git").exists():  # installed: a repository around it is not this project's
         return ""
     try:

@@ -24,7 +24,8 @@ KEYS = [
     "true_peak_jump_n", "missed_cycles", "stale_inputs", "bus_load_percent", "bus_load_bound_percent",
     "simulated_s", "wall_s", "outcome", "stop_reason",
 ]
-GAIT = Path(__file__).parents[3] / "shared" / "data" / "gait"
+ROOT = Path(__file__).parents[2]
+GAIT = ROOT.parent / "shared" / "data" / "gait"
 
 
 def command(*arguments: object, cwd: Path, hash_seed: str = "0") -> subprocess.CompletedProcess[str]:
@@ -77,6 +78,12 @@ def test_every_signal_has_a_unit_and_the_trial_names_what_made_it(recorded: tupl
     assert {"bench.toml", "calibration.toml", "packages.txt", "servo_drive.eds", "knee_drive.eds",
             "tension_sensor.eds"} <= set(opened.attachments)
     assert opened.metadata["controller"] == "paper"
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository: an installation or an archive has no commit")
+def test_the_trial_names_the_commit_that_made_it(recorded: tuple[Path, dict[str, Any]]) -> None:
+    asked = subprocess.run(["git", "-C", str(ROOT), "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    assert trials.open(recorded[0]).metadata["commit"].rstrip("+") == asked.stdout.strip()
 
 
 def test_foreign_readers_read_it(recorded: tuple[Path, dict[str, Any]]) -> None:
