@@ -2,13 +2,14 @@
 
 Each control cycle gives y = ln(estimated END / measured END): the controller's own estimate from START against END.
 The features are those that the controller computes again in its cycle, from the desired force and the knee's angle.
-Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Noise: residual of y, which
-is systematic, so that the effective sample size of a gait trial is `WORTH` control cycles.
+Prior: coefficients are independent, of zero mean, with the standard deviation of y; those of `OF_GAIN` with that of
+a load cell's gain, since START's gain was identified against END.  Noise: residual of y, which is systematic, so that
+the effective sample size of a gait trial is `WORTH` control cycles.
 
-Not all of y holds in later sessions: END's gain and zero are the load cell's, START's zero is measured anew by each
-homing.  These are nuisance parameters of the same fit, with the session deviations of `physics.path_constants`, and no
-part of the discrepancy.  Friction is the identification's, whatever homing before a gait trial estimated: y is freed of
-that factor.
+Not all of y holds in later sessions: END's gain and the zeros of both load cells do not.  They are nuisance parameters
+of the same fit and no part of the discrepancy, the gain with its session deviation, the zeros with the error of a
+measurement at rest, since both were measured so before the gait trials.  Friction is the identification's, whatever
+homing before a gait trial estimated: y is freed of that factor.
 """
 
 from __future__ import annotations
@@ -46,6 +47,12 @@ squares on normal residuals.  A rope that turns over later than the model's is o
 OF_A_TRIAL: Final = ("start_offset",)
 OF_END: Final = ("end_gain", "end_offset")
 """Nuisance parameters, by constants of a session: of each gait trial, which homes anew, and of the load cell END."""
+ZERO_N: Final = 0.02
+"""Standard deviation of a zero measured at rest, N: the mean over 0.4 to 1 s of a load cell with up to 0.4 N of noise.
+With 0.1 N, a session's, errors of the model at low load went into the zeros, and their reverse into the gain."""
+GAIN_SD: Final = float(SESSION_SD[INDEX["end_gain"]])
+OF_GAIN: Final = ("level", "load")
+"""Features that a load cell with another gain, or one that depends on load, would have, too."""
 TURN: Final = 21
 """Control cycles at 1 kHz over which the speed of the friction's turning is averaged."""
 
@@ -64,7 +71,7 @@ def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> E
     nuisance, nuisance_sd = _nuisance([part[3] for part in parts])
     at = np.concatenate([features, nuisance], axis=1)
     prior = max(LEAST, math.sqrt(float(np.average(y**2, weights=weight))))
-    narrow = np.diag(np.concatenate([np.full(end_discrepancy.COUNT, prior), nuisance_sd]) ** -2.0)
+    narrow = np.diag(np.concatenate([_coefficient_sd(prior), nuisance_sd]) ** -2.0)
     noise, counted = prior, weight
     for _ in range(ROUNDS):
         precision = (at * (counted / noise**2)[:, None]).T @ at + narrow
@@ -81,6 +88,11 @@ def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> E
         float(ranges[:, 4].max()), prior, noise)
 
 
+def _coefficient_sd(prior: float) -> Array:
+    """Return the features' coefficients' standard deviations before the fit."""
+    return np.array([min(prior, GAIN_SD) if name in OF_GAIN else prior for name in end_discrepancy.FEATURES])
+
+
 def _nuisance(trials: Sequence[Array]) -> tuple[Array, Array]:
     """Return dy/d(nuisance parameter), shape (rows, nuisance parameters), and the parameters' 1σ between sessions.
 
@@ -88,7 +100,8 @@ def _nuisance(trials: Sequence[Array]) -> tuple[Array, Array]:
     """
     own = block_diag(*(columns[:, :len(OF_A_TRIAL)] for columns in trials))
     whole = np.concatenate([own, np.concatenate(trials)[:, len(OF_A_TRIAL):]], axis=1)
-    return whole, SESSION_SD[[INDEX[name] for name in (*OF_A_TRIAL * len(trials), *OF_END)]]
+    spread = {"start_offset": ZERO_N, "end_offset": ZERO_N, "end_gain": GAIN_SD}
+    return whole, np.array([spread[name] for name in (*OF_A_TRIAL * len(trials), *OF_END)])
 
 
 def _rows(segment: Segment, calibration: Calibration, still: Rest, lag_s: float
