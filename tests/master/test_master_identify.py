@@ -178,7 +178,8 @@ def test_a_bench_identified_today_is_controlled_tomorrow(
 def test_the_discrepancy_of_gait_trials_is_recovered_beside_the_ends_lag() -> None:
     """START estimates END 3 % too high while rope and fabric slide up, as much too low on the way back, and 1 % always.
 
-    END is 2 ms late; the ramp tells that.  1 %: the posterior is shrunk, and two cycles leave it a doubt of 0.5 %.
+    END is 2 ms late; the ramp tells that.  The 1 % may be END's gain as well: half of it is believed.  Tolerance 1 %:
+    the posterior is shrunk, and two cycles leave it a doubt of 0.5 %.
     """
     law = inverse.law(BENCH, 1e-3)
     phase = np.linspace(0.0, 3.0, 4800) % 1.0
@@ -194,13 +195,16 @@ def test_the_discrepancy_of_gait_trials_is_recovered_beside_the_ends_lag() -> No
             for each in segments]
     told = discrepancy_fit.fit(late, BENCH, Rest(0.0, 0.0, NOISE_N))
     assert told is not None
+    by_way = []
     for way in (1.0, -1.0):
         slid = (way,) * len(end_discrepancy.UNTURNED)
         still = (way, way, 0.0, 0.0, 0.0, 0.0)
         value, sigma, _ = end_discrepancy.evaluate(
             told.packed(1e-3, BENCH.presliding, BENCH.fabric_presliding), slid, 30.0, -0.45, still, still, 0.0, 0.0)
-        assert value == pytest.approx(0.01 + way * 0.03, abs=0.01)
         assert sigma < 0.01  # friction and gain of one session are nuisance parameters
+        by_way.append(value)
+    assert (by_way[0] - by_way[1]) / 2.0 == pytest.approx(0.03, abs=0.01)
+    assert (by_way[0] + by_way[1]) / 2.0 == pytest.approx(0.01 / 2.0, abs=0.002)
 
 
 def test_gait_trials_are_run_on_a_calibration_and_end_in_its_file(composer: Composer) -> None:
