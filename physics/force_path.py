@@ -86,9 +86,9 @@ def simulate(parameters: Array, rope_m: Array, knee_rad: Array, dt_s: float) -> 
 
     `rope_m`, `knee_rad`: measured motion, shape (samples,), every `dt_s`.  Returns arrays of shape (sets, samples).
     """
-    out = np.zeros((5, rope_m.size, parameters.shape[1]))
+    out = np.zeros((5, parameters.shape[1], rope_m.size))
     _run(np.ascontiguousarray(parameters), np.ascontiguousarray(rope_m), np.ascontiguousarray(knee_rad), dt_s, out)
-    return PathResponse(*(np.ascontiguousarray(values.T) for values in out))
+    return PathResponse(*out)
 
 
 @njit(**COMPILED)
@@ -102,7 +102,7 @@ def _run(p, rope, knee, dt, out):  # type: ignore[no-untyped-def]
         z[Q1, j], z[Q2, j] = w + taut, w + (1.0 - p[BEFORE, j]) * taut
         z[ANCHOR, j], z[LEG, j] = w, knee[0]
     for i in range(rope.size):
-        _step(p, rope[i], knee[i], i / rope.size, dt, z, out[:, i, :])
+        _step(p, rope[i], knee[i], i / rope.size, dt, z, out[:, :, i])
 
 
 @njit(**COMPILED)
@@ -137,6 +137,7 @@ def _keep(z, first, j, moved, travel):  # type: ignore[no-untyped-def]
 
 @njit(**COMPILED)
 def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
+    last1, last2, gain1, gain2 = z[LAST1, 0], z[LAST2, 0], 0.0, 0.0
     for j in range(p.shape[1]):
         u = x - p[ZERO, j]
         if p[ECC_SIN, j] != 0.0 or p[ECC_COS, j] != 0.0:
@@ -165,7 +166,8 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
         light = LIGHT / dt
         stiff, c2, c3 = p[STIFF, j], p[CURVE2, j], p[CURVE3, j]
         dry = p[DRY, j]
-        q1, q2 = old1 + z[LAST1, j], old2 + z[LAST2, j]
+        # sets of a Jacobian are close to each other: each begins with the change of sliding that the first one found
+        q1, q2 = old1 + z[LAST1, j] + gain1, old2 + z[LAST2, j] + gain2
         back1, back2 = q1, q2
         t0 = t1 = t2 = s1 = s2 = d1 = d2 = 0.0
         least, share = 1e300, 1.0
@@ -195,6 +197,8 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
                 share *= 0.4
             q1, q2 = back1 - share * d1, back2 - share * d2
         v1, v2 = q1 - old1, q2 - old2
+        if j == 0:
+            gain1, gain2 = v1 - last1, v2 - last2
         _keep(z, S1, j, v1, p[CABLE_TRAVEL, j])
         _keep(z, S2, j, v2, p[FABRIC_TRAVEL, j])
         z[SPEED1, j] += (v1 / dt - z[SPEED1, j]) * dt / (p[MEMORY, j] + dt)

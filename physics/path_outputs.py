@@ -6,7 +6,7 @@ grid of `step_s`; results have shape (sets, samples).
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.signal import lfilter
@@ -15,6 +15,12 @@ from physics.laws import Array
 from physics.path_constants import INDEX
 from physics.plant.leg import GRAVITY
 from physics.rig_forces import dahl_states, late
+
+DRIVE_ROWS: Final = np.array([INDEX[name] for name in (
+    "start_lag", "start_offset", "start_drift", "start_gain", "drum", "eccentric_sin", "eccentric_cos", "drive_travel",
+    "drive_coulomb", "drive_asymmetry", "drive_viscous", "drive_viscous_asymmetry", "drive_inertia", "drive_offset",
+    "demand_gain")])
+"""Constants of `drive_force`, which is computed once per distinct set of them."""
 
 
 class PathMotion(Protocol):
@@ -52,20 +58,22 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
     Terms: measured START tension at the drum, friction, inertia, offset.
     """
+    _, first, same = np.unique(given[DRIVE_ROWS].T, axis=0, return_index=True, return_inverse=True)
+
     def column(name: str) -> Array:
-        return np.asarray(given[INDEX[name]][:, None])
+        return np.asarray(given[INDEX[name], first][:, None])
 
     start = motion.start_n + column("start_lag") * np.gradient(motion.start_n, step_s)
     tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")
     angle = motion.rope_m / column("drum")
     arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / column("drum")
-    travels, row = np.unique(given[INDEX["drive_travel"]], return_inverse=True)
-    slip = dahl_states(motion.rope_m, travels)[row]
+    travels, row = np.unique(column("drive_travel"), return_inverse=True)
+    slip = dahl_states(motion.rope_m, travels)[row.ravel()]
     coulomb = column("drive_coulomb") * slip * (1.0 + column("drive_asymmetry") * slip)
     viscous = column("drive_viscous") * (
         motion.rope_m_s + column("drive_viscous_asymmetry") * np.abs(motion.rope_m_s))
     force = tension * arm + coulomb + viscous + column("drive_inertia") * motion.rope_m_s2 + column("drive_offset")
-    return np.asarray(force / column("demand_gain"))
+    return np.asarray((force / column("demand_gain"))[same.ravel()])
 
 
 def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
@@ -79,9 +87,8 @@ def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
 
 def _filtered(signals: Array, time_s: Array, step_s: float) -> Array:
     """Return each row of `signals` after a first-order low-pass with its time constant, s."""
-    time = step_s * np.arange(signals.shape[1])
-    for j in np.flatnonzero(time_s > 1e-5):
-        keep = float(np.exp(-step_s / time_s[j]))
-        behind, _ = lfilter([1.0 - keep], [1.0, -keep], signals[j], zi=[keep * signals[j, 0]])
-        signals[j] = np.interp(time + 0.5 * step_s, time, behind)
+    for constant in np.unique(time_s[time_s > 1e-5]):
+        rows, keep = time_s == constant, float(np.exp(-step_s / constant))
+        behind, _ = lfilter([1.0 - keep], [1.0, -keep], signals[rows], zi=keep * signals[rows, :1])
+        signals[rows] = 0.5 * (behind + np.concatenate([behind[:, 1:], behind[:, -1:]], axis=1))  # half a step earlier
     return signals

@@ -100,7 +100,8 @@ class PosteriorMode:
 
     `x`: departures of the constants `active` (rows of `table`), followed by the feature weights.  `q`: coordinates of
     all constants.  `log_evidence`: nats.  `factor`: Cholesky factor L of the prior covariance.  `inner`: Cholesky
-    factor of I + LᵀHᵀWHL.  `design`: H.  `weight`: W.  `residual`: y − f − Φc.  `prior_mean`: μ.
+    factor of I + LᵀHᵀWHL.  `slopes`, `features`: the two parts of H.  `weight`: W.  `residual`: y − f − Φc.
+    `prior_mean`: μ.
     """
 
     table: ConstantTable
@@ -111,7 +112,8 @@ class PosteriorMode:
     log_evidence: float
     factor: Array
     inner: Any
-    design: Array
+    slopes: Array
+    features: Array
     weight: Array
     residual: Array
     prior_mean: Array
@@ -120,6 +122,16 @@ class PosteriorMode:
     def constants(self) -> int:
         """Number of active constants, which are the first entries of `x`."""
         return len(self.active)
+
+    @property
+    def design(self) -> Array:
+        """H = [∂f/∂q, Φ]; it is not stored, since modes are many and share Φ."""
+        return np.concatenate([self.slopes, self.features], axis=1)
+
+    @cached_property
+    def inward(self) -> Array:
+        """HL."""
+        return np.asarray(self.design @ self.factor)
 
     def sd(self, gradient: Array) -> float:
         """Return 1σ of a scalar function of `x` from its `gradient` by `x`."""
@@ -182,6 +194,7 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
     factor: Array = np.asarray(np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance))), np.float64)
     measured, features, weight = observed.data, observed.features, observed.weight
     count, root = len(active), np.sqrt(weight)
+    discrepancy = features @ factor[count:]
 
     def at(x: Array) -> Array:
         q = origin.copy()
@@ -193,18 +206,20 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         residual = measured - observed.predicted(at(x)) - features @ x[count:]
         return loss(residual, root) + float(off @ off), residual
 
-    def linearised(x: Array, residual: Array) -> tuple[Array, Array]:
+    def linearised(x: Array) -> tuple[Array, Array]:
         _, slopes = observed.jacobian(at(x), active)
-        return np.concatenate([slopes, features], axis=1), bounded(residual, weight)
+        inward = discrepancy.copy()
+        inward[:, :count] += slopes @ factor[:count, :count]
+        return slopes, inward
 
     x = mean.copy() if start is None else start.copy()
     (now, residual), damping = cost(x), 0.0
     eye = np.eye(x.size)
     spread = np.sqrt(np.diag(covariance)[:count])
     while True:
-        before, (design, weights) = now, linearised(x, residual)
-        inward = design @ factor
-        square = eye + inward.T @ (inward * weights[:, None])
+        before, (slopes, inward), weights = now, linearised(x), bounded(residual, weight)
+        scaled = inward * np.sqrt(weights)[:, None]
+        square = eye + scaled.T @ scaled
         inner = cho_factor(square)
         if not descends:
             break
@@ -224,7 +239,8 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
             break
     # the curvature is that of the last linearisation, at a cost within `CLOSE` of the mode's
     evidence = -0.5 * now - float(np.log(np.diag(inner[0])).sum())
-    return PosteriorMode(table, at(x), x, tuple(active), now, evidence, factor, inner, design, weights, residual, mean)
+    return PosteriorMode(
+        table, at(x), x, tuple(active), now, evidence, factor, inner, slopes, features, weights, residual, mean)
 
 
 def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[float, Array]:
@@ -261,12 +277,12 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple
     _, slopes = observed.jacobian(q, moved)
     column = {name: slopes[:, k] for k, name in enumerate(names)}
     effect = np.stack([d.sd * sum(share * column[n] for n, share in d.along.items()) for d in variant.directions], 1)
-    inward = null.design @ null.factor
-    error = null.residual + null.design @ (null.x - null.prior_mean)
+    inward, off = null.inward, null.x - null.prior_mean
+    error = null.residual + null.slopes @ off[:null.constants] + null.features @ off[null.constants:]
 
     def solved(given: Array) -> Array:
         light = null.weight[:, None] * given
-        return np.asarray(light - (null.weight[:, None] * inward) @ cho_solve(null.inner, inward.T @ light))
+        return np.asarray(light - null.weight[:, None] * (inward @ cho_solve(null.inner, inward.T @ light)))
 
     return effect, solved(np.concatenate([error[:, None], effect], axis=1))
 

@@ -377,10 +377,11 @@ class _Fit:
     def _trial_given(self, k: int, bench: Array) -> Array:
         """Return the mode of a linearised trial for given departures of the bench."""
         linear, deviation = self.linear[k], np.sqrt(self._session())
-        inward = linear.design * deviation
-        light = inward.T * linear.weight
-        inner = cho_factor(np.eye(deviation.size) + light @ inward)
-        return np.asarray(bench + deviation * cho_solve(inner, light @ (linear.error - linear.design @ bench)))
+        root = np.sqrt(linear.weight)
+        scaled = linear.design * deviation * root[:, None]
+        inner = cho_factor(np.eye(deviation.size) + scaled.T @ scaled)
+        apart = root * (linear.error - linear.design @ bench)
+        return np.asarray(bench + deviation * cho_solve(inner, scaled.T @ apart))
 
     def _recentre(self, q: Array) -> None:
         """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""

@@ -63,8 +63,9 @@ def test_a_batch_is_its_members_one_by_one() -> None:
     rope, knee = ramp()
     sets = np.concatenate([path(), path(cable=0.3), path(before=0.6, play=0.01)], axis=1)
     whole = force_path.simulate(sets, rope, knee, GRID_S)
-    for j in range(3):
-        assert np.array_equal(force_path.simulate(sets[:, j:j + 1], rope, knee, GRID_S).end[0], whole.end[j])
+    for j in range(3):  # Newton's method begins elsewhere, and ends as close
+        alone = force_path.simulate(sets[:, j:j + 1], rope, knee, GRID_S)
+        assert np.abs(alone.end[0] - whole.end[j]).max() < 10.0 * force_path.CLOSE_N
 
 
 def test_half_the_step_changes_little() -> None:
