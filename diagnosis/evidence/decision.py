@@ -31,10 +31,14 @@ IMITATED: Final = dict.fromkeys(("end_filter", "drive_presliding"), DOUBTED)
 """Factor on `NAMED_NATS` by effect, for effects confounded with model error."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
-FURTHER_SHARE: Final = 0.05
-"""Share of an effect's evidence and misfit above which a second effect, or a lack of fit, is stated beside it.
+SECOND_SHARE: Final = 0.015
+"""Least log Bayes factor of a second effect beside the best one, relative to that one's; it has `DOUBTED` times the
+detection threshold, too.
 
-A second effect has `DOUBTED` times `NAMED_NATS`, too, since it may only absorb the lack of fit of the first."""
+A second effect may only absorb the model error of the first, which grows with the first one's evidence.  Too low, a
+second effect is named beside a single one; too high, the smaller one of a pair is missed."""
+FURTHER_SHARE: Final = 0.05
+"""Share of the null's misfit above which the misfit of an effect is a lack of fit."""
 MISFIT: Final = 1.6
 """Mean squared residual of an output over its variance above which the model has a lack of fit.
 
@@ -82,11 +86,9 @@ def decide(found: Searched) -> Decision:
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
-    second = next(iter(further), None)
-    chosen: tuple[str, ...] = (best,)
-    at = found.single[best]
-    if second is not None and further[second] >= max(DOUBTED * NAMED_NATS, FURTHER_SHARE * gains[best]):
-        chosen, at = (best, second), found.pair[(best, second)]
+    seconds = [name for name in detected(further, DOUBTED * least) if further[name] >= SECOND_SHARE * gains[best]]
+    chosen = (best, *seconds[:1])
+    at = found.pair[(best, seconds[0])] if seconds else found.single[best]
     misfit = misfits(found, at)
     if lacks(misfit, misfits(found, found.null)):
         return Decision("unexplained", (), (), part, gains, misfit)
