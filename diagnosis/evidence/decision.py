@@ -31,7 +31,7 @@ IMITATED: Final = dict.fromkeys(("end_filter", "drive_presliding"), DOUBTED)
 """Factor on `NAMED_NATS` by effect, for effects confounded with model error."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
-SECOND_SHARE: Final = 0.015
+SECOND_SHARE: Final = 0.0125
 """Least log Bayes factor of a second effect beside the best one, relative to that one's; it has `DOUBTED` times the
 detection threshold, too.
 
