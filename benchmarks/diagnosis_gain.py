@@ -93,7 +93,7 @@ def row(folder: Path, name: str, values: dict[str, float]) -> str:
         f"{experiment}, healthy too" if known else experiment or "–",
         verdict["verdict"] + (f" with {', '.join(others)}" if others else ""), causes or "nothing",
         f"{before:.2f}", f"{after:.2f}", f"{told[model.stem]['after']['true_relative_rmse_percent']:.2f}",
-        f"{100.0 * (1.0 - after / before):.0f}")
+        str(round(100.0 * (1.0 - after / before))))
     return f"| {' | '.join(cells)} |"
 
 
