@@ -31,12 +31,6 @@ IMITATED: Final = dict.fromkeys(("end_filter", "drive_presliding"), DOUBTED)
 """Factor on `NAMED_NATS` by effect, for effects confounded with model error."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
-SECOND_SHARE: Final = 0.0125
-"""Least log Bayes factor of a second effect beside the best one, relative to that one's; it has `DOUBTED` times the
-detection threshold, too.
-
-A second effect may only absorb the model error of the first, which grows with the first one's evidence.  Too low, a
-second effect is named beside a single one; too high, the smaller one of a pair is missed."""
 FURTHER_SHARE: Final = 0.05
 """Share of the null's misfit above which the misfit of an effect is a lack of fit."""
 MISFIT: Final = 1.6
@@ -86,7 +80,8 @@ def decide(found: Searched) -> Decision:
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
-    seconds = [name for name in detected(further, DOUBTED * least) if further[name] >= SECOND_SHARE * gains[best]]
+    # the model error of the first effect is `SURROGATE` of its size, and evidence grows with the square
+    seconds = [name for name in detected(further, DOUBTED * least) if further[name] >= SURROGATE**2 * gains[best]]
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
     misfit = misfits(found, at)
