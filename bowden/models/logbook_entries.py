@@ -221,6 +221,7 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
     Only the first trial of a session that has none in the model yet is taken into it.
     """
     from diagnosis.evidence.path_model import PATH_MODEL
+    from diagnosis.evidence.posterior import CLOSE
     from diagnosis.evidence.reference_fit import fit_reference
 
     kept = book.reference()
@@ -241,7 +242,8 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
-        made = fit_reference(PATH_MODEL, recordings)
+        # every later session is compared with it: what it lacks of its mode would be a change of them all
+        made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
     book.enter_reference(CONSTANTS, [*taken, number], bench_coordinates(made), encoded(made),
                          None if kept is None else kept.id)
     return None

@@ -182,13 +182,14 @@ def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequ
     return out
 
 
-def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None
-                  ) -> ReferenceFit:
+def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
+                  close: float = CLOSE) -> ReferenceFit:
     """Fit the reference trials of one bench, which all have the same outputs.
 
-    `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).
+    `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).  `close`:
+    decrease of the joint cost in one step and per trial below which the joint mode counts as reached.
     """
-    return _Fit(model, trials, session_sd).run()
+    return _Fit(model, trials, session_sd, close).run()
 
 
 def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
@@ -222,7 +223,8 @@ class _Fit:
     at: list[Array]
 
     def __init__(self, model: ForwardModel, trials: Sequence[Recording],
-                 session_sd: Mapping[str, float] | None = None) -> None:
+                 session_sd: Mapping[str, float] | None = None, close: float = CLOSE) -> None:
+        self.close = close
         self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
         self.trials = trials
         self.stated_sd = session_sd or {}
@@ -336,7 +338,7 @@ class _Fit:
             else:
                 return
             (self.bench, self.at), fall, now = moved(share), now - then, then
-            if fall < CLOSE * len(self.trials):
+            if fall < self.close * len(self.trials):
                 return
 
     def _cost(self, bench: Array, at: Sequence[Array]) -> float:
