@@ -1,4 +1,4 @@
-"""What a diagnosis is worth in the closed loop: `python -m benchmarks.diagnosis_gain [--page] [EFFECT…]`.
+"""Gain of a diagnosis in the closed loop: `python -m benchmarks.diagnosis_gain [--page] [EFFECT…]`.
 
 The rule of this file: it says on the command line what an engineer would: identify a bench, record it healthy, record
 it with an effect at work, diagnose, and run again with the controller told what was found.  Nothing of the effect but

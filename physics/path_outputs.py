@@ -16,11 +16,11 @@ from physics.path_constants import INDEX
 from physics.plant.leg import GRAVITY
 from physics.rig_forces import dahl_states, late
 
-DRIVE_ROWS: Final = np.array([INDEX[name] for name in (
+OF_DRIVE: Final = (
     "start_lag", "start_offset", "start_drift", "start_gain", "drum", "eccentric_sin", "eccentric_cos", "drive_travel",
     "drive_coulomb", "drive_asymmetry", "drive_viscous", "drive_viscous_asymmetry", "drive_inertia", "drive_offset",
-    "demand_gain")])
-"""Constants of `drive_force`, which is computed once per distinct set of them."""
+    "demand_gain")
+"""Constants of `drive_force`, which is computed once per distinct set of them and has access to no others."""
 
 
 class PathMotion(Protocol):
@@ -58,10 +58,11 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
     Terms: measured START tension at the drum, friction, inertia, offset.
     """
-    _, first, same = np.unique(given[DRIVE_ROWS].T, axis=0, return_index=True, return_inverse=True)
+    distinct, same = np.unique(given[[INDEX[name] for name in OF_DRIVE]].T, axis=0, return_inverse=True)
+    constants = dict(zip(OF_DRIVE, distinct.T, strict=True))
 
     def column(name: str) -> Array:
-        return np.asarray(given[INDEX[name], first][:, None])
+        return np.asarray(constants[name][:, None])
 
     start = motion.start_n + column("start_lag") * np.gradient(motion.start_n, step_s)
     tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")

@@ -242,7 +242,7 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
-        # every later session is compared with it: what it lacks of its mode would be a change of them all
+        # every later session is compared with it: its distance from the mode would be a change of them all
         made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
     book.enter_reference(CONSTANTS, [*taken, number], bench_coordinates(made), encoded(made),
                          None if kept is None else kept.id)

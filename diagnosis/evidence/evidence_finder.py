@@ -35,8 +35,8 @@ NO_REFERENCE: Final = (
 def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:
     """Return whether trials can be of a rope over a knee.
 
-    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, START
-    has no compression beyond the share `compressed` of its largest tension, and no axis turns.
+    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, and no
+    axis turns.  START has no compression beyond the share `compressed` of its largest tension.
     """
     if any("gait_percent" in t for t in trials):
         return True

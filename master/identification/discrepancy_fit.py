@@ -2,14 +2,14 @@
 
 Each control cycle gives y = ln(estimated END / measured END): the controller's own estimate from START against END.
 The features are those that the controller computes again in its cycle, from the desired force and the knee's angle.
-Prior: coefficients are independent, of zero mean, with the standard deviation of y; those of `OF_GAIN` with that of
-a load cell's gain, since START's gain was identified against END.  Noise: residual of y, which is systematic, so that
+Prior: coefficients are independent, of zero mean, with the standard deviation of y.  Features of `OF_GAIN` have that of
+a load cell's gain, since START's gain was identified against END.  The noise is the residual of y.  It is systematic:
 the effective sample size of a gait trial is `WORTH` control cycles.
 
-Not all of y holds in later sessions: END's gain and the zeros of both load cells do not.  They are nuisance parameters
-of the same fit and no part of the discrepancy, the gain with its session deviation, the zeros with the error of a
-measurement at rest, since both were measured so before the gait trials.  Friction is the identification's, whatever
-homing before a gait trial estimated: y is freed of that factor.
+END's gain and the zeros of both load cells change between sessions.  They are nuisance parameters of the same fit and
+no part of the discrepancy.  The gain has its session deviation.  Both zeros were measured at rest before the gait
+trials, and have the error of that measurement.  Friction is the identification's: y is freed of the factor that homing
+before a gait trial estimated.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ ZERO_N: Final = 0.02
 """Standard deviation of a zero measured at rest, N: the mean over 0.4 to 1 s of a load cell with up to 0.4 N of noise.
 With 0.1 N, a session's, errors of the model at low load went into the zeros, and their reverse into the gain."""
 GAIN_SD: Final = float(SESSION_SD[INDEX["end_gain"]])
+"""Standard deviation of a load cell's gain between sessions, relative."""
 OF_GAIN: Final = ("level", "load")
 """Features that a load cell with another gain, or one that depends on load, would have, too."""
 TURN: Final = 21
@@ -89,12 +90,12 @@ def fit(segments: Sequence[Segment], calibration: Calibration, still: Rest) -> E
 
 
 def _coefficient_sd(prior: float) -> Array:
-    """Return the features' coefficients' standard deviations before the fit."""
+    """Return 1σ of each feature's coefficient before the fit; `prior`: 1σ of y."""
     return np.array([min(prior, GAIN_SD) if name in OF_GAIN else prior for name in end_discrepancy.FEATURES])
 
 
 def _nuisance(trials: Sequence[Array]) -> tuple[Array, Array]:
-    """Return dy/d(nuisance parameter), shape (rows, nuisance parameters), and the parameters' 1σ between sessions.
+    """Return dy/d(nuisance parameter), shape (rows, nuisance parameters), and the parameters' 1σ before the fit.
 
     `trials`: of each gait trial the columns of `OF_A_TRIAL` and `OF_END`.
     """

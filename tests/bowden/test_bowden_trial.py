@@ -80,9 +80,10 @@ def test_every_signal_has_a_unit_and_the_trial_names_what_made_it(recorded: tupl
     assert opened.metadata["controller"] == "paper"
 
 
-@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no repository: an installation or an archive has no commit")
 def test_the_trial_names_the_commit_that_made_it(recorded: tuple[Path, dict[str, Any]]) -> None:
-    asked = subprocess.run(["git", "-C", str(ROOT), "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    asked = subprocess.run(["git", "-C", str(ROOT), "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    if asked.returncode or not (ROOT / ".git").exists():
+        pytest.skip(f"no repository that git reads, so that trials have no commit: {asked.stderr.strip()}")
     assert trials.open(recorded[0]).metadata["commit"].rstrip("+") == asked.stdout.strip()
 
 

@@ -178,8 +178,9 @@ def test_a_bench_identified_today_is_controlled_tomorrow(
 def test_the_discrepancy_of_gait_trials_is_recovered_beside_the_ends_lag() -> None:
     """START estimates END 3 % too high while rope and fabric slide up, as much too low on the way back, and 1 % always.
 
-    END is 2 ms late; the ramp tells that.  The 1 % may be END's gain as well: half of it is believed.  Tolerance 1 %:
-    the posterior is shrunk, and two cycles leave it a doubt of 0.5 %.
+    END is 2 ms late; the ramp tells that.  The 1 % may be END's gain as well: with equal priors half of it is believed,
+    less what `load` takes at 30 N (0.2 %).  Tolerance 1 %: the posterior is shrunk, and two cycles leave it a doubt of
+    0.5 %.
     """
     law = inverse.law(BENCH, 1e-3)
     phase = np.linspace(0.0, 3.0, 4800) % 1.0
