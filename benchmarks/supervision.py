@@ -3,9 +3,9 @@
 `--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
 days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures
 of `tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how
-near to its tolerance each relation came.  All start from the packaged calibration.  A bench that homing finds to be
-another one is refused before it moves, identified as the refusal says, and run again.  So is one whose END is off the
-desired force by more than its tolerance: that calibration is another bench's, and END is off in truth.  `--kept FILE`
+near to its tolerance each relation came.  All start from the packaged calibration, which is another bench's: one that
+homing refuses before it moves, or that is stopped, is identified and run again, and counts by that second trial.  How
+many were refused and how many stopped by the packaged calibration is printed, with their numbers.  `--kept FILE`
 keeps each trial as a line of JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
 
 Two bounds of the false-alarm rate are printed, each the upper end of a 95 % interval: by count (no model; a run without
@@ -33,8 +33,8 @@ PEAKS, PERIODS, CYCLES = (40.0, 60.0, 25.0, 75.0), (1.1, 2.0, 0.8, 3.0), 4
 FAMILY_PEAKS = (40.0, 50.0, 25.0)
 """Peaks that the START tension of every bench of the family allows (`tests.plants.draws.MOST_START_N`, at 60 N)."""
 DAYS = 3
-IDENTIFY = ("identify this bench", "END, friction, an encoder, the calibration or the controller")
-"""Words of a refusal, and of a stop, that call for an identification."""
+REFUSED = "identify this bench"
+"""Words of a refusal before the bench moves."""
 CONTROLLERS = ("paper", "extended", "none", "friction", "impedance")
 NAMES = ("servo", "knee", "ratio", "force", "start", "end", "still START", "still END", "still servo", "still knee")
 COMPARED = ("desired", "first cycle", "second cycle", "rope, first cycle", "rope, second cycle")
@@ -55,15 +55,16 @@ class Job(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """End of a trial, greatest normalised residual of each relation, and whether the bench had to be identified.
+    """End of a trial, greatest normalised residual of each relation, and the end by the packaged calibration.
 
-    `trial_s`: its length from the silent bus to the end, s; `gait_s`: that of its gait cycles.
+    `packaged`: why the bench had to be identified and run again; None if it had not.  `trial_s`: its length from the
+    silent bus to the end, s; `gait_s`: that of its gait cycles.
     """
 
     number: int
     reason: str | None
     ratios: list[float]
-    identified: bool
+    packaged: str | None
     compared: list[float]
     trial_s: float
     gait_s: float
@@ -118,16 +119,16 @@ class StoppedError(Exception):
 
 
 def ran(job: Job) -> Ended:
-    """Run one trial; where its calibration is refused or END shows that it is another bench's, identify, run again."""
+    """Run one trial; where it is refused or stopped by the packaged calibration, identify and run again."""
     from physics.calibration import nominal
 
     ended = walked(job, nominal())
-    if ended.reason is None or not any(told in ended.reason for told in IDENTIFY):
+    if ended.reason is None:
         return ended
     try:
-        return walked(job, identified(job))._replace(identified=True)
+        return walked(job, identified(job))._replace(packaged=ended.reason)
     except StoppedError as error:
-        return ended._replace(reason=f"identification: {error}", identified=True)
+        return ended._replace(reason=f"identification: {error}", packaged=ended.reason)
 
 
 def walked(job: Job, calibration: Any) -> Ended:
@@ -171,7 +172,7 @@ def walked(job: Job, calibration: Any) -> Ended:
     result = experiment_run.run(Link(bus, bus.time_ns), tap, None, asked)
     tap.shutdown()
     bus.shutdown()
-    return Ended(job.number, result.stop_reason, worst.tolist(), False, list(watches[-1].shares) if watches else [],
+    return Ended(job.number, result.stop_reason, worst.tolist(), None, list(watches[-1].shares) if watches else [],
                  result.duration_s, job.cycles * job.period_s)
 
 
@@ -210,7 +211,7 @@ def healthy(count: int, first: int, workers: int, cycles: int, kept: Path | None
                 print(f"{drawn[ended.number]}: {ended.reason}", file=sys.stderr, flush=True)
             if len(told) % 10 == 0:
                 print(f"{len(told)} of {len(drawn)}, {sum(e.reason is not None for e in told)} stopped, "
-                      f"{sum(e.identified for e in told)} identified", file=sys.stderr, flush=True)
+                      f"{sum(e.packaged is not None for e in told)} identified", file=sys.stderr, flush=True)
     show(told)
     return sum(ended.reason is not None for ended in told)
 
@@ -219,8 +220,10 @@ def show(told: list[Ended]) -> None:
     """Print what healthy trials raised, how near they came, and what that bounds."""
     stopped = [ended for ended in told if ended.reason is not None]
     whole = [ended for ended in told if ended.reason is None]
-    print(f"{len(told)} healthy trials, {len(stopped)} stopped; {sum(ended.identified for ended in told)} benches were "
-          "refused the packaged calibration, and identified")
+    refused = [ended.number for ended in told if ended.packaged is not None and REFUSED in ended.packaged]
+    again = [ended.number for ended in told if ended.packaged is not None and REFUSED not in ended.packaged]
+    print(f"{len(told)} healthy trials, {len(stopped)} stopped; by the packaged calibration {len(refused)} benches "
+          f"were refused and {len(again)} stopped {again}, then identified")
     for reason, often in Counter(ended.reason for ended in stopped).most_common(20):
         numbers = [ended.number for ended in stopped if ended.reason == reason]
         print(f"  {often} × {reason} {numbers[:6]}")

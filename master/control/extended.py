@@ -186,17 +186,18 @@ def step(
     wanted = (*state.wanted, position + force)[-(config.ahead + 1):]
     missed = wanted[0] - seen.servo_position_m if len(wanted) > config.ahead else 0.0
     fed = deviation if gait.slack[now] == 0.0 else 0.0
-    history = (now, fed, missed, evidence, state.history)
     target = feedforward + force + (state.tracked[now] if state.tracked else 0.0)
     moved = 0.0 if math.isnan(state.seen_m) else seen.servo_position_m - state.seen_m
     then = seen.servo_position_m + TARGET_CYCLES * moved
-    target = min(max(target, then - REACH_M), then + REACH_M)
+    reached = min(max(target, then - REACH_M), then + REACH_M)
+    # anti-windup: where the target is held back, a larger correction would change nothing
+    history = (now, fed, missed if reached == target else 0.0, evidence, state.history)
     after = ExtendedState(
         state.law, state.followed, deviation, leg, seen.servo_position_m, slip, slips, departures, paths,
         wanted, resting, state.learnt, state.tracked, history)
     half = _half_width(max(estimated, 0.0), ratio, rate, resting / config.filter.lead, here, config)
     trace = Trace(desired, estimated, feedforward, deviation, ratio, here.rope_slip, here.fabric_slip, half)
-    return ControllerOutput(target, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
+    return ControllerOutput(reached, gait.knee[(now + TARGET_CYCLES) % samples]), after, trace
 
 
 def _heard(paths: tuple[Ahead, ...], resting: int) -> float:

@@ -36,11 +36,12 @@ FORCE_TERMS, STRETCH_TERMS = 4, 3
 
 (T1, T2, K1, K2, PREDICTED, SLIP, LAST_TRAVEL, FRESH, FILLED, SAME_START, SAME_END, AT_START, AT_END, OLD_START,
  OLD_END, PLACE, SUM, SUM_SIGN, SUM_V, RISE_LOW, RISE_HIGH, TRUSTED, FORCE_ROWS, STRETCH_ROWS, FORCE_SQUARES,
- SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW) = range(33)
+ SAME_SERVO, SAME_KNEE, OLD_SERVO, OLD_KNEE, LED_SERVO, LED_KNEE, SPEED, MOST_FLOW, HELD_BACK) = range(34)
 """Indices of `s`: targets of the last two cycles, the position loop's answer, the slip state; cycles since a restart
 and since the window's beginning, repeated values; the window's place and sums; the results of homing so far;
-`MOST_FLOW`: the greatest speed of its windows, m/s."""
-RATIOS = 33
+`MOST_FLOW`: the greatest speed of its windows, m/s; `HELD_BACK`: what of the targets' limiting the drive has still to
+make up for, m."""
+RATIOS = 34
 """Slots of the normalised residual of each relation, signed: 1 is its tolerance."""
 COUNTS = RATIOS + RELATIONS
 READINGS = COUNTS + RELATIONS
@@ -102,8 +103,9 @@ def _tracking(s: Any, g: Any, limited: float, target: float, knee_target: float,
         s[K1] = s[K2] = knee_target
         s[PREDICTED] = position
     s[PREDICTED] += fade * (s[T2] - s[PREDICTED])
+    s[HELD_BACK] = max(limited, (1.0 - fade) * s[HELD_BACK])
     lag = abs(s[T2] - s[PREDICTED]) + abs(s[T2] - s[T1])
-    _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * limited)
+    _compare(s, SERVO_TRACK, position, s[PREDICTED], TRACK_M + TRACK_SHARE * lag + 2.0 * s[HELD_BACK])
     _standing(s, g, STILL_SERVO, SAME_SERVO, position, s[T2], STILL_M + 2.0 * limited)
     if g[WITH_KNEE] > 0.0:
         moved = abs(s[K1] - s[K2]) + abs(knee_target - s[K1])

@@ -214,7 +214,8 @@ class Planned:
 
     def watch(self, exchange: Exchange) -> None:
         """Have the gait that comes next held against the desired force and against its own first cycles."""
-        exchange.guard.repetition = Repetition(self.experiment.reference.peak_n, self.table.period_s,
+        wanted = self.experiment.reference
+        exchange.guard.repetition = Repetition(wanted.peak_n, self.table.period_s, wanted.period_s,
                                                with_rope=exchange.knee_driven)
 
     def walk(self, exchange: gait.Cycle, before: int = 0) -> None:

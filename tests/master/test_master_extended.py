@@ -192,6 +192,17 @@ def test_no_target_is_farther_from_the_rope_than_the_drive_follows() -> None:
         rope += max(-0.3 * PERIOD_S, min(0.3 * PERIOD_S, 0.1 * (outputs.servo_target_m - rope)))
 
 
+def test_nothing_is_learnt_where_a_target_is_held_back() -> None:
+    """A servo that stands still for a gait cycle leaves errors of 15 mm; a larger target would move it no farther."""
+    config = configured()
+    state = extended.ExtendedState(config.law)
+    for sample in range(SAMPLES + 1):
+        look = ControllerInput(sample, 0.0, 0.0, config.gait.knee[sample % SAMPLES], 0.0)
+        _, state, _ = extended.step(look, state, config)
+    assert len(state.tracked) == SAMPLES
+    assert np.abs(state.tracked).max() < extended.REACH_M
+
+
 @pytest.mark.parametrize("lag_hz", [15.0, 25.0, 40.0])
 @pytest.mark.parametrize("delays", [1, 2])
 def test_what_the_drive_makes_of_a_target_is_learnt_and_converges(lag_hz: float, delays: int) -> None:

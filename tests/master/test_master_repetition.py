@@ -37,7 +37,7 @@ def walked(
     peak_n: float = PEAK_N, missing: Callable[[int], bool] = lambda i: False,
 ) -> tuple[CycleDeparture, int] | None:
     """Return the first departure and the gait cycle it is found in."""
-    watch = watch or Repetition(PEAK_N, 1e-3)
+    watch = watch or Repetition(PEAK_N, 1e-3, 1.1)
     for i in range(first * SAMPLES, (first + cycles) * SAMPLES):
         cycle, phase = divmod(i, SAMPLES)
         seen = shown(cycle, phase / SAMPLES)
@@ -98,7 +98,7 @@ def test_without_end_the_rope_alone_is_compared() -> None:
 
 def test_another_gait_is_compared_with_itself_alone() -> None:
     """A walk that begins anew forgets the last one, and another desired force or knee angle is not compared."""
-    watch = Repetition(PEAK_N, 1e-3)
+    watch = Repetition(PEAK_N, 1e-3, 1.1)
     assert walked(bench, 2, watch) is None
     assert walked(lambda c, p: bench(c, p)._replace(rope=bench(c, p).rope + 5e-3), 2, watch) is None
     assert walked(lambda c, p: bench(c, p)._replace(rope=0.0, knee=bench(c, p).knee + 0.02), 2, watch, first=2) is None
@@ -106,6 +106,14 @@ def test_another_gait_is_compared_with_itself_alone() -> None:
 
 def test_tolerances_hold_what_the_stealth_bounds_allow() -> None:
     """At 40 N a departure of END is found from 4.2 N on in the second cycle and from 2.9 N on in later ones."""
-    at = Repetition(PEAK_N, 1e-3).g
+    at = Repetition(PEAK_N, 1e-3, 1.1).g
     assert at[repetition.FIRST] < 5.0
     assert at[repetition.SECOND] < 3.0
+
+
+def test_a_brisk_gait_may_differ_more_from_cycle_to_cycle() -> None:
+    """Tolerances between gait cycles grow with the speed below 1.1 s; that of the desired force does not."""
+    usual, slow, brisk = (Repetition(PEAK_N, 1e-3, gait_s).g for gait_s in (1.1, 3.0, 0.8))
+    assert (usual == slow).all()
+    assert brisk[repetition.DESIRED] == usual[repetition.DESIRED]
+    assert brisk[repetition.FIRST:] == pytest.approx(1.1 / 0.8 * usual[repetition.FIRST:])

@@ -82,6 +82,16 @@ def test_a_servo_that_its_tension_bound_holds_back_may_stand_still(limited_m: fl
     assert next((each.relation for each in told if each), None) == found
 
 
+@pytest.mark.parametrize(("limited_m", "found"), [(2e-3, None), (0.0, plausibility.SERVO_TRACK)])
+def test_a_servo_that_was_held_back_needs_time_to_make_up_for_it(limited_m: float, found: int | None) -> None:
+    """The bound of its force ends while the position is 3.5 mm from the targets, which it reaches in 10 ms."""
+    checked = Plausibility(1e-3)
+    ways = [(limited_m, 0.0)] * 20 + [(0.0, 3.5e-3 * 0.8**i) for i in range(40)]
+    told = [checked.check(limited, (0.01, -0.5), 0.01 - behind, 40.0, -0.5, 20.0 + 0.1 * (i % 2), 18.0 + 0.1 * (i % 2))
+            for i, (limited, behind) in enumerate(ways)]
+    assert next((each.relation for each in told if each), None) == found
+
+
 def test_a_swing_that_does_not_fit_is_told_with_both_numbers() -> None:
     finding = Implausibility(plausibility.BY_START, 3e-3, 11e-3, ratios(start=-2.0, end=-2.0), 0.0809, 0.0405)
     stop = blamed(finding, PATH)
