@@ -409,28 +409,36 @@ class _Fit:
                                self.model.session_share**2 * np.repeat(self.amplitude**2, FEATURES)])
 
     def _posterior(self, which: Sequence[int]) -> Gaussian:
-        """Return the posterior of the bench, about `origin`, from the linearised trials with the numbers `which`.
+        """Return the posterior of the bench, about `origin`, from the linearised trials with the numbers `which`."""
+        return self._joint(which)[0]
 
-        The session deviation Σ of each trial is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.
+    def _joint(self, which: Sequence[int]) -> tuple[Gaussian, float]:
+        """Return the posterior of the bench and the log evidence of the linearised trials `which`, nats.
+
+        The session deviation Σ of each trial is integrated out: information A(I + ΣA)⁻¹, A = HᵀWH.  The evidence lacks
+        terms that do not depend on the priors.
         """
         scale = np.sqrt(self._bench_variance())
         deviation = np.sqrt(self._session()) / scale
         size = scale.size
         information, pull = np.eye(size), np.zeros(size)
         pull[:len(self.free)] = self._middle()
+        evidence = -0.5 * float(pull @ pull)
         for k in which:
             linear = self.linear[k]
             root = np.sqrt(linear.weight)
             design = linear.design * scale * root[:, None]
             square, error = design.T @ design, design.T @ (linear.error * root)
             inner = cho_factor(np.eye(size) + deviation[:, None] * square * deviation)
-            side = deviation[:, None] * square
+            side, across = deviation[:, None] * square, cho_solve(inner, deviation * error)
             information += square - side.T @ cho_solve(inner, side)
-            pull += error - side.T @ cho_solve(inner, deviation * error)
+            pull += error - side.T @ across
+            evidence += 0.5 * float(deviation * error @ across) - float(np.log(np.diag(inner[0])).sum())
         lengths, axes = np.linalg.eigh(0.5 * (information + information.T))
-        lengths = np.maximum(lengths, 0.5)
+        lengths, pull = np.maximum(lengths, 0.5), axes.T @ pull
+        evidence += 0.5 * float((pull**2 / lengths - np.log(lengths)).sum())
         covariance = (axes / lengths) @ axes.T * scale[:, None] * scale
-        return Gaussian(self.origin, scale * ((axes / lengths) @ (axes.T @ pull)), covariance)
+        return Gaussian(self.origin, scale * (axes @ (pull / lengths)), covariance), evidence
 
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
@@ -458,8 +466,12 @@ class _Fit:
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
 
-    def _amplitudes(self) -> None:
-        """Estimate the amplitude of the discrepancy: RMS residual of a fit with constants alone, by output."""
+    def _amplitudes(self, shares: Sequence[float] = (1.0, 0.5, 0.25, 0.125)) -> None:
+        """Estimate the amplitude of the discrepancy by output: one of `shares` of the RMS residual of constants alone.
+
+        The share has the largest evidence: a residual that no state explains is noise.  Larger shares, which the
+        evidence of START and END often prefers, would let the discrepancy take up effects.
+        """
         rest = []
         for linear in self.linear:
             part = linear.design[:, :len(self.free)]
@@ -469,6 +481,13 @@ class _Fit:
             at = np.linalg.solve(np.eye(len(self.free)) + design.T @ design, design.T @ (linear.error * root))
             rest.append(linear.error - part @ (scale * at))
         self._set_amplitude(rest, self.trials)
+        every = range(len(self.trials))
+        for k, most in enumerate(self.amplitude.copy()):
+            told = []
+            for share in shares:
+                self.amplitude[k] = share * most
+                told.append(self._joint(every)[1])
+            self.amplitude[k] = shares[int(np.argmax(told))] * most
 
     def _missed(self) -> dict[str, float]:
         """Return the RMS error by output, N, of the other trials' averaged models on each reference trial.
