@@ -17,6 +17,11 @@ START, END, FORCE, JOINT = "tension_start_n", "tension_end_n", "servo_force_n", 
 TURNED_UNITS: Final[Mapping[str, str]] = {
     "N": "N·m", "m": "rad", "kg": "kg·m²", "N·s/m": "N·m·s/rad", "m/s": "rad/s"}
 """Unit of a linear axis → unit of the same quantity of a turning axis."""
+VOLT_UNITS: Final[Mapping[str, str]] = {
+    "N": "V", "N·m": "V", "m": "rad", "kg": "V·s²/rad", "N·s/m": "V·s/rad", "m/s": "rad/s"}
+"""The same of a turning axis with the motor's voltage for its torque: torques times R/kt.
+
+R: resistance of the winding, kt: torque constant.  The back-EMF kt·ω is a viscous friction of the axis."""
 
 
 class RigScale(NamedTuple):
@@ -39,7 +44,7 @@ class RigColumns(NamedTuple):
     """Kind of a rig by its columns: `outputs`, whether the axis turns, and which other forces and angles are recorded.
 
     `has_end`: START and END.  `sprung`: START and a joint angle, with a spring between.  `angled`: joint angle beside
-    START and END.  `loaded`: START is the load of the drive.
+    START and END.  `loaded`: START is the load of the drive.  `volts`: the drive force is the motor's voltage.
     """
 
     outputs: tuple[str, ...]
@@ -48,10 +53,12 @@ class RigColumns(NamedTuple):
     sprung: bool
     angled: bool
     loaded: bool
+    volts: bool = False
 
     def unit(self, linear: str) -> str:
         """Return the unit on this linear or turning axis of a quantity that has the unit `linear` on a linear one."""
-        return TURNED_UNITS.get(linear, linear) if self.turning else linear
+        units: Mapping[str, str] = VOLT_UNITS if self.volts else TURNED_UNITS if self.turning else {}
+        return units.get(linear, linear)
 
 
 BOUNDS: Final = {

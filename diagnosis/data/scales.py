@@ -68,7 +68,8 @@ def against_range(trials: Sequence[Table], healthy: Sequence[Table]) -> Iterator
             most = float(np.nanmax(np.abs(given[name]))) if usual and _has_force(given, name) else 0.0
             if most > 10.0 * usual:
                 column, unit = next(((column, unit) for column, (known, unit) in TURNING.items()
-                                     if given.turning and known == name), (name, "N"))
+                                     if given.turning and known == name and given.volts == (unit == "V")),
+                                    (name, "N"))
                 yield Finding(f"{given.source}: {column} reaches {most:.3g} {unit}, in the healthy trials at most "
                               f"{usual:.3g}: a signed number read as unsigned, another unit, or another motion; mend "
                               "the column, or give healthy trials of this range.", True)

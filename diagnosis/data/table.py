@@ -36,7 +36,8 @@ DEGREE_ALIAS: Final = "knee_angle_deg"
 """Column that is read as `knee_angle_rad`, converted from degrees."""
 TURNING: Final[Mapping[str, tuple[str, str]]] = {
     "servo_position_rad": ("servo_position_m", "rad"), "servo_target_rad": ("servo_target_m", "rad"),
-    "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m")}
+    "servo_velocity_rad_s": ("servo_velocity_m_s", "rad/s"), "servo_torque_nm": ("servo_force_n", "N·m"),
+    "motor_voltage_v": ("servo_force_n", "V")}
 """By column of a turning axis: the equivalent signal on a lever of 1 m, and the unit of the column."""
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class Table:
 
     `digest`: hash of the columns, equal for equal data.  `calibration`: tables of the attached calibration (None: no
     calibration of a bench is attached).  `lowpass_hz`: cut-off of the filter that the signals have passed (None:
-    unfiltered).  `turning`: the axis was recorded in rad and N·m and is represented on a lever of 1 m.  `experiment`:
-    name of the experiment ("": unknown).
+    unfiltered).  `turning`: the axis was recorded in rad and N·m and is represented on a lever of 1 m.  `volts`: the
+    motor's voltage was recorded in place of its torque.  `experiment`: name of the experiment ("": unknown).
     """
 
     source: str
@@ -56,6 +57,7 @@ class Table:
     lowpass_hz: float | None = None
     notes: tuple[str, ...] = field(default=())
     turning: bool = False
+    volts: bool = False
     experiment: str = ""
 
     def __len__(self) -> int:
@@ -132,11 +134,15 @@ def table(
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
     known = _numbered(known)
-    return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning))
+    return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning),
+                 volts="motor_voltage_v" in columns)
 
 
 def _refuse_mixed(source: str, columns: Iterable[str], turning: Sequence[str]) -> None:
-    """Raise `InputError` if a trial has columns of a turning axis together with columns of a linear pull."""
+    """Raise `InputError` if a trial has columns of a turning axis and of a linear pull, or both torque and voltage."""
+    if {"servo_torque_nm", "motor_voltage_v"} <= set(columns):
+        raise InputError(f"{source}: has servo_torque_nm and motor_voltage_v; give one of them, the torque if it is "
+                         "measured.")
     straight = [n for n in columns if n in {m for m, _ in TURNING.values()} or n.startswith("tension_")]
     if straight:
         raise InputError(f"{source}: {turning[0]} is of a turning axis, {straight[0]} of a straight pull; multiply "

@@ -129,9 +129,9 @@ class RigModel(ForwardModel):
         self.outputs = tuple(name for name, there in (
             (START, self.has_end or self.sprung), (FORCE, FORCE in has), (JOINT, self.angled)) if there)
         self.turning = all(t.turning for t in tables)
-        self.rig = RigColumns(self.outputs, self.turning, self.has_end, self.sprung, self.angled, self.loaded)
-        self.signals = {
-            name: "rad" if name == JOINT else "N·m" if self.turning else "N" for name in self.outputs}
+        self.rig = RigColumns(self.outputs, self.turning, self.has_end, self.sprung, self.angled, self.loaded,
+                              all(t.volts for t in tables))
+        self.signals = {name: "rad" if name == JOINT else self.rig.unit("N") for name in self.outputs}
         self.judged = tuple(name for name in self.outputs if name != JOINT)
         if not self.outputs:
             return

@@ -12,6 +12,7 @@ from diagnosis.evidence.evidence_finder import EvidenceFinder, can_be_of_bench
 from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
 from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Findings
+from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from tests.diagnosis import rigs
 
@@ -107,6 +108,28 @@ def test_a_mass_on_a_pendulum_is_told_within_five_per_cent_with_what_it_was() ->
     assert found.causes[0]["was"]["unbalance"] == pytest.approx(GRAVITY_NM, rel=0.01)
     assert found.part == "drive"
     assert told["unit"] == "N·m"
+
+
+RESISTANCE_OHM, TORQUE_CONSTANT_NM_A = 4.0, 0.4
+
+
+def by_voltage(seed: int, mass_kg: float = 0.5) -> Table:
+    """The pendulum with its motor's voltage, u = R·τ/kt + kt·ω, in place of the torque; rig in V, rad and s."""
+    swung_by = rigs.pendulum(seed, mass_kg)
+    speed = np.gradient(swung_by["servo_position_rad"], swung_by["time_s"])
+    volts = RESISTANCE_OHM / TORQUE_CONSTANT_NM_A * swung_by.pop("servo_torque_nm") + TORQUE_CONSTANT_NM_A * speed
+    return table(f"pendulum_{seed}", {**swung_by, "motor_voltage_v": volts})
+
+
+def test_a_mass_is_told_by_the_motors_voltage_as_by_its_torque() -> None:
+    found = known([by_voltage(1), by_voltage(2)]).diagnose([by_voltage(4, 0.6)])
+    told, per_nm = found.causes[0]["parameters"]["unbalance"], RESISTANCE_OHM / TORQUE_CONSTANT_NM_A
+    assert found.causes[0]["effect"] == "unbalance"
+    assert told["value"] - per_nm * GRAVITY_NM == pytest.approx(0.2 * per_nm * GRAVITY_NM, rel=0.05)
+    assert told["unit"] == "V"
+    assert found.relations["servo_force_n"].unit == "V"
+    with pytest.raises(InputError, match="servo_torque_nm and motor_voltage_v; give one of them"):
+        table("both", {**rigs.pendulum(1), "motor_voltage_v": rigs.pendulum(1)["servo_torque_nm"]})
 
 
 def test_the_shift_of_a_constant_is_said_though_nothing_is_named() -> None:
