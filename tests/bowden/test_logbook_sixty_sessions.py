@@ -1,4 +1,4 @@
-"""Six benches of the family over 60 sessions, each from an empty folder through the command line.
+"""Seven benches of the family over 60 sessions, each from an empty folder through the command line.
 
 Two benches without a change raise no alarm.  Drifts are dated, and the effect that changes has at least half of the
 best evidence.  After a note of a replaced cable no effect of the cable has the evidence of an alarm; constants that are
@@ -51,6 +51,11 @@ def _wearing(bench: Bench, session: int) -> Bench:
     return replaced(bench, mu1=bench.mu1 * (1.0 + 0.01 * min(max(session - 20, 0), 30)))
 
 
+def _creeping(bench: Bench, session: int) -> Bench:
+    """Let the fabric creep by 0.02 mm/N more, with a time constant of 2 s, from session `BEGINS` on."""
+    return bench if session < BEGINS else replaced(bench, creep=bench.creep + 2e-5, creep_s=2.0)
+
+
 OF_A_CABLE: Final = frozenset({"cable_friction", "cable_bend", "load_dependent_friction", "viscous_friction"})
 BENCHES: Final = {
     "healthy": Followed(1000),
@@ -58,6 +63,7 @@ BENCHES: Final = {
     "START's gain": Followed(3000, _after(start_gain=1.03), frozenset({"start_gain"})),
     "fabric's stiffness": Followed(4000, _after(stiffness=0.85), frozenset({"stiffness", "fabric_creep"})),
     "cable wears": Followed(5000, _wearing, OF_A_CABLE),
+    "fabric creeps": Followed(7000, _creeping, frozenset({"fabric_creep", "stiffness"})),
     "cable replaced": Followed(6000, _after(mu1=1.15), note="cable replaced"),
 }
 
