@@ -210,8 +210,9 @@ def alarms(folder: Path, benches: int) -> None:
                 fit_sessions(sessions[:n], [], references), kept.bench)[0].nats >= ALARM_NATS), None)
             delays.append(np.inf if first is None else first - (10 if "50" in name else 20))
         seen = [d for d in delays if np.isfinite(d)]
-        print(f"{name:34} detected {len(seen)} of {size}, median {np.median(delays):.0f} sessions after its begin",
-              flush=True)
+        median = float(np.median(delays))
+        print(f"{name:34} detected {len(seen)} of {size}"
+              + (f", median {median:.0f} sessions after its begin" if np.isfinite(median) else ""), flush=True)
 
 
 def _print_rate(raised: int, benches: int, sessions: int, worst: Sequence[float]) -> None:
