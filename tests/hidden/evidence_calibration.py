@@ -66,12 +66,11 @@ def gains(job: Job) -> tuple[str, dict[str, float]]:
 def scatter(job: Job) -> Array | None:
     """Return the constants of each session of a bench less their mean, in session σ; None for a single session."""
     made = case(job)
-    fitted = EvidenceFinder(list(made.healthy)).reference(())
-    if fitted.trials < 2:
+    if len(made.healthy) < 2:
         return None
-    q = np.array([at for at, _ in fitted.identified])
-    free = list(FREE)
-    return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(fitted.trials / (fitted.trials - 1)))
+    fitted, free = EvidenceFinder(list(made.healthy)).reference(()), list(FREE)
+    q, count = np.array([at for at, _ in fitted.identified]), len(fitted.identified)
+    return np.asarray((q - q.mean(axis=0))[:, free] / SESSION_SD[free] * np.sqrt(count / (count - 1)))
 
 
 def likelihoods(job: Job) -> tuple[Array, Array | None]:

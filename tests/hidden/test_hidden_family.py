@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from master.motion.scripted_experiments import laps
-from tests.hidden import family_bars, family_moves
+from tests.hidden import evidence_calibration, family_bars, family_moves
 from tests.hidden.answers import After
 from tests.hidden.family import Answer, Job, answer, case, from_json, session
 from tests.hidden.family_jobs import KINDS, digest, jobs
@@ -197,3 +197,11 @@ def test_a_run_goes_on_where_it_was_broken_off(tmp_path) -> None:
     kept.add(of("end_offset", "end_offset"), "abc")
     kept.add(of("", "", None, left_out=("tension_end_n",)), "abc")
     assert Kept(tmp_path / "answers.jsonl", from_json).answers == kept.answers
+
+
+def test_the_calibration_prints_the_figures_that_thresholds_come_from(capsys: pytest.CaptureFixture[str]) -> None:
+    evidence_calibration.main(["--reference", "2", "--hidden", "2", "--scatter", "4", "--noise", "2", "--workers", "1"])
+    printed = capsys.readouterr().out
+    for figure in ("scatter between sessions, session σ: zero", "by model error", "verdict of a trial in the reference",
+                   "12 nats: ", "largest of reference trials, nats: ", "share of the best that the truth has"):
+        assert figure in printed
