@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -114,14 +114,21 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--noise", type=int, default=40)
     parser.add_argument("--workers", type=int)
     given = parser.parse_args(arguments)
+    asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
     with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        several = [rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None]
+        _print_sessions([rows for rows in crew.map(scatter, reference_jobs(given.scatter)) if rows is not None])
+        _print_likelihoods(list(crew.map(likelihoods, reference_jobs(given.noise))))
+        _print_gains(dict(zip(asked, crew.map(gains, asked), strict=True)))
+
+
+def _print_sessions(several: Sequence[Array]) -> None:
     if several:
         rms = np.sqrt(np.mean(np.concatenate(several) ** 2, axis=0))
         print("scatter between sessions, session σ:", ", ".join(
             f"{NAMES[i]} {v:.2f}" for i, v in zip(FREE, rms, strict=True)))
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        rated = list(crew.map(likelihoods, reference_jobs(given.noise)))
+
+
+def _print_likelihoods(rated: Sequence[tuple[Array, Array | None]]) -> None:
     for what, factors, rows in (("model error", NOISE, [told for told, _ in rated]),
                                 ("unseen motion", UNSEEN, [told for _, told in rated if told is not None])):
         if rows:
@@ -129,19 +136,19 @@ def main(arguments: list[str]) -> None:
             print(f"log likelihood of a reference trial by {what}, nats above factor 1, mean and number above 0:",
                   ", ".join(f"{factor:g}: {np.mean(rise):.1f} ({np.sum(rise > 0.0)} of {rise.size})"
                             for factor, rise in zip(factors, rises, strict=True)))
-    asked = [*reference_jobs(given.reference), *hidden_jobs(given.hidden)]
-    found: dict[Job, dict[str, float]] = {}
+
+
+def _print_gains(told: Mapping[Job, tuple[str, dict[str, float]]]) -> None:
+    asked, found = list(told), {job: rated for job, (_, rated) in told.items()}
     verdicts: dict[int, Counter[str]] = {1: Counter(), 2: Counter(), 3: Counter()}
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew:
-        for job, said in zip(asked, crew.map(gains, asked), strict=True):
-            found[job] = said[1]
-            verdicts[session(job).healthy].update([] if job.hidden else [said[0]])
+    for job, (verdict, _) in told.items():
+        verdicts[session(job).healthy].update([] if job.hidden else [verdict])
     none = [max(found[j].values()) for j in asked if not j.hidden and found[j]]
     if not asked:
         return
-    for healthy, told in [*verdicts.items(), ("1 to 3", sum(verdicts.values(), Counter()))]:
+    for healthy, counted in [*verdicts.items(), ("1 to 3", sum(verdicts.values(), Counter()))]:
         print(f"verdict of a trial in the reference condition, {healthy} reference trials:", ", ".join(
-            f"{name} {_rate(count, told.total())}" for name, count in told.most_common()))
+            f"{name} {_rate(count, counted.total())}" for name, count in counted.most_common()))
     print("\n".join(quantiles(none)))
     effects = sorted({name for j in asked if not j.hidden for name in found[j]})
     print("largest of reference trials, nats:", ", ".join(
