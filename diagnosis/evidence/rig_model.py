@@ -155,7 +155,8 @@ class RigModel(ForwardModel):
         needed += [END] if self.has_end else []
         needed += [JOINT] if self.sprung else []
         needed += [START] if self.loaded else []
-        return [name for name in dict.fromkeys(needed) if name not in table]
+        other = ["motor_voltage_v" if self.rig.volts else "servo_torque_nm"] * (table.volts != self.rig.volts)
+        return [*(name for name in dict.fromkeys(needed) if name not in table), *other]
 
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
         """Return the bounds of an effect's parameter on rigs of any size, and its unit on this linear or turning axis.

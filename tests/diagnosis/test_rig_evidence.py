@@ -128,6 +128,10 @@ def test_a_mass_is_told_by_the_motors_voltage_as_by_its_torque() -> None:
     assert told["value"] - per_nm * GRAVITY_NM == pytest.approx(0.2 * per_nm * GRAVITY_NM, rel=0.05)
     assert told["unit"] == "V"
     assert found.relations["servo_force_n"].unit == "V"
+    for finder, other, column in ((known([by_voltage(1)]), pendulum(4), "motor_voltage_v"),
+                                  (swung(), by_voltage(4), "servo_torque_nm")):
+        with pytest.raises(InputError, match=f"pendulum_4: has no column {column}"):
+            finder.diagnose([other])
     with pytest.raises(InputError, match="servo_torque_nm and motor_voltage_v; give one of them"):
         table("both", {**rigs.pendulum(1), "motor_voltage_v": rigs.pendulum(1)["servo_torque_nm"]})
 
