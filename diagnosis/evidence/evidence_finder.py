@@ -69,8 +69,8 @@ class EvidenceFinder:
         for given in [*trials, *self._tables]:
             missing = self.model.lacking(given)
             if missing:
-                return (f"{given.source}: has no column {', '.join(missing)}; the simulation of this rig needs it. Record "
-                        "it, in trials and reference trials alike.")
+                return (f"{given.source}: has no column {', '.join(missing)}; the simulation of this rig needs it. "
+                        "Record it, in trials and reference trials alike.")
         return ""
 
     def unlike(self, trials: Sequence[Table]) -> str:
