@@ -242,8 +242,9 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"):
-        # every later session is compared with it: its distance from the mode would be a change of them all
-        made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE)
+        # every later session is compared with it: its distance from the mode, or a discrepancy too small for what
+        # sessions differ by, would be a change of them all
+        made = fit_reference(PATH_MODEL, recordings, close=0.1 * CLOSE, shares=(1.0,))
     book.enter_reference(CONSTANTS, [*taken, number], bench_coordinates(made), encoded(made),
                          None if kept is None else kept.id)
     return None

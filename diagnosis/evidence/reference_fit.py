@@ -183,13 +183,14 @@ def features(model: ForwardModel, states: Array, scaling: Scaling, outputs: Sequ
 
 
 def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
-                  close: float = CLOSE) -> ReferenceFit:
+                  close: float = CLOSE, shares: Sequence[float] = (1.0, 0.5, 0.25, 0.125)) -> ReferenceFit:
     """Fit the reference trials of one bench, which all have the same outputs.
 
     `session_sd`: 1σ between sessions by constant, in coordinates, from a logbook (None: the published one).  `close`:
-    decrease of the joint cost in one step and per trial below which the joint mode counts as reached.
+    decrease of the joint cost in one step and per trial below which the joint mode counts as reached.  `shares`: of the
+    RMS residual of constants alone, from which the amplitude of the discrepancy is taken.
     """
-    return _Fit(model, trials, session_sd, close).run()
+    return _Fit(model, trials, session_sd, close, shares).run()
 
 
 def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
@@ -223,8 +224,9 @@ class _Fit:
     at: list[Array]
 
     def __init__(self, model: ForwardModel, trials: Sequence[Recording],
-                 session_sd: Mapping[str, float] | None = None, close: float = CLOSE) -> None:
-        self.close = close
+                 session_sd: Mapping[str, float] | None = None, close: float = CLOSE,
+                 shares: Sequence[float] = (1.0,)) -> None:
+        self.close, self.shares = close, shares
         self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
         self.trials = trials
         self.stated_sd = session_sd or {}
@@ -466,7 +468,7 @@ class _Fit:
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
 
-    def _amplitudes(self, shares: Sequence[float] = (1.0, 0.5, 0.25, 0.125)) -> None:
+    def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy by output: one of `shares` of the RMS residual of constants alone.
 
         The share has the largest evidence: a residual that no state explains is noise.  Larger shares, which the
@@ -484,10 +486,10 @@ class _Fit:
         every = range(len(self.trials))
         for k, most in enumerate(self.amplitude.copy()):
             told = []
-            for share in shares:
+            for share in self.shares:
                 self.amplitude[k] = share * most
                 told.append(self._joint(every)[1])
-            self.amplitude[k] = shares[int(np.argmax(told))] * most
+            self.amplitude[k] = self.shares[int(np.argmax(told))] * most
 
     def _missed(self) -> dict[str, float]:
         """Return the RMS error by output, N, of the other trials' averaged models on each reference trial.
