@@ -112,7 +112,8 @@ def kinds() -> list[str]:
                              ("two effects", [beside for _, beside in pairs], PAIR_S)):
         rows.append(f"| {word} | {len(found)} | {median(found):.1f} | {max(found):.1f} | ≤ {bar:g} s "
                     f"| {median(found) / bar:.2f} |")
-    return ["| in the trial | trials | CPU (s) | most (s) | bar | median over bar |", "|---|---|---|---|---|---|", *rows]
+    return ["| in the trial | trials | CPU (s) | most (s) | bar | median over bar |",
+            "|---|---|---|---|---|---|", *rows]
 
 
 def profile() -> list[str]:
@@ -137,7 +138,9 @@ def main(arguments: list[str]) -> None:
     """Print all tables."""
     said = (f"Printed by `python -m benchmarks.diagnosis_cost` at commit {provenance.commit()}: one thread, "
             "a trial beside two healthy ones of the same length.")
-    text = "\n".join([said, "", *lengths(), "", "Ten gait cycles; the reference fit by itself, since it is made once for all trials of a bench:", "", *kinds(), "",
+    text = "\n".join([said, "", *lengths(), "",
+                      "Ten gait cycles; the reference fit by itself, since it is made once for all trials of a bench:",
+                      "", *kinds(), "",
                       f"Where it goes ({SINGLE[0]}, ten cycles):", "", *profile()])
     print(text)
     if "--page" in arguments:
