@@ -53,6 +53,7 @@ class Asked(NamedTuple):
 
     trial: table.Table
     healthy: list[table.Table]
+
     @property
     def column_bytes(self) -> int:
         return sum(column.nbytes for given in (self.trial, *self.healthy) for column in given.columns.values())

@@ -1,7 +1,7 @@
 """Gain of a diagnosis in the closed loop: `python -m benchmarks.diagnosis_gain [--page] [EFFECT…]`.
 
-The rule of this file: it says on the command line what an engineer would: identify a bench, record it healthy, record
-it with an effect at work, diagnose, and run again with the controller told what was found.  Nothing of the effect but
+It runs the commands of a user: identify a bench, record it healthy, record it with an effect at work, diagnose, and
+run again with the controller told the verdict.  Nothing of the effect but
 the trial reaches the diagnosis.
 """
 

@@ -1,4 +1,6 @@
-"""Logbook of 100,000 trials: cost of add, list and report, SQLite beside DuckDB; and alarms on drawn benches.
+"""Cost of a logbook of 100,000 trials, in SQLite and DuckDB; alarms and detection limits of drawn benches.
+
+Commands:
 
     python -m benchmarks.logbook            performance; DuckDB only where it is installed
     python -m benchmarks.logbook --alarms DIR     false alarms on 500 drawn healthy benches, time to detection of drifts

@@ -3,10 +3,10 @@
 `--cost` prints the time of the checks by themselves (median of batches); `--healthy N` runs N trials over serials,
 days, peaks, periods, rates and controllers.  Half of them are on the bench's own plant, a quarter on the structures
 of `tests/hidden`, a quarter on the family of `tests/plants`.  It prints how many were stopped, by which check, and how
-near to its tolerance each relation came.  All start from the packaged calibration, which is another bench's: one that
-homing refuses before it moves, or that is stopped, is identified and run again, and counts by that second trial.  How
-many were refused and how many stopped by the packaged calibration is printed, with their numbers.  `--kept FILE`
-keeps each trial as a line of JSON: trials that are in it are not run again, so that a run that was interrupted goes on.
+near to its tolerance each relation came.  All start from the packaged calibration, which is another bench's.  One that
+homing refuses before it moves, or that is stopped, is identified and run again, and counts by that second trial.  The
+numbers of those that were stopped are printed.  `--kept FILE` keeps each trial as a line of JSON: trials that are in it
+are not run again, and an interrupted run goes on.
 
 Two bounds of the false-alarm rate are printed, each the upper end of a 95 % interval: by count (no model; a run without
 an alarm shows 3.0 by its hours), and by the tail of the greatest share of a tolerance that each trial reached (a Pareto

@@ -19,7 +19,7 @@ TURNED_UNITS: Final[Mapping[str, str]] = {
 """Unit of a linear axis → unit of the same quantity of a turning axis."""
 VOLT_UNITS: Final[Mapping[str, str]] = {
     "N": "V", "N·m": "V", "m": "rad", "kg": "V·s²/rad", "N·s/m": "V·s/rad", "m/s": "rad/s"}
-"""The same of a turning axis with the motor's voltage for its torque: torques times R/kt.
+"""Unit of a linear axis → unit of a turning axis with the motor's voltage for its torque; torques are times R/kt.
 
 R: resistance of the winding, kt: torque constant.  The back-EMF kt·ω is a viscous friction of the axis."""
 

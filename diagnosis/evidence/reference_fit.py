@@ -224,8 +224,7 @@ class _Fit:
     at: list[Array]
 
     def __init__(self, model: ForwardModel, trials: Sequence[Recording],
-                 session_sd: Mapping[str, float] | None = None, close: float = CLOSE,
-                 shares: Sequence[float] = (1.0,)) -> None:
+                 session_sd: Mapping[str, float] | None, close: float, shares: Sequence[float]) -> None:
         self.close, self.shares = close, shares
         self.model, self.constants, self.free = model, model.constants, list(model.constants.free)
         self.trials = trials

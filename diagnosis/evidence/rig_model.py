@@ -155,8 +155,10 @@ class RigModel(ForwardModel):
         needed += [END] if self.has_end else []
         needed += [JOINT] if self.sprung else []
         needed += [START] if self.loaded else []
-        other = ["motor_voltage_v" if self.rig.volts else "servo_torque_nm"] * (table.volts != self.rig.volts)
-        return [*(name for name in dict.fromkeys(needed) if name not in table), *other]
+        missing = [name for name in dict.fromkeys(needed) if name not in table]
+        if table.volts != self.rig.volts:  # both are the signal servo_force_n
+            missing.append("motor_voltage_v" if self.rig.volts else "servo_torque_nm")
+        return missing
 
     def limits(self, effect: str, parameter: str) -> tuple[float, float, str]:
         """Return the bounds of an effect's parameter on rigs of any size, and its unit on this linear or turning axis.

@@ -381,7 +381,9 @@ class Plausibility:
         """Process a cycle with missing inputs: targets are extrapolated, averaging windows restart."""
         s, g = self.s, self.g
         s[FILLED] = 0.0
-        s[PREDICTED] += (1.0 - math.exp(-g[BANDWIDTH] * g[PERIOD_S])) * (s[T2] - s[PREDICTED])
+        left = math.exp(-g[BANDWIDTH] * g[PERIOD_S])
+        s[PREDICTED] += (1.0 - left) * (s[T2] - s[PREDICTED])
+        s[HELD_BACK] *= left
         s[T2], s[T1], s[K2], s[K1] = s[T1], targets[0], s[K1], targets[1]
 
     def follow(self, targets: tuple[float, float], inputs: Any) -> None:
