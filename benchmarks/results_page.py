@@ -133,9 +133,6 @@ def page(results: Sequence[Result]) -> str:
     part = "" if len(results) == wanted else f"**Of {wanted} trials {len(results)} have been run so far.** "
     parts = [
         "# Results",
-        "Measured before the extended controller and the identification were changed for benches that they were not "
-        "made on ([Unseen benches](unseen.md), which has the own plant beside them as it is now); `make reproduce` "
-        "measures all of it again.",
         part +
         f"Benches: serial {serials[0]} to {serials[-1]} of {BENCHES}, identified on day 0 by `bowden identify all`, "
         "tried on day 1. Figures are of true END, which no controller sees. `make reproduce` runs every trial on every "

@@ -235,30 +235,30 @@ class Planned:
             return float(before + sample // samples) if sample >= 0 else -1.0
 
         for i, table in enumerate(self.rising, 1 - len(self.rising)):
-            yield from self._walked(exchange, table, begin, i * samples, number, self._led())
+            yield from self._walked(exchange, table, begin, i * samples, number)
             begin = i * samples
-        yield from self._walked(exchange, self.table, begin, last, number, self._led())
+        yield from self._walked(exchange, self.table, begin, last, number)
         yield from self._walked(exchange, self.idle, last, last + self.rest, lambda sample: -1.0)
 
     def _walked(
         self, exchange: gait.Cycle, table: GaitTable, first: int, last: int, number: Callable[[int], float],
-        knee_at: Callable[[int], float] | None = None,
     ) -> Work[None]:
         name = self.experiment.gait.controller
         with gait.naming(name):
             control = self.control(table)
-        yield from gait.steps(exchange, control, table, first, last, number, knee_at, name=name,
+        yield from gait.steps(exchange, control, table, first, last, number, self._led(), name=name,
                               own=len(self.kind.columns))
 
     def _led(self) -> Callable[[int], float] | None:
-        """The knee's target by sample where its motion departs from the reference, eased in over the run-in."""
+        """The knee's target by sample where its motion departs from the reference, eased in and out over run-in and -out.
+        """
         motion, table = self.experiment.motion, self.table
         if motion is None:
             return None
-        per_sample = table.period_s / motion.period_s
+        per_sample, end = table.period_s / motion.period_s, self.experiment.gait.cycles * table.samples + self.rest
 
         def knee_at(sample: int) -> float:
-            share = moves.smooth(min(1.0, max(0.0, 1.0 + sample / (0.1 * table.samples))))
+            share = moves.smooth(max(0.0, min(1.0, 1.0 + sample / (0.1 * table.samples), (end - sample) / self.rest)))
             own = table.knee[sample % table.samples]
             return own + share * (motion.knee_angle(sample * per_sample) - own)
 
