@@ -250,8 +250,7 @@ class Planned:
                               own=len(self.kind.columns))
 
     def _led(self) -> Callable[[int], float] | None:
-        """The knee's target by sample where its motion departs from the reference, eased in and out over run-in and -out.
-        """
+        """The knee's target by sample if its motion departs from the reference, eased in by run-in, out by run-out."""
         motion, table = self.experiment.motion, self.table
         if motion is None:
             return None
