@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from physics.laws import Array
 from physics.path_constants import INDEX
 from physics.plant.leg import GRAVITY
-from physics.rig_forces import dahl_states, late
+from physics.rig_forces import dahl_states
 
 OF_DRIVE: Final = (
     "start_lag", "start_offset", "start_drift", "start_gain", "drum", "eccentric_sin", "eccentric_cos", "drive_travel",
@@ -78,18 +78,27 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
 
 
 def _late(signals: Array, lag_s: Array, step_s: float) -> Array:
-    """Return each row of `signals` delayed by its lag, s: up to one step by its derivative, exact to 1 %."""
-    out = late(signals, lag_s[:, None], step_s)
-    time = step_s * np.arange(signals.shape[1])
-    for j in np.flatnonzero(np.abs(lag_s) > step_s):
-        out[j] = np.interp(time - lag_s[j], time, signals[j])
+    """Return each row of `signals` delayed by its lag, s, interpolated by cubic Hermite polynomials (Catmull–Rom)."""
+    out = np.empty_like(signals)
+    whole = np.floor(lag_s / step_s).astype(int)
+    for steps in np.unique(whole):
+        rows = whole == steps
+        part = (lag_s[rows] / step_s - steps)[:, None]
+        most = abs(int(steps)) + 2
+        padded = np.pad(signals[rows], ((0, 0), (most, most)), mode="edge")
+        second, first, now, ahead = (padded[:, most - steps + k: most - steps + k + signals.shape[1]]
+                                    for k in (-2, -1, 0, 1))
+        out[rows] = now + 0.5 * part * (first - ahead + part * (
+            2.0 * ahead - 5.0 * now + 4.0 * first - second + part * (3.0 * (now - first) + second - ahead)))
     return out
 
 
 def _filtered(signals: Array, time_s: Array, step_s: float) -> Array:
-    """Return each row of `signals` after a first-order low-pass with its time constant, s."""
-    for constant in np.unique(time_s[time_s > 1e-5]):
+    """Return each row of `signals` after a first-order low-pass with its time constant, s; exact if linear in a step.
+    """
+    for constant in np.unique(time_s[time_s > 0.0]):
         rows, keep = time_s == constant, float(np.exp(-step_s / constant))
-        behind, _ = lfilter([1.0 - keep], [1.0, -keep], signals[rows], zi=keep * signals[rows, :1])
-        signals[rows] = 0.5 * (behind + np.concatenate([behind[:, 1:], behind[:, -1:]], axis=1))  # half a step earlier
+        share = constant / step_s * (1.0 - keep)
+        signals[rows], _ = lfilter([1.0 - share, share - keep], [1.0, -keep], signals[rows],
+                                   zi=share * signals[rows, :1])
     return signals

@@ -257,6 +257,7 @@ class _Fit:
             self._amplitudes()
             if self.model.pools_sessions and len(self.trials) > 1:
                 self._scatter()
+        self._descend()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
         bench = self._bounded(self._posterior(range(len(self.trials))))
         # features stay those simulated at the origin: the states change by far less than the length scale
@@ -318,29 +319,48 @@ class _Fit:
         q[self.free] += x[:len(self.free)]
         return np.asarray(q)
 
-    def _descend(self) -> None:
-        """Move to the joint mode of bench and trials by Gauss–Newton steps, each shortened until the cost falls."""
-        now = self._cost(self.bench, self.at)
+    def _descend(self, tries: int = 7) -> None:
+        """Move to the joint mode of bench and trials by damped Gauss–Newton steps (Marquardt 1963).
+
+        `tries`: largest number of trial steps from one linearisation.
+        """
+        now, damping = self._cost(self.bench, self.at), 0.0
         while True:
-            self.linear = [self._linearised(k) for k in range(len(self.trials))]
-            bench = self._posterior(range(len(self.trials))).mean
-            at = [self._trial_given(k, bench) for k in range(len(self.trials))]
-            longest = max(float(np.abs((there - here)[:len(self.free)] / self.bench_sd).max())
-                          for here, there in zip([self.bench, *self.at], [bench, *at], strict=True))
-
-            def moved(share: float, bench: Array = bench, at: Sequence[Array] = at) -> tuple[Array, list[Array]]:
-                trials = [here + share * (there - here) for here, there in zip(self.at, at, strict=True)]
-                return self.bench + share * (bench - self.bench), trials
-
-            for share in min(1.0, LONGEST / longest) * 0.5 ** np.arange(7):
-                then = self._cost(*moved(share))
+            before, self.linear = now, [self._linearised(k) for k in range(len(self.trials))]
+            for _ in range(tries):
+                bench, at = self._stepped(damping)
+                then = self._cost(bench, at)
                 if then < now:
+                    self.bench, self.at, now = bench, at, then
                     break
-            else:
+                damping = max(10.0 * damping, 1.0)
+            damping = damping / 10.0 if damping > 1.0 else 0.0
+            if before - now < self.close * len(self.trials):
                 return
-            (self.bench, self.at), fall, now = moved(share), now - then, then
-            if fall < self.close * len(self.trials):
-                return
+
+    def _stepped(self, damping: float) -> tuple[Array, list[Array]]:
+        """Return bench and trials after a damped step on the linearised trials, at most `LONGEST` bench σ long.
+
+        `damping`: weight of the squared step, in bench σ and session σ, beside the cost.
+        """
+        free, scale, deviation = len(self.free), np.sqrt(self._bench_variance()), np.sqrt(self._session())
+        square, pull = (1.0 + damping) * np.eye(scale.size), -self.bench / scale
+        pull[:free] += self._middle()
+        eliminated = []
+        for x, linear in zip(self.at, self.linear, strict=True):
+            weighed = linear.design.T * linear.weight
+            information, downhill = weighed @ linear.design, weighed @ (linear.error - linear.design @ x)
+            inner = cho_factor((1.0 + damping) * np.eye(scale.size) + deviation[:, None] * information * deviation)
+            side = deviation[:, None] * information * scale
+            own, across = cho_solve(inner, deviation * downhill - (x - self.bench) / deviation), cho_solve(inner, side)
+            square += scale[:, None] * information * scale - side.T @ across
+            pull += scale * downhill - side.T @ own
+            eliminated.append((own, across))
+        step = cho_solve(cho_factor(square), pull)
+        moves = [scale * step + deviation * (own - across @ step) for own, across in eliminated]
+        longest = max(float(np.abs(each[:free] / self.bench_sd).max()) for each in (scale * step, *moves))
+        share = min(1.0, LONGEST / longest)
+        return self.bench + share * scale * step, [x + share * each for x, each in zip(self.at, moves, strict=True)]
 
     def _cost(self, bench: Array, at: Sequence[Array]) -> float:
         """Return the joint cost of bench and trials: misfit, session deviations, prior of the bench."""
@@ -376,15 +396,6 @@ class _Fit:
         design = np.concatenate([slopes, self.features[k]], axis=1)
         residual = self.trials[k].data - data - self.features[k] @ x[len(self.free):]
         return _Linear(design, residual + design @ x, bounded(residual, self._weight(k)))
-
-    def _trial_given(self, k: int, bench: Array) -> Array:
-        """Return the mode of a linearised trial for given departures of the bench."""
-        linear, deviation = self.linear[k], np.sqrt(self._session())
-        root = np.sqrt(linear.weight)
-        scaled = linear.design * deviation * root[:, None]
-        inner = cho_factor(np.eye(deviation.size) + scaled.T @ scaled)
-        apart = root * (linear.error - linear.design @ bench)
-        return np.asarray(bench + deviation * cho_solve(inner, scaled.T @ apart))
 
     def _recentre(self, q: Array) -> None:
         """Set the origin to `q`, simulate the states of the discrepancy there, and reset bench and trials to it."""
