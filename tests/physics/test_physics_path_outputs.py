@@ -1,0 +1,59 @@
+"""Lag and low-pass of the END reading, against their exact responses."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from physics.laws import Array
+from physics.path_constants import CONSTANTS, INDEX, values
+from physics.path_outputs import PathMotion, end_reading
+
+STEP_S = 4e-3
+TIME_S: Array = STEP_S * np.arange(400, dtype=np.float64)
+INNER = slice(120, -50)
+"""Samples that no lag of these tests reads from beyond the ends, and at which a low-pass has settled."""
+lags = st.floats(-0.05, 0.1)
+short = st.floats(0.0, 0.02)
+
+
+def read(tension: Array, lag_s: float, filter_s: float) -> Array:
+    """Return the reading of END of a bench at rest that has no gain error, no zero and no mass."""
+    constants = values(np.zeros((len(CONSTANTS), 1)))
+    constants[INDEX["end_lag"]], constants[INDEX["end_filter"]] = lag_s, filter_s
+    still: Any = SimpleNamespace(**dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size)))
+    return np.asarray(end_reading(constants, tension[None].copy(), still, STEP_S)[0])
+
+
+@given(lags, short)
+def test_a_ramp_arrives_later_by_lag_and_time_constant(lag_s: float, filter_s: float) -> None:
+    told = read(200.0 * TIME_S, lag_s, filter_s)
+    np.testing.assert_allclose(told[INNER], 200.0 * (TIME_S - lag_s - filter_s)[INNER], atol=1e-3)
+
+
+@given(lags)
+@example(STEP_S)
+@example(-STEP_S)
+@example(0.0)
+def test_the_reading_is_continuous_in_the_lag(lag_s: float) -> None:
+    tension = 30.0 * np.sin(2.0 * np.pi * 5.0 * TIME_S)
+    apart = read(tension, lag_s + 1e-7, 0.0) - read(tension, lag_s - 1e-7, 0.0)
+    assert np.abs(apart[INNER]).max() < 2.0 * 2e-7 * 30.0 * 2.0 * np.pi * 5.0  # twice the signal's largest slope
+
+
+def test_a_vanishing_low_pass_changes_nothing() -> None:
+    tension = 30.0 * np.sin(2.0 * np.pi * 5.0 * TIME_S)
+    np.testing.assert_allclose(read(tension, 0.0, 1e-6), tension, atol=0.01)
+    np.testing.assert_array_equal(read(tension, 0.0, 0.0), tension)
+
+
+@given(lags, st.floats(1.0, 10.0))
+def test_a_sine_keeps_its_amplitude(lag_s: float, hz: float) -> None:
+    told = read(np.sin(2.0 * np.pi * hz * TIME_S), lag_s, 0.0)
+    exact = np.sin(2.0 * np.pi * hz * (TIME_S - lag_s))
+    # the error of a cubic interpolation is of the third order in the step: (2π·hz·step)³/16 at most
+    np.testing.assert_allclose(told[INNER], exact[INNER], atol=(2.0 * np.pi * hz * STEP_S) ** 3 / 16.0 + 1e-12)
