@@ -129,7 +129,8 @@ def _nominal(name: str) -> Value:
 
 def _cells(result: Wanted, found: Mapping[str, str]) -> dict[str, str]:
     return {"experiment": result.experiment, "case": result.case, "controller": str(result.row["gait.controller"]),
-            **{name: _short(found.get(name, "")) for name in results_page.FIGURES}}
+            **{name: _short(found.get(name, "")) for name in results_page.FIGURES},
+            "commit": found.get("commit", "")[:7]}
 
 
 def _short(cell: str) -> str:
