@@ -247,7 +247,7 @@ def _jumps(results: Sequence[Result]) -> str:
         those = sorted((r for r in found if r.case == case), key=lambda r: r.serial)
         rows.append([REMOVED[case], *(number(jump(r)) for r in those)])
     table = markdown(["taken away", *(f"serial {serial}" for serial in serials)], rows)
-    return (" Each line takes one source away on benches that jumped most, at 40 N and 1.1 s; the jump is in % of the peak."
+    return (" Each line takes one source away on four benches, at 40 N and 1.1 s; the jump is in % of the peak."
             f"\n\n{table}\n\n{_decisive(base, found)}")
 
 
