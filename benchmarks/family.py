@@ -11,8 +11,6 @@ once, by --set-aside.
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -22,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.family_page import page
-from benchmarks.family_walks import DEVELOPMENT, DOCS, OWN, SET_ASIDE, measure, read
+from benchmarks.family_walks import DEVELOPMENT, DOCS, OWN, SET_ASIDE, append, compact, measure, read
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -44,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         wanted = [("family", s) for s in chosen] + [("own", s) for s in _serials(options.own, OWN)]
         lacking = [each for each in wanted if options.again or each not in done]
         _run([(*each, done.get(each)) for each in lacking], path, options.workers)
-        done = read(path)
+        done = compact(path)
     text = page(list(done.values()))
     (DOCS / "unseen.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
@@ -67,9 +65,7 @@ def _run(wanted: Sequence[tuple[str, int, Mapping[str, Any] | None]], path: Path
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as crew:
         for future in as_completed([crew.submit(measure, *each) for each in wanted]):
             found = future.result()
-            with path.open("a", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerow(
-                    [found["kind"], found["serial"], json.dumps(_short(found))])
+            append(path, _short(found))
             sys.stderr.write(f"{found['kind']} {found['serial']}: {found.get('failed', 'done')}\n")
 
 

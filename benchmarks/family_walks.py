@@ -230,3 +230,20 @@ def read(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
         return {}
     with path.open(newline="", encoding="utf-8") as file:
         return {(kind, int(serial)): json.loads(text) for kind, serial, text in csv.reader(file)}
+
+
+def append(path: Path, bench: Mapping[str, Any]) -> None:
+    """Enter the walks of one bench in a table."""
+    with path.open("a", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerow([bench["kind"], bench["serial"], json.dumps(bench)])
+
+
+def compact(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
+    """Leave the later of two lines of a bench in a table, in the order of the first ones; return the benches."""
+    done = read(path)
+    if done:
+        fresh = path.with_suffix(".new")
+        for bench in done.values():
+            append(fresh, bench)
+        fresh.replace(path)
+    return done

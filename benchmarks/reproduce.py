@@ -36,7 +36,8 @@ SERIALS, QUICK_SERIALS = range(1, 1 + results_page.BENCHES), range(1, 3)
 DEPARTING, SHARED = range(1, 9), range(1, 6)
 """Benches whose knee departs, and those that the shares of the error are taken of: fewer, for the time it takes."""
 JUMPING = (1, 5, 14, 16)
-"""Benches whose jump at the peak is above its target at 40 N and 1.1 s; the shares of that are taken of them."""
+"""Benches that the shares of the jump at the peak, at 40 N and 1.1 s, are taken of: those above its target are among
+them."""
 PEAKS_N, PERIODS_S = (40.0, 50.0, 60.0), (1.1, 2.0, 4.0)
 WITHOUT_MEMORY = (2, 1)
 """Gait cycles, and how many of them are left out, of the controllers that keep nothing from cycle to cycle."""
@@ -129,7 +130,8 @@ def _nominal(name: str) -> Value:
 
 def _cells(result: Wanted, found: Mapping[str, str]) -> dict[str, str]:
     return {"experiment": result.experiment, "case": result.case, "controller": str(result.row["gait.controller"]),
-            **{name: _short(found.get(name, "")) for name in results_page.FIGURES}}
+            **{name: _short(found.get(name, "")) for name in results_page.FIGURES},
+            "commit": found.get("commit", "")[:7]}
 
 
 def _short(cell: str) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import median
@@ -20,7 +21,7 @@ from physics.plant.bench_plant import NOMINAL
 
 TRUE, WINDOW = "true_relative_rmse_percent", "true_relative_rmse_window_percent"
 IDLE, JUMP = "true_max_idle_tension_n", "true_peak_jump_n"
-FIGURES = ("peak_n", "period_s", "serial", "rate_hz", TRUE, WINDOW, IDLE, JUMP, "outcome", "stop_reason")
+FIGURES = ("peak_n", "period_s", "serial", "rate_hz", TRUE, WINDOW, IDLE, JUMP, "outcome", "stop_reason", "commit")
 COLUMNS = ("experiment", "case", "controller", *FIGURES)
 CONTROLLERS = ("none", "friction", "impedance", "paper", "extended")
 PEAKS_N, PERIODS_S = (40.0, 50.0, 60.0), (1.1, 2.0, 4.0)
@@ -44,6 +45,7 @@ class Result(NamedTuple):
     idle: float
     jump: float
     outcome: str
+    commit: str = ""
 
 
 class Target(NamedTuple):
@@ -73,7 +75,7 @@ def _result(row: dict[str, str]) -> Result:
 
     return Result(row["experiment"], row["case"], row["controller"], float(row["peak_n"] or "nan"),
                   float(row["period_s"] or "nan"), int(float(row["serial"] or "0")), figure(TRUE), figure(WINDOW),
-                  figure(IDLE), figure(JUMP), row["outcome"])
+                  figure(IDLE), figure(JUMP), row["outcome"], row["commit"])
 
 
 def grid(results: Iterable[Result], controller: str, peak_n: float, period_s: float) -> list[Result]:
@@ -130,6 +132,7 @@ def page(results: Sequence[Result]) -> str:
     """Return the whole page."""
     wanted, results = len(results), [r for r in results if r.outcome]
     serials = sorted({r.serial for r in results})
+    commits = Counter(r.commit for r in results)
     part = "" if len(results) == wanted else f"**Of {wanted} trials {len(results)} have been run so far.** "
     parts = [
         "# Results",
@@ -137,7 +140,8 @@ def page(results: Sequence[Result]) -> str:
         f"Benches: serial {serials[0]} to {serials[-1]} of {BENCHES}, identified on day 0 by `bowden identify all`, "
         "tried on day 1. Figures are of true END, which no controller sees. `make reproduce` runs every trial on every "
         "bench and writes this page from [results.csv](results.csv); `python -m benchmarks.reproduce --page` writes it "
-        "again from the table.",
+        "again from the table. Trials by commit: "
+        + ", ".join(f"{commit or 'unknown'} {count}" for commit, count in commits.most_common()) + ".",
         "## Relative RMSE of the output force\n",
         "RMSE over whole gait cycles divided by the peak, in %: median / worst of the benches. The paper states one "
         "experiment, without its gait period. `extended` is judged on the two gait cycles after it has learnt for "
@@ -243,7 +247,7 @@ def _jumps(results: Sequence[Result]) -> str:
         those = sorted((r for r in found if r.case == case), key=lambda r: r.serial)
         rows.append([REMOVED[case], *(number(jump(r)) for r in those)])
     table = markdown(["taken away", *(f"serial {serial}" for serial in serials)], rows)
-    return (" Each line takes one source away on the benches above it, at 40 N and 1.1 s; the jump is in % of the peak."
+    return (" Each line takes one source away on four benches, at 40 N and 1.1 s; the jump is in % of the peak."
             f"\n\n{table}\n\n{_decisive(base, found)}")
 
 
