@@ -22,13 +22,10 @@ NAMED_NATS: Final = 12.0
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 DOUBTED: Final = 2.0
-"""Factor on a threshold where constants absorb model error.
+"""Factor on a threshold where constants absorb model error: on `NAMED_NATS` of a second effect.
 
-On `NAMED_NATS`, it is what reference trials reach with the effects of `IMITATED`.  A model whose cost per datum is
-above that factor of the reference trials' has a lack of fit: the cost includes the prior, so that a good fit by
-constants far outside the session scatter exceeds it, too."""
-IMITATED: Final = dict.fromkeys(("end_filter", "drive_presliding"), DOUBTED)
-"""Factor on `NAMED_NATS` by effect, for effects confounded with model error."""
+A model whose cost per datum is above that factor of the reference trials' has a lack of fit: the cost includes the
+prior, so that a good fit by constants far outside the session scatter exceeds it, too."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_SHARE: Final = 0.05
@@ -104,7 +101,7 @@ def threshold(observed: Observed) -> float:
 
 def detected(gains: Mapping[str, float], least: float) -> list[str]:
     """Return the effects whose log Bayes factor reaches the detection threshold `least`, in the order of `gains`."""
-    return [name for name, gain in gains.items() if gain >= IMITATED.get(name, 1.0) * least]
+    return [name for name, gain in gains.items() if gain >= least]
 
 
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:

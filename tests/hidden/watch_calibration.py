@@ -24,7 +24,6 @@ from threadpoolctl import threadpool_limits
 from bowden.watch.file_watch import DRIFT_S
 from bowden.watch.gait_windows import GaitWindows
 from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
-from diagnosis.evidence.decision import IMITATED
 from diagnosis.evidence.likelihood_data import SIGNALS, PathRecording
 from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.evidence.reference_fit import fit_reference
@@ -133,7 +132,7 @@ def main(arguments: list[str]) -> None:
     with threadpool_limits(1, user_api="blas"):
         largest = []
         for job in reference_jobs(given.reference):
-            largest += [max((v.nats / IMITATED.get(v.best, 1.0) for v in suspicion(job)), default=0.0)]
+            largest += [max((v.nats for v in suspicion(job)), default=0.0)]
         for level in LEVELS if largest else ():
             print(f"{level:g} nats: {sum(v >= level for v in largest)} of {len(largest)} reference trials reach it",
                   flush=True)
