@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
-from diagnosis.evidence.posterior import HUBER, Observed, PosteriorMode
+from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode, begun, mode
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -102,6 +102,15 @@ def threshold(observed: Observed) -> float:
 def detected(gains: Mapping[str, float], least: float) -> list[str]:
     """Return the effects whose log Bayes factor reaches the detection threshold `least`, in the order of `gains`."""
     return [name for name, gain in gains.items() if gain >= least]
+
+
+def confirmed(found: Searched, effect: str, prior: Gaussian) -> bool:
+    """Return whether an effect reaches the threshold under another `prior` of the session, too."""
+    variant = found.variants[effect]
+    with_effect = mode(found.observed, prior, [variant], found.single[effect].x)
+    starts = (None, found.null.x, begun(with_effect, None))
+    null = max(mode(found.observed, prior, start=start).log_evidence for start in starts)
+    return bool(with_effect.log_evidence - null >= threshold(found.observed))
 
 
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:

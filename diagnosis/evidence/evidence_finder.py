@@ -19,7 +19,7 @@ from diagnosis.evidence.likelihood_data import Recording
 from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.evidence.population_reference import reference_of_population
 from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
-from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
+from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference, widened
 from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Figures, Findings
 from parameters import InputError
@@ -63,6 +63,7 @@ class EvidenceFinder:
         self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
+        self._widened: dict[tuple[str, ...], ReferenceFit] = {}
 
     def lacking(self, trials: Sequence[Table]) -> str:
         """Return a sentence on the columns without which the force path cannot be simulated; "" if none is missing."""
@@ -119,7 +120,7 @@ class EvidenceFinder:
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
         found = search(observed, reference.prior_of(observed), reference.starts())
-        decided = self._decided(found)
+        decided = self._decided(found, outputs)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
         while beyond := _beyond(found, decided, bench):
@@ -194,11 +195,21 @@ class EvidenceFinder:
                 else reference_of_population(self.model, read, self._calibration)
         return self._fits[key]
 
-    def _decided(self, found: Searched) -> Decision:
+    def _decided(self, found: Searched, outputs: tuple[str, ...]) -> Decision:
         """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
+
+        An effect is named if it also is with a discrepancy of larger amplitude.
         """
         decided = decision.decide(found)
-        return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
+        if not self._tables:
+            return decision.none(decided) if decided.verdict == "unexplained" else decided
+        if not decided.chosen:
+            return decided
+        if outputs not in self._widened:
+            read = self.model.sessions([self._read(t, outputs) for t in self._tables])
+            self._widened[outputs] = widened(self._fits[outputs], read, self._session_sd)
+        prior = self._widened[outputs].prior_of(found.observed)
+        return decided if decision.confirmed(found, decided.chosen[0], prior) else decision.none(decided)
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
         """Return the outputs that the trials and the reference trials all have."""

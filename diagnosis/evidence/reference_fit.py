@@ -193,6 +193,15 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
     return _Fit(model, trials, session_sd, close, shares).run()
 
 
+def widened(fit: ReferenceFit, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
+            shares: Sequence[float] = (1.0, 1.4, 2.0)) -> ReferenceFit:
+    """Return `fit`, of the reference trials `trials`, with a discrepancy of larger amplitude, if its evidence is larger.
+
+    `shares`: of the RMS residual of constants alone.
+    """
+    return _Fit(fit.model, trials, session_sd, CLOSE, shares).widened(fit)
+
+
 def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
     """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants.
 
@@ -257,6 +266,21 @@ class _Fit:
             self._amplitudes()
             if self.model.pools_sessions and len(self.trials) > 1:
                 self._scatter()
+        return self._finished()
+
+    def widened(self, fit: ReferenceFit) -> ReferenceFit:
+        """Estimate amplitudes and noise once more from the modes of `fit`, and return the fit with these."""
+        self._recentre(fit.origin)
+        self.bench, self.at = fit.bench.mean, fit.starts()
+        self.model_error, self.tau = fit.model_error, fit.tau
+        self.linear = [self._linearised(k) for k in range(len(self.trials))]
+        self._amplitudes()
+        self._descend()
+        self._noise()
+        return self._finished()
+
+    def _finished(self) -> ReferenceFit:
+        """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
         bench = self._bounded(self._posterior(range(len(self.trials))))
