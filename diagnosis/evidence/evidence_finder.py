@@ -120,9 +120,12 @@ class EvidenceFinder:
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
         found = search(observed, reference.prior_of(observed), reference.starts())
-        decided = self._decided(found, outputs)
+        decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
+        if doubted := self._doubted(found, decided, outputs):
+            said.append(doubted)
+            decided = decision.none(decided)
         while beyond := _beyond(found, decided, bench):
             said.append(beyond)
             decided = decision.without_last(found, decided)
@@ -195,21 +198,24 @@ class EvidenceFinder:
                 else reference_of_population(self.model, read, self._calibration)
         return self._fits[key]
 
-    def _decided(self, found: Searched, outputs: tuple[str, ...]) -> Decision:
+    def _decided(self, found: Searched) -> Decision:
         """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
-
-        An effect is named if it also is with a discrepancy of larger amplitude.
         """
         decided = decision.decide(found)
-        if not self._tables:
-            return decision.none(decided) if decided.verdict == "unexplained" else decided
-        if not decided.chosen:
-            return decided
+        return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
+
+    def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
+        """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else ""."""
+        if not decided.chosen or not self._tables:
+            return ""
         if outputs not in self._widened:
             read = self.model.sessions([self._read(t, outputs) for t in self._tables])
             self._widened[outputs] = widened(self._fits[outputs], read, self._session_sd)
-        prior = self._widened[outputs].prior_of(found.observed)
-        return decided if decision.confirmed(found, decided.chosen[0], prior) else decision.none(decided)
+        name = decided.chosen[0]
+        if decision.confirmed(found, name, self._widened[outputs].prior_of(found.observed)):
+            return ""
+        return (f"{name} raises the likelihood, but not enough if the model's equations miss this bench by more, which "
+                "the reference trials allow: it is not named. Another reference trial would tell.")
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
         """Return the outputs that the trials and the reference trials all have."""

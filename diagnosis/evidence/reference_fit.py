@@ -195,7 +195,7 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
 
 def widened(fit: ReferenceFit, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
             shares: Sequence[float] = (1.0, 1.4, 2.0)) -> ReferenceFit:
-    """Return `fit`, of the reference trials `trials`, with a discrepancy of larger amplitude, if its evidence is larger.
+    """Return `fit`, of the reference trials `trials`, with a larger amplitude of the discrepancy if its evidence is.
 
     `shares`: of the RMS residual of constants alone.
     """
