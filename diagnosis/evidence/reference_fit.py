@@ -283,24 +283,24 @@ class _Fit:
         """Descend with the last estimates of noise and discrepancy, and return the fit."""
         self._descend()
         self.linear = [self._linearised(k) for k in range(len(self.trials))]
-        bench = self._bounded(self._posterior(range(len(self.trials))))
+        bench = self._bounded()
         # features stay those simulated at the origin: the states change by far less than the length scale
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
                             self.tau, self.scatter_n, self._mean_cost(), self.reach, tuple(self.identified))
 
-    def _bounded(self, bench: Gaussian) -> Gaussian:
-        """Return the bench with a covariance for "positive" constants linearised where their value is above 0.
+    def _bounded(self) -> Gaussian:
+        """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.
 
         Near 0 the smooth maximum of such a constant is flat, so that the trials would seem not to bound it from above.
         """
-        q = self._constants(bench.mean)
+        q = self._constants(self.bench)
         ratio = self.constants.slope(self.constants.lifted(q)) / self.constants.slope(q)
-        scale = np.ones(bench.mean.size)
+        scale = np.ones(self.bench.size)
         scale[:len(self.free)] = ratio[self.free]
         self.linear = [linear._replace(design=linear.design * scale) for linear in self.linear]
-        return replace(bench, covariance=self._posterior(range(len(self.trials))).covariance)
+        return replace(self._posterior(range(len(self.trials))), mean=self.bench)
 
     def _lift(self, departure: Array) -> Array:
         """Return the departure that lifts each "positive" constant to where its value follows its coordinate."""
