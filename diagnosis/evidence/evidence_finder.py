@@ -205,8 +205,12 @@ class EvidenceFinder:
         return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
 
     def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
-        """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else ""."""
-        if not decided.chosen or not self._tables:
+        """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else "".
+
+        An effect with `DOUBTED` times the threshold is not doubted.
+        """
+        if not self._tables or not decided.chosen or (
+                decided.gains[decided.chosen[0]] >= DOUBTED * decision.threshold(found.observed)):
             return ""
         if outputs not in self._widened:
             read = self.model.sessions([self._read(t, outputs) for t in self._tables])
