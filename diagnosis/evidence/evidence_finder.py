@@ -207,9 +207,9 @@ class EvidenceFinder:
     def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
         """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else "".
 
-        An effect with `DOUBTED` times the threshold is not doubted.
+        An effect with `DOUBTED` times the threshold is not doubted, and none of a rig, whose model error is `POOLED`.
         """
-        if not self._tables or not decided.chosen or (
+        if not self._tables or self.model.pools_sessions or not decided.chosen or (
                 decided.gains[decided.chosen[0]] >= DOUBTED * decision.threshold(found.observed)):
             return ""
         if outputs not in self._widened:

@@ -117,7 +117,7 @@ class RigModel(ForwardModel):
     load_state = 3
     pools_sessions = True
     session_share = 0.7
-    nats_factor = 0.45
+    nats_factor = 0.4
     unlike_share = 0.7
 
     def __init__(self, tables: Sequence[Table]) -> None:
