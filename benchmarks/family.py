@@ -24,7 +24,7 @@ from benchmarks.family_walks import DEVELOPMENT, DOCS, OWN, SET_ASIDE, append, c
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure what is lacking, print the tables of what there is."""
+    """Measure the benches that the table lacks, and write and print the page."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.family")
     parser.add_argument("--set-aside", action="store_true", help="the serials that nothing was tuned on, once")
     parser.add_argument("--serials", help="serials of the family, with commas")
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _short(value: Any) -> Any:
-    """The same with five digits, and None for what is no number."""
+    """Return a figure, or each figure of a dict or list, with five digits; None if it is not finite."""
     if isinstance(value, float):
         return float(f"{value:.5g}") if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -239,7 +239,7 @@ def append(path: Path, bench: Mapping[str, Any]) -> None:
 
 
 def compact(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
-    """Leave the later of two lines of a bench in a table, in the order of the first ones; return the benches."""
+    """Remove all but the last line of each bench from a table; return the benches."""
     done = read(path)
     if done:
         fresh = path.with_suffix(".new")

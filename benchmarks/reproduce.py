@@ -108,7 +108,7 @@ def _telling(result: Wanted) -> int:
 
 
 def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict[str, str]]:
-    """Run what the sweep's table at `path` lacks; returns the page's cells of each result."""
+    """Run the rows that the sweep's table at `path` lacks; return the page's cells of each result."""
     rows = [result.row for result in results]
     columns = list(dict.fromkeys(name for each in rows for name in each))
     filled = [{name: each[name] if name in each else _nominal(name) for name in columns} for each in rows]
@@ -122,7 +122,7 @@ def run(results: Sequence[Wanted], path: Path, workers: int | None) -> list[dict
 
 
 def _nominal(name: str) -> Value:
-    """What a row says of a parameter that others vary and it does not."""
+    """Return the nominal value of a parameter by its full name, for rows that do not vary it."""
     group, _, key = name.partition(".")
     found: Value = getattr(GROUPS[group](), key)
     return found

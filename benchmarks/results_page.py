@@ -229,7 +229,7 @@ def _shares(results: Sequence[Result]) -> str:
 
 
 def _above(results: Sequence[Result]) -> str:
-    """Which trials of the extended controller jump by more than the target."""
+    """Return a sentence on the trials of the extended controller whose jump exceeds the target."""
     extended = [r for r in results if r.experiment == "grid" and r.controller == "extended"]
     above = [f"serial {r.serial} at {r.peak_n:g} N and {r.period_s:g} s ({number(jump(r))} %)"
              for r in extended if jump(r) > JUMP_BOUND]

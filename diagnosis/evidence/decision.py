@@ -14,15 +14,15 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
-from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode, begun, mode
+from diagnosis.evidence.hypothesis_search import Searched, gain_under, search_null, search_pairs
+from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 DOUBTED: Final = 2.0
-"""Factor on a threshold where constants absorb model error: on `NAMED_NATS` of a second effect.
+"""Factor on a threshold where constants absorb model error: on `NAMED_NATS` of a second effect, and of an undoubted name.
 
 A model whose cost per datum is above that factor of the reference trials' has a lack of fit: the cost includes the
 prior, so that a good fit by constants far outside the session scatter exceeds it, too."""
@@ -106,11 +106,7 @@ def detected(gains: Mapping[str, float], least: float) -> list[str]:
 
 def confirmed(found: Searched, effect: str, prior: Gaussian) -> bool:
     """Return whether an effect reaches the threshold under another `prior` of the session, too."""
-    variant = found.variants[effect]
-    with_effect = mode(found.observed, prior, [variant], found.single[effect].x)
-    starts = (None, found.null.x, begun(with_effect, None))
-    null = max(mode(found.observed, prior, start=start).log_evidence for start in starts)
-    return bool(with_effect.log_evidence - null >= threshold(found.observed))
+    return gain_under(found, effect, prior) >= threshold(found.observed)
 
 
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:

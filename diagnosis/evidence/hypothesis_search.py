@@ -6,7 +6,7 @@ A linear screen ranks the effects of the catalogue; only the first few are fitte
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -86,6 +86,16 @@ def search_null(found: Searched, starts: int = 4, share: float = 0.3) -> None:
         offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
         _screen(found, offered, found.null, FOREMOST // 2)
         _cross(found)
+
+
+def gain_under(found: Searched, effect: str, prior: Gaussian) -> float:
+    """Return the log Bayes factor, nats, of a fitted effect under another `prior`; −∞ if a fit is singular."""
+    other, variant = replace(found, prior=prior), found.variants[effect]
+    fitted = _fit(other, [variant], found.single[effect].x)
+    if fitted is None:
+        return -np.inf
+    nulls = [_fit(other, [], start) for start in (prior.mean, found.null.x, begun(fitted, None))]
+    return fitted.log_evidence - max((null.log_evidence for null in nulls if null is not None), default=np.inf)
 
 
 def search_pairs(found: Searched, best: str) -> None:
