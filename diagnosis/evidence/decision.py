@@ -22,7 +22,7 @@ NAMED_NATS: Final = 12.0
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 DOUBTED: Final = 2.0
-"""Factor on a threshold where constants absorb model error: on `NAMED_NATS` of a second effect, and of an undoubted name.
+"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect, and of a name beyond doubt.
 
 A model whose cost per datum is above that factor of the reference trials' has a lack of fit: the cost includes the
 prior, so that a good fit by constants far outside the session scatter exceeds it, too."""
