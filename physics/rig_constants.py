@@ -45,6 +45,8 @@ class RigColumns(NamedTuple):
 
     `has_end`: START and END.  `sprung`: START and a joint angle, with a spring between.  `angled`: joint angle beside
     START and END.  `loaded`: START is the load of the drive.  `volts`: the drive force is the motor's voltage.
+    `joints`: joints of a serial arm from base to tip, about parallel axes; `joint`: the one whose drive this is.  An
+    axis by itself is a single joint without a name.
     """
 
     outputs: tuple[str, ...]
@@ -54,6 +56,8 @@ class RigColumns(NamedTuple):
     angled: bool
     loaded: bool
     volts: bool = False
+    joints: tuple[str, ...] = ("",)
+    joint: str = ""
 
     def unit(self, linear: str) -> str:
         """Return the unit on this linear or turning axis of a quantity that has the unit `linear` on a linear one."""
@@ -72,6 +76,13 @@ REGRESSED: Final = frozenset({
 """Constants without a typical value; their prior is centred at the regression of the first reference trial."""
 RELATIVE_SD: Final = {"inertia": 0.02, "give": 0.03, "give_end": 0.03, "joint_ratio": 0.005, "arm": 0.005}
 """1σ between sessions, relative to the value, of linear constants whose size only a fit can give."""
+LINK, BETWEEN, WEIGHT, WEIGHT_ANGLE = "link_", "between_", "weight_", "weight_angle_"
+"""Beginnings of the names of an arm's constants; one joint follows, or two."""
+
+
+def is_regressed(name: str) -> bool:
+    """Return whether a constant has no typical value, so that its prior is centred at a regression."""
+    return name in REGRESSED or name.startswith((LINK, BETWEEN, WEIGHT))
 
 
 def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
@@ -91,9 +102,10 @@ def table_of(rig: RigColumns, scale: RigScale) -> ConstantTable:
 def session_sd(table: ConstantTable, q: Array) -> Array:
     """Return 1σ between sessions of each constant, in coordinates, of a rig at coordinates `q`."""
     sd, given = table.session_sd.copy(), table.named(q)
-    for name in RELATIVE_SD.keys() & table.index.keys():
-        at = table.index[name]
-        sd[at] = max(RELATIVE_SD[name] * abs(given[name]), 1e-3 * table.bench_sd[at])
+    for name, at in table.index.items():
+        share = RELATIVE_SD.get("inertia" if name.startswith((LINK, BETWEEN)) else name)
+        if share is not None:
+            sd[at] = max(share * abs(given[name]), 1e-3 * table.bench_sd[at])
     return sd
 
 
@@ -151,8 +163,41 @@ def _drive(rig: RigColumns, scale: RigScale) -> Sequence[ModelConstant]:
     if rig.turning:
         return [*rows, row("unbalance", "N·m", size, "log", 1.5, 0.02, "largest torque of gravity"),
                 row("unbalance_phase", "rad", 0.0, "linear", 2.0, 0.02, "angle of the mass from below at 0; session: "
-                    "zero of the encoder")]
+                    "zero of the encoder"), *_arm(rig, scale)]
     return [*rows, row("drive_spring", "N/m", 0.0, "linear", stiff, 0.05 * stiff, "force by position")]
+
+
+def links_of(rig: RigColumns) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the links of an arm that the drive moves with a constant of their own, and the coupled pairs of links.
+
+    A link is named by its joint.  The first link's inertia is the constant `inertia`.
+    """
+    own = rig.joints.index(rig.joint)
+    moved = rig.joints[own:]
+    pairs = [(a, b) for k, b in enumerate(rig.joints) for a in rig.joints[:k] if k >= own]
+    return [name for name in moved if name != rig.joints[0]], pairs
+
+
+def gravity_of(name: str, rig: RigColumns) -> tuple[str, str]:
+    """Return the constants of gravity on the link `name` of an arm: its largest torque, and the angle of its mass."""
+    if name == rig.joint:
+        return "unbalance", "unbalance_phase"
+    return WEIGHT + name, WEIGHT_ANGLE + name
+
+
+def _arm(rig: RigColumns, scale: RigScale) -> Sequence[ModelConstant]:
+    row, size = ModelConstant, scale.spread[FORCE]
+    heavy = size / scale.acceleration
+    links, pairs = links_of(rig)
+    rows = [row(LINK + name, "kg", 0.0, "linear", heavy, RELATIVE_SD["inertia"] * heavy,
+                f"inertia of link {name} about its joint", step=0.01 * heavy) for name in links]
+    rows += [row(f"{BETWEEN}{a}_{b}", "kg", 0.0, "linear", heavy, RELATIVE_SD["inertia"] * heavy,
+                 f"inertia that couples links {a} and {b}", step=0.01 * heavy) for a, b in pairs]
+    for name in rig.joints[rig.joints.index(rig.joint) + 1:]:
+        weight, phase = gravity_of(name, rig)
+        rows += [row(weight, "N·m", size, "log", 1.5, 0.02, f"largest torque of gravity on link {name}"),
+                 row(phase, "rad", 0.0, "linear", 2.0, 0.02, f"angle of the mass of link {name} from below")]
+    return rows
 
 
 def _joint(scale: RigScale) -> Sequence[ModelConstant]:

@@ -13,18 +13,22 @@ import numpy as np
 from numba import njit
 
 from physics.laws import Array
-from physics.rig_constants import RigColumns, RigScale
+from physics.rig_constants import BETWEEN, LINK, RigColumns, RigScale, gravity_of, links_of
 
 Constants = Mapping[str, Array]
 
 
 class RigMotion(NamedTuple):
-    """Motion of a rig: position `x`, m or rad, its derivatives `v` and `a`; progress of the recording, 0 … 1."""
+    """Motion of a rig: position `x`, m or rad, its derivatives `v` and `a`; progress of the recording, 0 … 1.
+
+    `links`: angle against the base, rad, and its two derivatives, of each link of an arm, shape (3, joints, samples).
+    """
 
     x: Array
     v: Array
     a: Array
     progress: Array
+    links: Array
 
 
 @njit(cache=True)
@@ -86,12 +90,42 @@ def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: R
     """
     load = np.zeros_like(motion.x) if start is None else start
     if rig.turning:
-        load = given["unbalance"] * np.sin(motion.x + given["unbalance_phase"])
+        load = _gravity(given, motion.links, rig)
     force = load + given["inertia"] * motion.a + given["drive_offset"] + friction(
         given, motion, "drive_", np.abs(load) / scale.spread["servo_force_n"], scale.speed)
-    if not rig.turning:
+    if rig.turning:
+        force = force + sum(given[name] * torque for name, torque in link_torques(motion.links, rig).items())
+    else:
         force = force + given["drive_spring"] * (motion.x - motion.x.mean())
     return late(force, given["drive_lag"], step_s) / given["demand_gain"]
+
+
+def _gravity(given: Constants, links: Array, rig: RigColumns) -> Array:
+    """Return the torque of gravity on the links that a drive of an arm moves, N·m."""
+    own = rig.joints.index(rig.joint)
+    named = [gravity_of(name, rig) for name in rig.joints[own:]]
+    return np.asarray(sum(given[weight] * np.sin(angle + given[phase])
+                          for (weight, phase), angle in zip(named, links[0, own:], strict=True)))
+
+
+def link_torques(links: Array, rig: RigColumns) -> dict[str, Array]:
+    """Return the torque per unit of each inertia of an arm, by constant, each of shape (samples,).
+
+    Lagrange's equations of a serial arm about parallel axes by the angles θ of its links against the base:
+    τⱼ = Σ_{l≥j} Σₘ Aₗₘ·(cos(θₗ − θₘ)·θ̈ₘ + sin(θₗ − θₘ)·θ̇ₘ²).  The part of A of the own angle's acceleration is
+    `inertia`.
+    """
+    own, (angle, rate, acceleration) = rig.joints.index(rig.joint), links
+    single, pairs = links_of(rig)
+    told = {LINK + name: acceleration[rig.joints.index(name)] for name in single}
+    for first, second in pairs:
+        a, b = rig.joints.index(first), rig.joints.index(second)
+        apart = angle[a] - angle[b]
+        torque = np.cos(apart) * acceleration[a] - np.sin(apart) * rate[a] ** 2
+        if a >= own:
+            torque = torque + np.cos(apart) * acceleration[b] + np.sin(apart) * rate[b] ** 2
+        told[f"{BETWEEN}{first}_{second}"] = torque
+    return told
 
 
 def late(signals: Array, lag_s: Array, step_s: float) -> Array:

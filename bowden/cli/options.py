@@ -65,4 +65,5 @@ RaiseLimits = Annotated[str | None, _given(
 HomingForce = Annotated[float | None, _given(
     "START tension that homing may reach whatever the peak is (default 12).", "--homing-n", metavar="N")]
 Extra = Annotated[list[str] | None, typer.Option("--option", metavar="K=V", help="For the interface; repeatable.")]
-ForcePath = Annotated[str | None, typer.Option("--path", metavar="NAME", help="Force path, on a bench of several.")]
+ForcePath = Annotated[str | None, typer.Option(
+    "--path", metavar="NAME", help="Force path of a bench of several, or joint of an arm.")]

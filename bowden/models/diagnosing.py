@@ -27,20 +27,21 @@ class Diagnosis:
     """Diagnosis of trials of one bench, with the interface of a scikit-learn estimator.
 
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
-    cut-off of the zero-phase low-pass put on every signal first.
+    cut-off of the zero-phase low-pass put on every signal first. `path`: of tables whose columns are
+    `<joint>.<header>`, the joint or force path.
     """
 
-    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None) -> None:
+    def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None) -> None:
         from diagnosis.finder import Finder
 
         self.model = None if model is None else model_files.given(model)
         known = None if self.model is None else dataclasses.replace(self.model, effects={}, found={})
         self._finder = Finder(None if known is None else model_files.tables(known), lowpass_hz)
-        self._measured = known is not None
+        self._measured, self._path = known is not None, path
 
     def fit(self, healthy: Given | Iterable[Given]) -> Diagnosis:
         """Learn from trials of this or a like bench with nothing wrong, once; returns itself.  Raises `InputError`."""
-        self._finder.fit([_table(trial) for trial in _several(healthy)])
+        self._finder.fit([_table(trial, self._path) for trial in _several(healthy)])
         self._measured = True
         return self
 
@@ -52,7 +53,7 @@ class Diagnosis:
         data give the verdict `refused`.
         """
         given = _several(trials)
-        asked, unseen = [_table(trial) for trial in given], [_table(trial) for trial in _several(holdout)]
+        asked, unseen = ([_table(trial, self._path) for trial in group] for group in (given, _several(holdout)))
         paths = [Path(trial.path if isinstance(trial, Trial) else trial) for trial in given]
         found = on_its_footing(self._finder.diagnose(asked, unseen), paths, measured=self._measured)
         return DiagnosisResult(found, asked, unseen, self.model)
@@ -140,7 +141,7 @@ def _several(given: Given | Iterable[Given]) -> list[Given]:
     return [given] if isinstance(given, Trial | str | Path) else list(given)
 
 
-def _table(given: Given) -> Table:
+def _table(given: Given, path: str | None) -> Table:
     from diagnosis.data import table
 
-    return table.read(given.path if isinstance(given, Trial) else given)
+    return table.read(given.path if isinstance(given, Trial) else given, path)

@@ -74,7 +74,7 @@ def presence(given: Table, most_missing: float = 0.2) -> Iterator[Finding]:
         finite = np.isfinite(values)
         if not finite.any():
             yield Finding(f"{given.source}: {name} is empty (no finite value); it is not used.")
-        elif np.ptp(values[finite]) == 0.0:
+        elif np.ptp(values[finite]) == 0.0 and "." not in name:
             yield Finding(f"{given.source}: {name} is constant at {values[finite][0]:g}; it is not used.")
         elif not finite.all():
             share = 100.0 * (1.0 - finite.mean())
@@ -87,7 +87,7 @@ def spans(given: Table) -> Iterator[Finding]:
     for name, values in signals_in(given):
         unit = next((u for u in WIDEST if name.endswith(f"_{u}")), None)
         finite = values[np.isfinite(values)]
-        if unit is None or not finite.size or (given.turning and name.startswith("servo_")):
+        if unit is None or not finite.size or (given.turning and "servo_" in name):
             continue
         widest, written = WIDEST[unit]
         if np.ptp(finite) > widest:
@@ -179,13 +179,14 @@ def examine(given: Table) -> list[Finding]:
 def usable(given: Table, motion: Sequence[str] = ()) -> Table:
     """Return `given` without constant or empty signals.
 
-    `motion`: columns that are kept if constant and complete, such as the angle of a locked knee.
+    `motion`: columns that are kept if constant and complete, such as the angle of a locked knee; the angles of an
+    arm's other joints are.
     """
     kept = {}
     for name, values in given.columns.items():
         finite = values[np.isfinite(values)]
         varies = finite.size > 0 and np.ptp(finite) > 0.0
-        if name in COUNTERS or varies or (name in motion and finite.size == values.size):
+        if name in COUNTERS or varies or ((name in motion or "." in name) and finite.size == values.size):
             kept[name] = values
     return replace(given, columns=kept)
 

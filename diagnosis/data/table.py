@@ -48,6 +48,8 @@ class Table:
     calibration of a bench is attached).  `lowpass_hz`: cut-off of the filter that the signals have passed (None:
     unfiltered).  `turning`: the axis was recorded in rad and N·m and is represented on a lever of 1 m.  `volts`: the
     motor's voltage was recorded in place of its torque.  `experiment`: name of the experiment ("": unknown).
+    `joints`: joints of a serial arm that were recorded together, from base to tip; `joint`: the one whose columns these
+    are.  The other ones' angles are columns `<joint>.servo_position_m`.
     """
 
     source: str
@@ -59,6 +61,8 @@ class Table:
     turning: bool = False
     volts: bool = False
     experiment: str = ""
+    joints: tuple[str, ...] = ("",)
+    joint: str = ""
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
@@ -70,10 +74,12 @@ class Table:
         return self.columns[name]
 
 
-def read(path: str | Path) -> Table:
+def read(path: str | Path, joint: str | None = None) -> Table:
     """Read a trial (.mcap) or a table (CSV, .gz, Parquet, .mat, .mf4) with a subset of the canonical headers.
 
-    Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.
+    `joint`: of a table whose columns are `<joint>.<header>`, the joint or force path to read.
+    Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal, and for
+    a table of several joints of which none, or another one, is named.
     """
     path = Path(path)
     refuse_special(path)
@@ -82,24 +88,27 @@ def read(path: str | Path) -> Table:
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     if not set(suffixes) & {*ENDINGS, ""} and suffixes:
         raise InputError(f"{path}: is neither a trial nor a table; say bowden import {path} -o trial.mcap first.")
-    return _read_sheet(path)
+    return _read_sheet(path, joint)
 
 
-def _read_sheet(path: Path) -> Table:
+def _read_sheet(path: Path, joint: str | None) -> Table:
     sheet = sheet_of(path)
-    known = [name for name in sheet.names
-             if name in UNITS or name in TURNING or name.endswith(AGE_SUFFIX) or name == DEGREE_ALIAS]
+    known = [name for name in sheet.names if _known(name.rpartition(".")[2])]
     if "time_s" not in known or not _signals(known):
         lacks = "no column time_s" if "time_s" not in known else "no signal among its columns"
         raise InputError(f"{path}: {lacks}; {offer(path)}.")
     for name in known:
-        stated, unit = sheet.unit(name), _unit(name)
+        stated, unit = sheet.unit(name), _unit(name.rpartition(".")[2])
         if stated and stated.replace("°", "deg") != unit:
             raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
-    made = table(str(path), {name: sheet.column(name) for name in known})
+    made = table(str(path), {name: sheet.column(name) for name in known}, joint=joint)
     ignored = sorted(set(sheet.names) - set(known))
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
     return replace(made, notes=(*made.notes, *notes, *((f"read with {', '.join(sheet.said)}",) if sheet.said else ())))
+
+
+def _known(name: str) -> bool:
+    return name in UNITS or name in TURNING or name.endswith(AGE_SUFFIX) or name == DEGREE_ALIAS
 
 
 def _unit(name: str) -> str:
@@ -113,9 +122,16 @@ def _signals(names: Iterable[str]) -> list[str]:
 
 
 def table(
-    source: str, columns: Mapping[str, Sequence[float] | Array], calibration: Mapping[str, Any] | None = None
+    source: str, columns: Mapping[str, Sequence[float] | Array], calibration: Mapping[str, Any] | None = None,
+    joint: str | None = None,
 ) -> Table:
-    """Return the known columns of `columns` as a trial; raises `InputError` without `time_s` or without a signal."""
+    """Return the known columns of `columns` as a trial, or those of a `joint`, as `read` does.
+
+    Raises `InputError` without `time_s` or without a signal, and for another joint than the columns have.
+    """
+    joints = tuple(dict.fromkeys(name.rpartition(".")[0] for name in columns if "." in name))
+    if joints or joint is not None:
+        return _of_joint(source, columns, joints, joint)
     known: dict[str, Array] = {}
     for name, values in columns.items():
         if name == DEGREE_ALIAS:
@@ -136,6 +152,24 @@ def table(
     known = _numbered(known)
     return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning),
                  volts="motor_voltage_v" in columns)
+
+
+def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joints: tuple[str, ...],
+              joint: str | None) -> Table:
+    """Return the columns of one of several joints, with the angles of the other ones if the axes turn."""
+    if joint not in joints:
+        raise InputError(
+            f"{source}: records {', '.join(joints)}; name one with --path." if joint is None else
+            f"{source}: has no path {joint}; " + (f"expected one of {', '.join(joints)}." if joints else
+                                                  "it records a single one: leave --path out."))
+    own = table(source, {name.removeprefix(f"{joint}."): values for name, values in columns.items()
+                         if "." not in name or name.startswith(f"{joint}.")})
+    angles = {f"{other}.servo_position_m": np.ascontiguousarray(columns[f"{other}.servo_position_rad"], np.float64)
+              for other in joints if other != joint and f"{other}.servo_position_rad" in columns}
+    if not own.turning or len(angles) < len(joints) - 1:
+        return own
+    together = {**own.columns, **angles}
+    return replace(own, columns=together, digest=_digest(together), joints=joints, joint=joint)
 
 
 def _refuse_mixed(source: str, columns: Iterable[str], turning: Sequence[str]) -> None:

@@ -28,8 +28,19 @@ from physics.effects.rig_hypotheses import (
 )
 from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
-from physics.rig_constants import END, FORCE, JOINT, REGRESSED, START, RigColumns, RigScale, session_sd, table_of
-from physics.rig_forces import RigMotion, dahl_states, drive_force, spring_force, start_force
+from physics.rig_constants import (
+    END,
+    FORCE,
+    JOINT,
+    START,
+    RigColumns,
+    RigScale,
+    gravity_of,
+    is_regressed,
+    session_sd,
+    table_of,
+)
+from physics.rig_forces import RigMotion, dahl_states, drive_force, link_torques, spring_force, start_force
 
 
 class RigRecording(Recording):
@@ -39,7 +50,7 @@ class RigRecording(Recording):
     accelerations above it are noise.
     """
 
-    def __init__(self, table: Table, outputs: Sequence[str]) -> None:
+    def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "") -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
         # after half a stroke friction no longer depends on the motion before the trial
@@ -49,7 +60,11 @@ class RigRecording(Recording):
         self.x = self.sampled("servo_position_m", LOWPASS_HZ)
         self.v = np.gradient(self.x, GRID_S)
         self.a = np.gradient(self.v, GRID_S)
-        self.motion = RigMotion(self.x, self.v, self.a, self.progress)
+        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", LOWPASS_HZ)
+                            for name in joints], axis=0)
+        rates = np.gradient(angles, GRID_S, axis=1)
+        self.links = np.stack([angles, rates, np.gradient(rates, GRID_S, axis=1)])
+        self.motion = RigMotion(self.x, self.v, self.a, self.progress, self.links)
         self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
         self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
@@ -70,7 +85,8 @@ class RigSession:
         self.recordings = tuple(recordings)
         first = recordings[0]
         self.outputs, self.source = first.outputs, ", ".join(r.source for r in recordings)
-        self.x, self.v, self.a = (np.concatenate([getattr(r, name) for r in recordings]) for name in ("x", "v", "a"))
+        self.x, self.v, self.a, self.links = (np.concatenate([getattr(r, name) for r in recordings], axis=-1)
+                                              for name in ("x", "v", "a", "links"))
         self.inputs = {n: np.concatenate([r.inputs[n] for r in recordings]) for n in first.inputs}
         self.noise_n = {n: float(np.sqrt(np.mean([r.noise_n[n] ** 2 for r in recordings]))) for n in first.outputs}
         self.bins = sum(r.bins for r in recordings)
@@ -130,7 +146,8 @@ class RigModel(ForwardModel):
             (START, self.has_end or self.sprung), (FORCE, FORCE in has), (JOINT, self.angled)) if there)
         self.turning = all(t.turning for t in tables)
         self.rig = RigColumns(self.outputs, self.turning, self.has_end, self.sprung, self.angled, self.loaded,
-                              all(t.volts for t in tables))
+                              all(t.volts for t in tables), tables[0].joints, tables[0].joint)
+        self.states = 5 + len(self.rig.joints)
         self.signals = {name: "rad" if name == JOINT else self.rig.unit("N") for name in self.outputs}
         self.judged = tuple(name for name in self.outputs if name != JOINT)
         if not self.outputs:
@@ -142,7 +159,7 @@ class RigModel(ForwardModel):
         self.sense, every = 1.0, RigSession([self.record(t) for t in tables])
         if self.has_end:
             self.sense = self._sense(every)
-        self.regressed = tuple(n for n in self.constants.names if n in REGRESSED)
+        self.regressed = tuple(n for n in self.constants.names if is_regressed(n))
         left = every.data - self.predict(self.origin(every)[:, None], every)[0]
         self.first_noise = {
             n: max(float(np.std(every.part(left, k))), self.least[n]) for k, n in enumerate(self.outputs)}
@@ -155,6 +172,7 @@ class RigModel(ForwardModel):
         needed += [END] if self.has_end else []
         needed += [JOINT] if self.sprung else []
         needed += [START] if self.loaded else []
+        needed += [f"{name}.servo_position_m" for name in self.rig.joints if name != self.rig.joint]
         missing = [name for name in dict.fromkeys(needed) if name not in table]
         if table.volts != self.rig.volts:  # both are the signal servo_force_n
             missing.append("motor_voltage_v" if self.rig.volts else "servo_torque_nm")
@@ -181,7 +199,7 @@ class RigModel(ForwardModel):
 
     def record(self, table: Table) -> RigRecording:
         """Return a trial of this rig on the time grid of the likelihood."""
-        return RigRecording(table, self.outputs)
+        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint)
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
         made = [self.record(t) for t in tables]
@@ -265,10 +283,11 @@ class RigModel(ForwardModel):
         load = np.abs(trial.inputs[END]) if self.has_end else np.abs(trial.inputs[START]) if self.loaded else (
             np.abs(trial.v))
         joint = trial.inputs[JOINT] if self.sprung else trial.v * 0.0
+        others = [angle for name, angle in zip(self.rig.joints, trial.links[0], strict=True) if name != self.rig.joint]
         return trial.binned(np.stack([
             trial.x - trial.x.mean(), np.arcsinh(3.0 * trial.v / self.scale.speed), slip,
             np.log(load + 0.1 * load.mean() + 1e-12), np.arcsinh(trial.a / self.scale.acceleration),
-            joint - joint.mean()]))
+            joint - joint.mean(), *others]))
 
     # -- start of the first fit --------------------------------------------------------------------------------------
 
@@ -317,8 +336,11 @@ class RigModel(ForwardModel):
 
     def _force_terms(self, trial: Taken, travel: float) -> dict[str, float]:
         columns = {"inertia": trial.a, "drive_offset": np.ones_like(trial.x)}
+        moved = self.rig.joints[self.rig.joints.index(self.rig.joint):]
         if self.turning:
-            columns |= {"sin": np.sin(trial.x), "cos": np.cos(trial.x)}
+            columns |= link_torques(trial.links, self.rig)
+            for name, angle in zip(moved, trial.links[0, -len(moved):], strict=True):
+                columns |= {f"sin {name}": np.sin(angle), f"cos {name}": np.cos(angle)}
         else:
             columns["drive_spring"] = trial.x - trial.x.mean()
         rubs = self._friction_terms(trial, travel, None)
@@ -327,9 +349,11 @@ class RigModel(ForwardModel):
         found = dict(zip(columns, told, strict=False))
         found["inertia"] = max(found["inertia"], 1e-3 * self.scale.spread[FORCE] / self.scale.acceleration)
         if self.turning:
-            sin, cos = found.pop("sin"), found.pop("cos")
-            found |= {"unbalance": max(float(np.hypot(sin, cos)), 0.02 * self.scale.spread[FORCE]),
-                      "unbalance_phase": float(np.arctan2(cos, sin))}
+            for name in moved:
+                sin, cos = found.pop(f"sin {name}"), found.pop(f"cos {name}")
+                weight, phase = gravity_of(name, self.rig)
+                found |= {weight: max(float(np.hypot(sin, cos)), 0.02 * self.scale.spread[FORCE]),
+                          phase: float(np.arctan2(cos, sin))}
         dry, viscous = told[len(columns):]
         return {**found, "drive_travel": travel, **self._sized("drive_", (dry, 0.0, viscous))}
 

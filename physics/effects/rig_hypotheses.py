@@ -25,6 +25,7 @@ from physics.effects.hypotheses import (
     Variant,
 )
 from physics.path_constants import PRESLIDING
+from physics.rig_constants import BETWEEN, LINK, WEIGHT, WEIGHT_ANGLE
 
 FAINT: Final = 0.5
 """Torque of gravity, of the friction, below which no mass hangs off the axis."""
@@ -59,10 +60,14 @@ def _share(prefix: str, name: str, sd: float) -> Callable[[Values], tuple[Varian
 
 
 def _heavier(values: Values) -> tuple[Variant, ...]:
-    """Return a mass that is added or taken off an axis that has one: it has weight and inertia."""
+    """Return a mass that is added or taken off an axis that has one: it has weight and inertia, on an arm's links, too.
+    """
     if values["unbalance"] < FAINT * values["drive_friction"]:
         return ()
-    return (Variant((Direction({"unbalance": 1.0}, 0.4), Direction({"inertia": 1.0}, 0.4 * values["inertia"])), {}),)
+    weights = [n for n in values if n == "unbalance" or (n.startswith(WEIGHT) and not n.startswith(WEIGHT_ANGLE))]
+    inertias = [n for n in values if n == "inertia" or n.startswith((LINK, BETWEEN))]
+    return (Variant((*(Direction({name: 1.0}, 0.4) for name in weights),
+                     *(Direction({name: 1.0}, 0.4 * abs(values[name])) for name in inertias)), {}),)
 
 
 def tension_hypotheses(load: float, speed: float, peak: float) -> dict[str, Hypothesis]:

@@ -144,6 +144,40 @@ def pendulum(seed: int, mass_kg: float = 0.5, rate_hz: float = 200.0) -> Columns
                    "servo_torque_nm": sensed(torque, rate_hz, rng, 4e-3, 1e-4, 40.0)}, rate_hz)
 
 
+def two_link_arm(seed: int, tip_kg: float = 0.0, elbow_coulomb: float = 0.25, rate_hz: float = 200.0) -> Columns:
+    """A shoulder and an elbow move two links in a vertical plane at the same time: rad and N·m, 30 s of sines.
+
+    Upper arm 2 kg of 0.35 m, forearm 1.2 kg of 0.3 m, a mass at the tip; the elbow's angle is against the upper arm.
+    Torques by the currents (noise 20 mN·m, 40 Hz), encoders of 0.1 mrad.  The motion is imposed.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 30.0, STEP_S)
+    first, second = (np.asarray(sum(
+        a * np.sin(6.2832 * f * (1.0 + 0.1 * rng.random()) * time + 6.28 * rng.random()) for a, f in sines))
+        for sines in (((0.6, 0.23), (0.25, 0.71), (0.05, 1.6)), ((0.7, 0.31), (0.3, 0.83), (0.06, 1.9))))
+    upper, lower = 0.35, 0.3
+    centre = (1.2 * 0.5 * lower + tip_kg * lower) / (1.2 + tip_kg)
+    own = 1.2 * (lower**2 / 12.0 + (0.5 * lower - centre) ** 2) + tip_kg * (lower - centre) ** 2
+    heavy = 1.2 + tip_kg
+    w1, w2 = (np.gradient(q, STEP_S) for q in (first, second))
+    a1, a2 = np.gradient(w1, STEP_S), np.gradient(w2, STEP_S)
+    bend = heavy * upper * centre
+    far = own + heavy * centre**2
+    near = 2.0 * upper**2 / 3.0 + heavy * upper**2
+    weight2 = heavy * 9.81 * centre * np.sin(first + second)
+    weight1 = (2.0 * 0.5 + heavy) * 9.81 * upper * np.sin(first) + weight2
+    torque1 = ((near + far + 2.0 * bend * np.cos(second)) * a1 + (far + bend * np.cos(second)) * a2
+               - bend * np.sin(second) * (2.0 * w1 * w2 + w2**2) + weight1 + 0.02 * a1)
+    torque2 = (far + bend * np.cos(second)) * a1 + far * a2 + bend * np.sin(second) * w1**2 + weight2 + 0.01 * a2
+    torque1 += _dragged(first, w1, Friction(0.5, 0.15, bristle=3e-3).row())
+    torque2 += _dragged(second, w2, Friction(elbow_coulomb, 0.08, bristle=3e-3).row())
+    return _timed({
+        "shoulder.servo_position_rad": sensed(first, rate_hz, rng, grid=1e-4),
+        "elbow.servo_position_rad": sensed(second, rate_hz, rng, grid=1e-4),
+        "shoulder.servo_torque_nm": sensed(torque1, rate_hz, rng, 0.02, 1e-3, 40.0),
+        "elbow.servo_torque_nm": sensed(torque2, rate_hz, rng, 0.02, 1e-3, 40.0)}, rate_hz)
+
+
 def seal(seed: int, coulomb: float = 12.0, viscous: float = 150.0, rest: float = 0.8, rate_hz: float = 200.0
          ) -> Columns:
     """A rod dragged through a seal at 1 … 60 mm/s: force by a load cell (0.08 N, 50 Hz), position by a scale of 0.5 µm.

@@ -115,7 +115,7 @@ def diagnose(
         calibration = force_paths.file_of(calibration, path)
     with (force_paths.single_paths(chosen, path) as asked_of, force_paths.single_paths(healthy or [], path) as good,
           force_paths.single_paths(holdout or [], path) as unseen, _steps(shown=not json) as step):
-        found = _diagnosed(asked_of, calibration, good, unseen, lowpass, output, report, tracked, step,
+        found = _diagnosed(asked_of, path, calibration, good, unseen, lowpass, output, report, tracked, step,
                            figures, deviations, overwrite=overwrite)
     result = found.as_json() | ({} if path is None else {"path": path}) | {"seconds": time.perf_counter() - began}
     if logbook is not None and found.verdict != "refused":
@@ -128,7 +128,7 @@ def diagnose(
         terminal.emit(result)
     else:
         if path is not None:
-            print(f"Force path {path}.")
+            print(f"Path {path}.")
         _tell(found, result)
     return 2 if found.verdict == "refused" else 0
 
@@ -223,9 +223,9 @@ def _steps(*, shown: bool) -> Iterator[Callable[[str, float], None]]:
 
 
 def _diagnosed(
-    trials: list[Path], calibration: Path | None, healthy: list[Path], holdout: list[Path], lowpass: float | None,
-    output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None, step: Callable[[str, float], None],
-    figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
+    trials: list[Path], path: str | None, calibration: Path | None, healthy: list[Path], holdout: list[Path],
+    lowpass: float | None, output: Path | None, report: Path | None, tracked: tuple[Path, Path] | None,
+    step: Callable[[str, float], None], figures: Path | None, deviations: dict[str, float] | None, *, overwrite: bool,
 ) -> Findings:
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
@@ -234,10 +234,10 @@ def _diagnosed(
     from diagnosis.finder import Finder
 
     groups: list[list[table.Table]] = [[], [], []]
-    paths = [(group, path) for group, paths in enumerate((trials, healthy, holdout)) for path in paths]
-    for done, (group, path) in enumerate(paths):
-        step(f"reading {path.name}", READING * done / len(paths))
-        groups[group].append(table.read(path))
+    files = [(group, file) for group, files in enumerate((trials, healthy, holdout)) for file in files]
+    for done, (group, file) in enumerate(files):
+        step(f"reading {file.name}", READING * done / len(files))
+        groups[group].append(table.read(file, path))
     step("fitting the healthy trials" if healthy else "preparing", READING)
     finder = Finder(calibration, lowpass, deviations).examine(groups[1])
     step("fitting the effects, cycle by cycle", SEARCHING)

@@ -24,6 +24,7 @@ Lowpass = Annotated[float | None, typer.Option(metavar="HZ", help="Zero-phase lo
 def fit(
     trials: Trials,
     output: Output,
+    path: options.ForcePath = None,
     lowpass: Lowpass = None,
     logbook: options.Logbook = None,
     overwrite: options.Overwrite = False,
@@ -37,15 +38,16 @@ def fit(
     Example: bowden fit good.mcap -o model.toml
     """
     from bowden import output_files
-    from bowden.trials import session
+    from bowden.trials import force_paths, session
     from diagnosis import bench_fit
+    from diagnosis.data import table
     from parameters.files import write_whole
 
     session.refuse_no_logbook(logbook)
     output_files.refuse([output], overwrite=overwrite, inputs=trials)
     output_files.refuse_ending(output, ".toml", what="a bench model")
-    with terminal.waiting("fitting", shown=not json):
-        found = bench_fit.fit(trials, lowpass)
+    with terminal.waiting("fitting", shown=not json), force_paths.single_paths(trials, path) as files:
+        found = bench_fit.fit([table.read(file, path) for file in files], lowpass)
     write_whole(output, found.text(), overwrite=True)
     if logbook is not None:
         from bowden.models import logbook_entries
