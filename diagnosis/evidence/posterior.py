@@ -160,6 +160,8 @@ def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
     for variant in variants:
         for name, value in variant.at.items():
             origin[table.index[name]] = table.coordinate(name, value)
+            if table.index[name] in place:
+                mean[place[table.index[name]]] = 0.0
         for direction in variant.directions:
             along = np.zeros(size)
             for name, share in direction.along.items():
@@ -292,12 +294,16 @@ def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = No
     """Return the start of a fit with `kept` and `variant`: the mode `base`, moved by `sizes` along the variant.
 
     `sizes`: in prior σ of the effect along each direction of the variant, clipped to ±2.5.  Constants that are not
-    active in `base` start at 0.
+    active in `base`, and those that the variants set to another value than `base` had, start at 0.
     """
     variants = [*kept, variant] if variant is not None else list(kept)
     table = base.table
     active = [*table.free, *extra_constants(table, variants)]
     old = {i: base.x[k] for k, i in enumerate(base.active)}
+    for name, value in (item for each in variants for item in each.at.items()):
+        i = table.index[name]
+        if i in old and abs(base.q[i] - old[i] - table.coordinate(name, value)) > 1e-9:
+            del old[i]
     x = np.array([old.get(i, 0.0) for i in active])
     if variant is not None and sizes is not None:
         for direction, size in zip(variant.directions, sizes, strict=True):
