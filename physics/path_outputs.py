@@ -64,7 +64,7 @@ def drive_force(given: Array, motion: PathMotion, step_s: float) -> Array:
     def column(name: str) -> Array:
         return np.asarray(constants[name][:, None])
 
-    start = motion.start_n + column("start_lag") * np.gradient(motion.start_n, step_s)
+    start = _late(np.tile(motion.start_n, (distinct.shape[0], 1)), -constants["start_lag"], step_s)
     tension = (start - column("start_offset") - column("start_drift") * motion.progress) / column("start_gain")
     angle = motion.rope_m / column("drum")
     arm = 1.0 + (column("eccentric_sin") * np.cos(angle) - column("eccentric_cos") * np.sin(angle)) / column("drum")

@@ -160,6 +160,8 @@ def widened(table: ConstantTable, prior: Gaussian, variants: Sequence[Variant]
     for variant in variants:
         for name, value in variant.at.items():
             origin[table.index[name]] = table.coordinate(name, value)
+            if table.index[name] in place:
+                mean[place[table.index[name]]] = 0.0
         for direction in variant.directions:
             along = np.zeros(size)
             for name, share in direction.along.items():
@@ -243,27 +245,32 @@ def mode(observed: Observed, prior: Gaussian, variants: Sequence[Variant] = (), 
         table, at(x), x, tuple(active), now, evidence, factor, inner, slopes, features, weights, residual, mean)
 
 
-def screened(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[float, Array]:
+def screened(null: PosteriorMode, observed: Observed, variant: Variant, error: Array | None = None
+             ) -> tuple[float, Array]:
     """Return the linear log Bayes factor of a variant at the mode `null`, nats, and the sizes along its directions.
 
-    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), with g and G of `projected`.
+    ln B = ½ gᵀ(I + G)⁻¹g − ½ ln det(I + G), with g and G of `projected`.  `error`: columns of a further Gaussian error
+    of the data, shape (data, columns).
     """
-    pull, square = projected(null, observed, variant)
+    pull, square = projected(null, observed, variant, error)
     whole = np.eye(pull.size) + square
     size: Array = np.asarray(np.linalg.solve(whole, pull), np.float64)
     return float(0.5 * pull @ size - 0.5 * np.linalg.slogdet(whole)[1]), size
 
 
-def projected(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[Array, Array]:
+def projected(null: PosteriorMode, observed: Observed, variant: Variant, error: Array | None = None
+              ) -> tuple[Array, Array]:
     """Return g = EᵀC⁻¹e and G = EᵀC⁻¹E of a variant at the mode `null`; e: the error of the null."""
-    effect, applied = response(null, observed, variant)
+    effect, applied = response(null, observed, variant, error)
     return np.asarray(effect.T @ applied[:, 0]), np.asarray(effect.T @ applied[:, 1:])
 
 
-def response(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple[Array, Array]:
+def response(null: PosteriorMode, observed: Observed, variant: Variant, further: Array | None = None
+             ) -> tuple[Array, Array]:
     """Return E and C⁻¹[e, E] of a variant at the mode `null`, shapes (data, directions) and (data, directions + 1).
 
-    E: the effect's slopes times their σ, e: the error of the null, C: covariance of the data under the null.
+    E: the effect's slopes times their σ, e: the error of the null, C: covariance of the data under the null, plus
+    that of the columns `further`.
     """
     names = sorted({n for d in variant.directions for n in d.along})
     q, table = null.q.copy(), null.table
@@ -284,7 +291,11 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant) -> tuple
         light = null.weight[:, None] * given
         return np.asarray(light - null.weight[:, None] * (inward @ cho_solve(null.inner, inward.T @ light)))
 
-    return effect, solved(np.concatenate([error[:, None], effect], axis=1))
+    applied = solved(np.concatenate([error[:, None], effect], axis=1))
+    if further is not None:
+        spread = solved(further)
+        applied -= spread @ np.linalg.solve(np.eye(further.shape[1]) + further.T @ spread, further.T @ applied)
+    return effect, applied
 
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()
@@ -292,12 +303,16 @@ def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = No
     """Return the start of a fit with `kept` and `variant`: the mode `base`, moved by `sizes` along the variant.
 
     `sizes`: in prior σ of the effect along each direction of the variant, clipped to ±2.5.  Constants that are not
-    active in `base` start at 0.
+    active in `base`, and those that the variants set to another value than `base` had, start at 0.
     """
     variants = [*kept, variant] if variant is not None else list(kept)
     table = base.table
     active = [*table.free, *extra_constants(table, variants)]
     old = {i: base.x[k] for k, i in enumerate(base.active)}
+    for name, value in (item for each in variants for item in each.at.items()):
+        i = table.index[name]
+        if i in old and abs(base.q[i] - old[i] - table.coordinate(name, value)) > 1e-9:
+            del old[i]
     x = np.array([old.get(i, 0.0) for i in active])
     if variant is not None and sizes is not None:
         for direction, size in zip(variant.directions, sizes, strict=True):

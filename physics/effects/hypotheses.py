@@ -71,6 +71,12 @@ def _creeps(values: Values) -> tuple[Variant, ...]:
                  for seconds in (0.3, 1.5, 8.0))
 
 
+def _sticks(values: Values) -> tuple[Variant, ...]:
+    return tuple(_frees((along, 0.8), ({"rest_speed": 1.0}, 0.8), at={"rest_speed": speed})
+                 for speed in (0.006, 0.02)
+                 for along in ({"cable_rest": 1.0, "fabric_rest": 1.0}, {"cable_rest": 1.0}, {"fabric_rest": 1.0}))
+
+
 def _runs_out(values: Values) -> tuple[Variant, ...]:
     return tuple(_frees(({"eccentric_sin": 1.0}, 3e-4), ({"eccentric_cos": 1.0}, 3e-4), at={"drum": radius})
                  for radius in (0.016, 0.02, 0.025, 0.031, 0.038))
@@ -96,9 +102,7 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "viscous_friction": Hypothesis(
         FRICTION, lambda v: (_frees(({"viscous": 1.0}, 12.0)), _frees(({"drag": 1.0}, 12.0))), {
             "viscous": lambda v, b: v["viscous"] + v["drag"]}),
-    "stribeck": Hypothesis(FRICTION, lambda v: tuple(
-        _frees((along, 0.8), ({"rest_speed": 1.0}, 0.8)) for along in (
-            {"cable_rest": 1.0, "fabric_rest": 1.0}, {"cable_rest": 1.0}, {"fabric_rest": 1.0})), {
+    "stribeck": Hypothesis(FRICTION, _sticks, {
                 "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
                 "stribeck_speed": lambda v, b: v["rest_speed"]}),
     "presliding": Hypothesis(FRICTION, lambda v: (_frees(
