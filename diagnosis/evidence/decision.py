@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.hypothesis_search import Searched, gain_under, search_null, search_pairs
-from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode
+from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode, own_error, screened
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -24,8 +24,7 @@ If it is too low, effects are named in reference trials; if it is too high, smal
 DOUBTED: Final = 2.0
 """Factor where constants absorb model error: on `NAMED_NATS` of a second effect, and of a name beyond doubt.
 
-A model whose cost per datum is above that factor of the reference trials' has a lack of fit: the cost includes the
-prior, so that a good fit by constants far outside the session scatter exceeds it, too."""
+A model has a lack of fit, too, if it needs constants that depart by that many session σ, RMS."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_SHARE: Final = 0.05
@@ -49,7 +48,7 @@ class Decision:
     `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
     ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
     of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output; under
-    `session`, the model's cost (misfit and prior) relative to that of a reference trial.
+    `session`, the RMS departure of its constants and discrepancy, in σ between sessions.
     """
 
     verdict: str
@@ -77,8 +76,9 @@ def decide(found: Searched) -> Decision:
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
     further = found.further(best)
-    # the model error of the first effect is `SURROGATE` of its size, and evidence grows with the square
-    seconds = [name for name in detected(further, DOUBTED * least) if further[name] >= SURROGATE**2 * gains[best]]
+    error = SURROGATE * own_error(found.single[best], found.observed, found.prior, found.variants[best])
+    seconds = [name for name in detected(further, DOUBTED * least)
+               if screened(found.single[best], found.observed, found.paired[name], error)[0] >= DOUBTED * least]
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
     misfit = misfits(found, at)
@@ -116,14 +116,14 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
-    """Return the mean squared residual over its variance by output, and the relative cost under `session`.
+    """Return the mean squared residual over its variance by output, and the RMS departure in σ under `session`.
 
     Residuals are clipped at `HUBER` σ, so that outliers count little.
     """
     observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
     told = {name: float(np.mean(np.minimum(observed.tau[k] * observed.part(squares, k), HUBER**2)))
             for k, name in enumerate(observed.outputs)}
-    return told | {"session": at.cost / (observed.data.size * observed.cost * float(observed.growth.mean()))}
+    return told | {"session": at.strain()}
 
 
 def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:
@@ -142,11 +142,13 @@ def none(decided: Decision) -> Decision:
 
 
 def without_last(found: Searched, decided: Decision) -> Decision:
-    """Return the decision without its last chosen effect; `unexplained` if the effects before it do not suffice."""
+    """Return the decision without its last chosen effect; `unexplained` if what is left has a lack of fit."""
     chosen = decided.chosen[:-1]
-    misfit = misfits(found, found.single[chosen[0]]) if chosen else decided.misfit
-    if not chosen or lacks(misfit, misfits(found, found.null)):
+    misfit = misfits(found, found.single[chosen[0]] if chosen else found.null)
+    if lacks(misfit, misfits(found, found.null) if chosen else None):
         return Decision("unexplained", (), (), decided.part, decided.gains, misfit)
+    if not chosen:
+        return replace(none(decided), misfit=misfit)
     among = _set(decided.gains, chosen)
     return replace(decided, verdict="found" if len(among) == 1 else "ambiguous", chosen=chosen, among=among,
                    misfit=misfit)

@@ -35,10 +35,9 @@ class Observed:
     """Data of the trials of one session, concatenated.
 
     `features`: Φ, shape (data, features).  `weight`: 1/σ², shape (data,).  `tau`: by output, the factor by which σ² is
-    inflated for the autocorrelation of the residuals.  `cost`: mean cost per datum of the reference trials at their
-    modes.  `growth`: factor, at least 1, on σ² by which a model of the measured signals may miss more than one of the
-    reference condition's, shape (data,); it counts in the lack of fit alone.  `beyond`: by how much the motion
-    exceeds the range of the reference trials', relative to it.
+    inflated for the autocorrelation of the residuals.  `growth`: factor, at least 1, on σ² by which a model of the
+    measured signals may miss more than one of the reference condition's, shape (data,); it counts in the lack of fit
+    alone.  `beyond`: by how much the motion exceeds the range of the reference trials', relative to it.
     """
 
     model: ForwardModel
@@ -46,7 +45,6 @@ class Observed:
     features: Array
     weight: Array
     tau: Array
-    cost: float
     growth: Array
     beyond: float = 0.0
 
@@ -132,6 +130,15 @@ class PosteriorMode:
     def inward(self) -> Array:
         """HL."""
         return np.asarray(self.design @ self.factor)
+
+    def strain(self) -> float:
+        """Return the RMS departure from the prior's mean, in prior σ, over the directions that the data determine.
+
+        There are n − tr (I + LᵀHᵀWHL)⁻¹ such directions of n (MacKay 1992, effective number of parameters).
+        """
+        departure = solve_triangular(self.factor, self.x - self.prior_mean, lower=True)
+        determined = self.x.size - float(np.trace(cho_solve(self.inner, np.eye(self.x.size))))
+        return float(np.sqrt(departure @ departure / determined))
 
     def sd(self, gradient: Array) -> float:
         """Return 1σ of a scalar function of `x` from its `gradient` by `x`."""
@@ -296,6 +303,20 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant, further:
         spread = solved(further)
         applied -= spread @ np.linalg.solve(np.eye(further.shape[1]) + further.T @ spread, further.T @ applied)
     return effect, applied
+
+
+def own_error(at: PosteriorMode, observed: Observed, prior: Gaussian, variant: Variant) -> Array:
+    """Return columns of an error of the effect `variant` at its mode: its response times each feature of the states.
+
+    Shape (data, features).  An effect's equation differs from the bench's by a share of the effect, somewhere in motion
+    and load; a second effect must not be named for what that leaves.
+    """
+    table, without = at.table, at.q.copy()
+    healthy = prior.origin.copy()
+    healthy[list(table.free)] += prior.mean[:len(table.free)]
+    freed = [table.index[name] for direction in variant.directions for name in direction.along]
+    without[freed] = healthy[freed]
+    return np.asarray((observed.predicted(at.q) - observed.predicted(without))[:, None] * observed.features)
 
 
 def begun(base: PosteriorMode, variant: Variant | None, sizes: Array | None = None, kept: Sequence[Variant] = ()

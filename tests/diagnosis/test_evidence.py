@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import cho_factor, cho_solve
 
 from bowden.cli.app import run
 from diagnosis.data.table import Table, table
@@ -16,6 +17,7 @@ from diagnosis.evidence.decision import NAMED_NATS, threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.likelihood_data import GRID_S
 from diagnosis.evidence.path_model import PATH_MODEL
+from diagnosis.evidence.posterior import PosteriorMode
 from diagnosis.finder import diagnose
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
@@ -26,6 +28,10 @@ from tests.plants.draws import set_aside, structure
 
 HIDDEN = (Job(60, ("friction_drift",), 18), Job(27, ("end_gain",), 26))
 HEALTHY = Job(39, (), 9)
+AT_REST = Job(103, (), 5021)
+"""In the reference condition: a bench whose Stribeck speed the reference trial leaves at 2 mm/s."""
+BESIDE_A_DRIFT = Job(43, ("cable_friction", "start_drift"), 52)
+DRIFT = Job(63, ("friction_drift",), 18)
 HIGHER = Job(226, (), 5036)
 """In the reference condition: a trial at 50 N with one reference trial, at 40 N."""
 
@@ -176,6 +182,41 @@ def test_a_gait_of_a_higher_peak_than_the_only_reference_trial_names_nothing_and
     told = diagnose([made.trial], healthy=list(made.healthy))
     assert told.verdict == "none"
     assert "Record a reference trial (--healthy) with the motion and peak of the trial." in " ".join(told.warnings)
+
+
+@pytest.mark.exhaustive
+def test_rest_friction_is_sought_at_speeds_of_its_own() -> None:
+    made = case(AT_REST)
+    assert diagnose([made.trial], healthy=list(made.healthy)).verdict == "none"
+
+
+@pytest.mark.exhaustive
+def test_a_second_effect_is_named_beside_one_of_a_hundred_times_the_evidence() -> None:
+    made = case(BESIDE_A_DRIFT)
+    told = diagnose([made.trial], healthy=list(made.healthy))
+    assert set(BESIDE_A_DRIFT.hidden) <= set(told.rivals)
+
+
+@pytest.mark.exhaustive
+def test_what_an_effects_equation_leaves_gets_no_name() -> None:
+    made = case(DRIFT)
+    assert diagnose([made.trial], healthy=list(made.healthy)).rivals == ["friction_drift"]
+
+
+def test_trials_from_the_prior_depart_by_one_sigma_in_the_directions_that_they_determine() -> None:
+    random = np.random.default_rng(3)
+    design, factor = random.normal(size=(40, 12)) * np.geomspace(3.0, 1e-3, 12), np.eye(12)
+    inner = cho_factor(np.eye(12) + design.T @ design)
+    squares = []
+    for _ in range(400):
+        data = design @ random.normal(size=12) + random.normal(size=40)
+        x = cho_solve(inner, design.T @ data)
+        none = np.zeros(0)
+        at = PosteriorMode(PATH_MODEL.constants, none, x, (), 0.0, 0.0, factor, inner, design, design[:, :0], none,
+                           none, np.zeros(12))
+        squares.append(at.strain() ** 2)
+    # the mean of 400 draws of about seven squares each scatters by 2·√(2/7)/√400 = 5 % at two sigma
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.05)
 
 
 def _written(folder: Path, name: str, given: Table) -> Path:

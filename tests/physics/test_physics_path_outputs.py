@@ -1,4 +1,4 @@
-"""Lag and low-pass of the END reading, against their exact responses."""
+"""Lag and low-pass of the END reading, and the servo force ahead of START's lag, against exact responses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from physics.laws import Array
 from physics.path_constants import CONSTANTS, INDEX, values
-from physics.path_outputs import PathMotion, end_reading
+from physics.path_outputs import PathMotion, drive_force, end_reading
 
 STEP_S = 4e-3
 TIME_S: Array = STEP_S * np.arange(400, dtype=np.float64)
@@ -56,4 +56,15 @@ def test_a_sine_keeps_its_amplitude(lag_s: float, hz: float) -> None:
     told = read(np.sin(2.0 * np.pi * hz * TIME_S), lag_s, 0.0)
     exact = np.sin(2.0 * np.pi * hz * (TIME_S - lag_s))
     # the error of a cubic interpolation is of the third order in the step: (2π·hz·step)³/16 at most
+    np.testing.assert_allclose(told[INNER], exact[INNER], atol=(2.0 * np.pi * hz * STEP_S) ** 3 / 16.0 + 1e-12)
+
+
+@given(st.floats(-0.03, 0.03), st.floats(1.0, 8.0))
+def test_the_servo_force_has_start_as_it_was_before_its_lag(lag_s: float, hz: float) -> None:
+    constants = values(np.zeros((len(CONSTANTS), 1)))
+    constants[INDEX["start_lag"]] = lag_s
+    still: dict[str, Any] = dict.fromkeys(PathMotion.__annotations__, np.zeros(TIME_S.size))
+    motion: Any = SimpleNamespace(**still | {"start_n": np.sin(2.0 * np.pi * hz * (TIME_S - lag_s))})
+    told = drive_force(constants, motion, STEP_S)[0]
+    exact = np.sin(2.0 * np.pi * hz * TIME_S)
     np.testing.assert_allclose(told[INNER], exact[INNER], atol=(2.0 * np.pi * hz * STEP_S) ** 3 / 16.0 + 1e-12)
