@@ -367,10 +367,7 @@ def decoded(content: bytes) -> ReferenceFit:
         if "mapping" in value:
             return {k: built(v) for k, v in value["mapping"].items()}
         given = {k: built(v, k) for k, v in value["fields"].items()}
-        if name:
-            return kinds[name](**given)
-        known = {f.name for f in fields(ReferenceFit)}  # older ones have a mean cost, and no range of the motion
-        return ReferenceFit(PATH_MODEL, **{"reach": None, **{k: v for k, v in given.items() if k in known}})
+        return kinds[name](**given) if name else ReferenceFit(PATH_MODEL, **{"reach": None, **given})
 
     try:
         made: ReferenceFit = built(json.loads(held["structure"].tobytes()))

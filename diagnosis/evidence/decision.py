@@ -24,7 +24,8 @@ If it is too low, effects are named in reference trials; if it is too high, smal
 DOUBTED: Final = 2.0
 """Factor where constants absorb model error: on `NAMED_NATS` of a second effect, and of a name beyond doubt.
 
-A model has a lack of fit, too, if it needs constants that depart by that many session σ, RMS."""
+A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
+session σ, RMS, has a lack of fit, too."""
 SET_SHARE: Final = 0.5
 """Least log Bayes factor of the ambiguity set, relative to the best one; the set contains the true effect in 95 %."""
 FURTHER_SHARE: Final = 0.05
@@ -48,7 +49,8 @@ class Decision:
     `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
     ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
     of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output; under
-    `session`, the RMS departure of its constants and discrepancy, in σ between sessions.
+    `session`, the lesser of the model's cost (misfit and prior) relative to that of a reference trial, and the RMS
+    departure of its constants and discrepancy, in σ between sessions.
     """
 
     verdict: str
@@ -116,14 +118,15 @@ def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
-    """Return the mean squared residual over its variance by output, and the RMS departure in σ under `session`.
+    """Return the mean squared residual over its variance by output, and what `session` means in `Decision`.
 
     Residuals are clipped at `HUBER` σ, so that outliers count little.
     """
     observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
     told = {name: float(np.mean(np.minimum(observed.tau[k] * observed.part(squares, k), HUBER**2)))
             for k, name in enumerate(observed.outputs)}
-    return told | {"session": at.strain()}
+    cost = at.cost / (observed.data.size * observed.cost * float(observed.growth.mean()))
+    return told | {"session": min(cost, at.strain())}
 
 
 def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:

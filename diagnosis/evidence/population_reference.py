@@ -94,7 +94,7 @@ def reference_of_population(model: ForwardModel, trials: Sequence[Recording],
     return ReferenceFit(
         model, outputs, origin, bench, Gaussian(origin, mean, covariance + np.diag(session)),
         scaling_of(model, states), np.repeat(amplitude[:, None] ** 2, 4, axis=1), np.full(len(outputs), 2.0),
-        {name: MODEL_ERROR_N[name] for name in outputs}, reach_of(model, trials), ((q, zero),))
+        {name: MODEL_ERROR_N[name] for name in outputs}, 1.0, reach_of(model, trials), ((q, zero),))
 
 
 def _zeros(model: ForwardModel) -> Array:

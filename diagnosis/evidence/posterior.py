@@ -35,9 +35,10 @@ class Observed:
     """Data of the trials of one session, concatenated.
 
     `features`: Φ, shape (data, features).  `weight`: 1/σ², shape (data,).  `tau`: by output, the factor by which σ² is
-    inflated for the autocorrelation of the residuals.  `growth`: factor, at least 1, on σ² by which a model of the
-    measured signals may miss more than one of the reference condition's, shape (data,); it counts in the lack of fit
-    alone.  `beyond`: by how much the motion exceeds the range of the reference trials', relative to it.
+    inflated for the autocorrelation of the residuals.  `cost`: mean cost per datum of the reference trials at their
+    modes.  `growth`: factor, at least 1, on σ² by which a model of the measured signals may miss more than one of the
+    reference condition's, shape (data,); it counts in the lack of fit alone.  `beyond`: by how much the motion
+    exceeds the range of the reference trials', relative to it.
     """
 
     model: ForwardModel
@@ -45,6 +46,7 @@ class Observed:
     features: Array
     weight: Array
     tau: Array
+    cost: float
     growth: Array
     beyond: float = 0.0
 

@@ -85,7 +85,8 @@ class ReferenceFit:
 
     `bench`: posterior of the bench's constants and discrepancy, about the coordinates `origin`.  `prior`: prior of a
     further trial, which is `bench` with the session deviation.  `model_error`: variance by output and load quarter, N².
-    `tau`: noise inflation by output.  `reach`: range of their motion, None in a logbook that does not hold it.
+    `tau`: noise inflation by output.  `cost`: mean cost per datum of the reference trials at their modes.  `reach`:
+    range of their motion, None in a logbook that does not hold it.
     `identified`: coordinates and feature weights at the mode of each reference trial.  `scatter_n`: RMS error by
     output, N, of the other reference trials' models on one trial; a single trial is predicted by its model.
     """
@@ -99,6 +100,7 @@ class ReferenceFit:
     model_error: Array
     tau: Array
     scatter_n: Mapping[str, float]
+    cost: float
     reach: Reach | None
     identified: tuple[tuple[Array, Array], ...] = ()
 
@@ -136,7 +138,7 @@ class ReferenceFit:
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
         return Observed(self.model, trials, np.concatenate(made),
                         np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
-                        self.tau, np.concatenate([self._grown(t) for t in trials]),
+                        self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]),
                         0.0 if self.reach is None else max(self.reach.exceeded(self.model.motion(t)) for t in trials))
 
     def prior_of(self, observed: Observed) -> Gaussian:
@@ -208,7 +210,7 @@ def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: i
     free, none = list(model.constants.free), np.zeros((trial.data.size, 0))
     weight = np.repeat([model.first_noise[n] ** -2 for n in trial.outputs], trial.bins)
     even = np.ones(len(trial.outputs))
-    rough, fine = (Observed(model, (trial,), none, w, even, np.ones(w.size)) for w in (weight / HUBER**2, weight))
+    rough, fine = (Observed(model, (trial,), none, w, even, 1.0, np.ones(w.size)) for w in (weight / HUBER**2, weight))
     begin = [(at - prior.origin)[free] for at in model.scanned(model.origin(trial), trial)[:starts]]
     return min((mode(fine, prior, start=mode(rough, prior, start=start).x) for start in begin), key=lambda m: m.cost)
 
@@ -286,7 +288,7 @@ class _Fit:
         prior = Gaussian(bench.origin, bench.mean + self._lift(bench.mean),
                          bench.covariance + np.diag(self._session()))
         return ReferenceFit(self.model, self.outputs, self.origin, bench, prior, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, self.reach, tuple(self.identified))
+                            self.tau, self.scatter_n, self._mean_cost(), self.reach, tuple(self.identified))
 
     def _bounded(self) -> Gaussian:
         """Return the bench at the joint mode, its covariance linearised where "positive" constants are above 0.
@@ -329,6 +331,11 @@ class _Fit:
             squares += ((x - self.bench) ** 2 + left)[:len(self.free)]
         count = len(self.trials)
         self.session_sd[self.free] = np.sqrt((PRIOR_SESSIONS * prior + squares) / (PRIOR_SESSIONS + count))
+
+    def _mean_cost(self) -> float:
+        """Return the mean cost per datum of the reference trials at their modes."""
+        costs = [self._trial_cost(k, self.bench, x) / self.trials[k].data.size for k, x in enumerate(self.at)]
+        return float(np.mean(costs))
 
     def _constants(self, x: Array) -> Array:
         """Return the coordinates of all constants at a departure from the origin."""
@@ -472,7 +479,7 @@ class _Fit:
     def _reference(self) -> ReferenceFit:
         empty = Gaussian(self.origin, np.zeros(0), np.zeros((0, 0)))
         return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.model_error,
-                            self.tau, self.scatter_n, self.reach)
+                            self.tau, self.scatter_n, 1.0, self.reach)
 
     def _noise(self) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
