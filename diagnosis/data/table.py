@@ -78,8 +78,8 @@ def read(path: str | Path, joint: str | None = None) -> Table:
     """Read a trial (.mcap) or a table (CSV, .gz, Parquet, .mat, .mf4) with a subset of the canonical headers.
 
     `joint`: of a table whose columns are `<joint>.<header>`, the joint or force path to read.
-    Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal, and for
-    a table of several joints of which none, or another one, is named.
+    Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.  It does
+    so, too, for a table of several joints if none of them is named.
     """
     path = Path(path)
     refuse_special(path)

@@ -48,9 +48,9 @@ class Decision:
 
     `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
     ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
-    of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output; under
-    `session`, the lesser of the model's cost (misfit and prior) relative to that of a reference trial, and the RMS
-    departure of its constants and discrepancy, in σ between sessions.
+    of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output.  Its key
+    `session`: the model's cost (misfit and prior) relative to that of a reference trial, or the RMS departure of its
+    constants and discrepancy, in σ between sessions, whichever is less.
     """
 
     verdict: str
@@ -145,7 +145,7 @@ def none(decided: Decision) -> Decision:
 
 
 def without_last(found: Searched, decided: Decision) -> Decision:
-    """Return the decision without its last chosen effect; `unexplained` if what is left has a lack of fit."""
+    """Return the decision without its last chosen effect; `unexplained` if the rest has a lack of fit."""
     chosen = decided.chosen[:-1]
     misfit = misfits(found, found.single[chosen[0]] if chosen else found.null)
     if lacks(misfit, misfits(found, found.null) if chosen else None):

@@ -310,8 +310,8 @@ def response(null: PosteriorMode, observed: Observed, variant: Variant, further:
 def own_error(at: PosteriorMode, observed: Observed, prior: Gaussian, variant: Variant) -> Array:
     """Return columns of an error of the effect `variant` at its mode: its response times each feature of the states.
 
-    Shape (data, features).  An effect's equation differs from the bench's by a share of the effect, somewhere in motion
-    and load; a second effect must not be named for what that leaves.
+    Shape (data, features).  An effect's equation differs from the bench's by a share of the effect that depends on
+    motion and load.
     """
     table, without = at.table, at.q.copy()
     healthy = prior.origin.copy()
