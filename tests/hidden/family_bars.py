@@ -63,7 +63,7 @@ def _faint(a: Answer) -> bool:
 
 
 SHARES = (
-    Share("right class", _one, lambda a: a.right, 93.0, 85.0),
+    Share("right class", _one, lambda a: a.right, 88.0, 80.0),
     Share("first name", _one, lambda a: a.named[:1] == a.job.hidden, 88.0),
     Share("wrong name", _one, lambda a: a.wrong, 2.0, 4.0, False),
     Share("part right", _judged_part, lambda a: a.part == HYPOTHESES[a.job.hidden[0]].part, 92.0, 85.0),
@@ -74,8 +74,8 @@ SHARES = (
           lambda a: a.verdict == "unexplained"),
     Share("outside: named", _outside, lambda a: bool(a.rivals), 2.0, None, False),
     Share("outside: unexplained", _outside, lambda a: a.verdict == "unexplained", 90.0),
-    Share("pairs: class", _two, lambda a: a.right, 80.0),
-    Share("pairs: one right", _two, lambda a: bool(set(a.job.hidden) & set(a.rivals)), 95.0),
+    Share("pairs: class", _two, lambda a: a.right, 70.0),
+    Share("pairs: one right", _two, lambda a: bool(set(a.job.hidden) & set(a.rivals)), 97.0),
     Share("after the experiment: truth in the class", _again,
           lambda a: a.after is not None and a.job.hidden[0] in a.after.rivals, 95.0),
     Share("… alone", _again, lambda a: a.after is not None and a.after.rivals == a.job.hidden),
@@ -84,7 +84,7 @@ SHARES = (
     Share("… in the class", lambda a: bool(a.job.left_out and a.job.hidden), lambda a: a.right),
     Share("not counted by the oracle: wrong name", _faint, lambda a: a.wrong),
 )
-MOST_ERROR, LEAST_COVERED = 10.0, 90.0
+MOST_ERROR, LEAST_COVERED = 5.0, 90.0
 """Median error of a parameter, %, at most; share of the intervals that hold the truth, %, at least."""
 
 
@@ -164,7 +164,7 @@ RIGS: tuple[tuple[str, Part], ...] = (
     *((f"knee: {knee}", lambda a, knee=knee: draws.structure(a.job.serial).knee == knee) for knee in KNEES),
 )
 BY_RIG = ("right class", "wrong name", "false alarms", "pairs: class")
-SEPARATIONS = (oracle.COUNTS_FROM, 200.0, 1000.0, 5000.0, math.inf)
+SEPARATIONS = (oracle.COUNTS_FROM, 1000.0, 5000.0, math.inf)
 """χ² of the oracle between which the bars are told by how plain an effect is; from the first on a case counts."""
 BY_SEPARATION = ("right class", "first name", "wrong name", "pairs: class", "pairs: one right")
 
