@@ -130,6 +130,7 @@ def _tension(scale: RigScale) -> Sequence[ModelConstant]:
     row, size, peak = ModelConstant, scale.spread[START], scale.peak[START]
     return [
         row("ratio", "", 1.0, "linear", 0.2, 0.005, "START over END without friction"),
+        row("ratio_slope", "", 0.0, "linear", 0.1, 0.005, "relative change of the ratio over the stroke"),
         row("offset", "N", 0.0, "linear", 0.1 * peak, 0.003 * peak, "difference of the sensors' zeros"),
         row("spring", "N/m", 0.0, "linear", size / scale.stroke, 0.05 * size / scale.stroke,
             "force between the tensions by position"),

@@ -68,10 +68,11 @@ def friction(given: Constants, motion: RigMotion, prefix: str, load: Array, spee
 
 
 def start_force(given: Constants, motion: RigMotion, end: Array, sense: float, scale: RigScale, step_s: float) -> Array:
-    """Return START from END, N: ratio, offset, spring of position and friction; `sense`: its sign over the motion."""
+    """Return START from END, N: ratio by position, offset, spring, friction; `sense`: its sign over the motion."""
     rubbed = friction(given, motion, "", np.abs(end) / scale.end, scale.speed)
-    return late(given["ratio"] * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean())
-                + sense * rubbed, given["start_lag"], step_s)
+    ratio = given["ratio"] * (1.0 + given["ratio_slope"] * (motion.x - motion.x.mean()) / scale.stroke)
+    return late(ratio * end + given["offset"] + given["spring"] * (motion.x - motion.x.mean()) + sense * rubbed,
+                given["start_lag"], step_s)
 
 
 def spring_force(given: Constants, motion: RigMotion, joint: Array, scale: RigScale, step_s: float) -> Array:

@@ -44,6 +44,28 @@ def seal(columns: rigs.Columns, rubs: float = 6.0) -> Table:
                           "tension_end_n": end + noise[1]})
 
 
+def on_a_cam(seed: int, rubs: float = 6.0) -> Table:
+    """Return a rod on a cam: the ratio of its forces rises by 30 % over the stroke of 40 mm."""
+    time = np.arange(0.0, 24.0, 0.01)
+    random = np.random.default_rng(seed)
+    at = 0.02 * np.sin(2.0 * np.pi * (0.3 * time + random.random()))
+    end = 50.0 + 15.0 * np.sin(2.0 * np.pi * (0.11 * time + random.random()))
+    start = end * (1.0 + 0.3 * at / 0.04) + rubs * np.tanh(np.gradient(at, time) / 1e-3)
+    noise = 0.05 * random.standard_normal((2, time.size))
+    return table(f"cam_{seed}", {"time_s": time, "servo_position_m": at, "tension_start_n": start + noise[0],
+                                 "tension_end_n": end + noise[1]})
+
+
+def test_a_ratio_may_change_with_the_position() -> None:
+    finder = known([on_a_cam(1), on_a_cam(2)])
+    nothing, rubbed = finder.diagnose([on_a_cam(3)]), finder.diagnose([on_a_cam(3, 9.0)])
+    shifts = (nothing.evidence or {})["shifts"]
+    assert shifts["ratio_slope"]["from"] == pytest.approx(0.3, rel=0.02)
+    assert nothing.verdict == "none"
+    assert nothing.relations["tension_start_n"].rmse_before < 0.3  # noise and low-pass; the ratio alone would leave 1 N
+    assert "cable_friction" in rubbed.rivals
+
+
 def numbered(seed: int) -> rigs.Columns:
     return {"seed": np.array([float(seed)])}
 
