@@ -41,7 +41,7 @@ def simulation_values(path: Values) -> dict[str, float]:
     Each value lies within the bounds of its row of the parameter table.
     """
     given = healthy() | {name: path[constant] for name, constant in DIRECT.items()} | _friction(path)
-    given |= _stretch(path) | _anchor(path)
+    given |= stretch_of(path) | _anchor(path)
     given |= {"home_preload": 0.0, "end_delay": path["end_lag"] - path["start_lag"],
               "drive_presliding": PRESLIDING * path["drive_travel"]}
     return {name: min(max(value, p.low), p.high) for name, value in given.items()
@@ -61,7 +61,8 @@ def _friction(path: Values) -> dict[str, float]:
         "fabric_presliding_ratio": path["fabric_travel"] / path["cable_travel"]}
 
 
-def _stretch(path: Values) -> dict[str, float]:
+def stretch_of(path: Values) -> dict[str, float]:
+    """Return the simulation's stretch parameters that have the path's stretch between 10 and 60 N."""
     strain = np.linspace(0.0, 4.0, 4001)
     tension = path["stiffness"] * strain * (1.0 + strain * (path["curve2"] + strain * path["curve3"]))
     delayed = path["prompt"] + 0.5 * path["slow"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -142,16 +142,3 @@ def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None
 def none(decided: Decision) -> Decision:
     """Return the decision with verdict `none` and without effects."""
     return Decision("none", (), (), None, decided.gains, decided.misfit)
-
-
-def without_last(found: Searched, decided: Decision) -> Decision:
-    """Return the decision without its last chosen effect; `unexplained` if the rest has a lack of fit."""
-    chosen = decided.chosen[:-1]
-    misfit = misfits(found, found.single[chosen[0]] if chosen else found.null)
-    if lacks(misfit, misfits(found, found.null) if chosen else None):
-        return Decision("unexplained", (), (), decided.part, decided.gains, misfit)
-    if not chosen:
-        return replace(none(decided), misfit=misfit)
-    among = _set(decided.gains, chosen)
-    return replace(decided, verdict="found" if len(among) == 1 else "ambiguous", chosen=chosen, among=among,
-                   misfit=misfit)

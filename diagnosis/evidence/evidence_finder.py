@@ -123,12 +123,14 @@ class EvidenceFinder:
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
+        while beyond := _beyond(found, decided, bench):
+            name, sentence = beyond
+            said.append(sentence)
+            found.refused.add(name)
+            decided = self._decided(found)
         if doubted := self._doubted(found, decided, outputs):
             said.append(doubted)
             decided = decision.none(decided)
-        while beyond := _beyond(found, decided, bench):
-            said.append(beyond)
-            decided = decision.without_last(found, decided)
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
             if split is None:
@@ -345,10 +347,10 @@ def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
     return 1.96 * float(np.hypot(_sd(at, lambda v: read(v, bench)), SURROGATE * abs(change)))
 
 
-def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> str:
-    """Return a sentence on the first chosen effect whose main parameter has its 95 % interval outside the bounds.
+def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> tuple[str, str] | None:
+    """Return the first chosen effect whose main parameter has its 95 % interval outside the bounds, and a sentence.
 
-    The main parameter is the first one of the effect.  "" if there is no such effect.
+    The main parameter is the first one of the effect.
     """
     model, at = found.observed.model, _mode_of(found, decided)
     constants = model.constants.named(at.q)
@@ -358,9 +360,9 @@ def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> s
         value = read(constants, bench)
         half = _half(at, read, bench)
         if value + half < low or value - half > high:
-            return (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
-                    + f", which is outside {low:g} … {high:g}: it is not named.")
-    return ""
+            return name, (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
+                          + f", which is outside {low:g} … {high:g}: it is not named.")
+    return None
 
 
 def _variants(found: Searched, decided: Decision) -> list[Variant]:

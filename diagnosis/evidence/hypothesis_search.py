@@ -26,6 +26,7 @@ class Searched:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
     `variants`: the variant that each effect of `single` was fitted with.  `paired`: that of each second effect.
+    `refused`: effects that are no candidates, since their best value is none that they can have.
     """
 
     observed: Observed
@@ -35,16 +36,18 @@ class Searched:
     variants: dict[str, Variant] = field(default_factory=dict)
     pair: dict[tuple[str, str], PosteriorMode] = field(default_factory=dict)
     paired: dict[str, Variant] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)
 
     def gains(self) -> dict[str, float]:
-        """Return the log Bayes factor, nats, of each fitted effect against the null, best first."""
-        found = {name: at.log_evidence - self.null.log_evidence for name, at in self.single.items()}
+        """Return the log Bayes factor, nats, of each candidate against the null, best first."""
+        found = {name: at.log_evidence - self.null.log_evidence for name, at in self.single.items()
+                 if name not in self.refused}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
     def further(self, name: str) -> dict[str, float]:
         """Return the log Bayes factor, nats, of each pair with effect `name` against `name` alone, best first."""
         alone = self.single[name].log_evidence
-        found = {b if a == name else a: at.log_evidence - alone for (a, b), at in self.pair.items() if name in (a, b)}
+        found = {b: at.log_evidence - alone for (a, b), at in self.pair.items() if a == name and b not in self.refused}
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -133,7 +136,10 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
                                    key=lambda r: float(r[0]))
         rated.append((gain, name, variant, sizes))
     for _, name, variant, sizes in sorted(rated, key=lambda r: -r[0])[:most]:
-        _keep(found, name, variant, _fit(found, [variant], begun(base, variant, sizes)))
+        fitted = _fit(found, [variant], begun(base, variant, sizes))
+        _keep(found, name, variant, fitted)
+        if fitted is None or fitted.cost > found.null.cost:  # an effect contains the null, so that this is no mode
+            _keep(found, name, variant, _fit(found, [variant], begun(found.null, variant)))
 
 
 def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 from physics.path_constants import LOAD_PER_STEP, PRESLIDING
+from physics.path_parameters import stretch_of
 
 Values = Mapping[str, float]
 Read = Callable[[Values, Values], float]
@@ -109,7 +110,8 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
         ({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4)),), {
             "presliding": lambda v, b: PRESLIDING * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
     "friction_drift": _one(FRICTION, "drift", 0.5, "friction_drift"),
-    "stiffness": Hypothesis(ELASTICITY, _stiffer, {"stiffness_scale": lambda v, b: v["stiffness"] / 40.0}),
+    "stiffness": Hypothesis(ELASTICITY, _stiffer, {
+        "stiffness_scale": lambda v, b: stretch_of(v)["stiffness_scale"]}),
     "fabric_creep": Hypothesis(ELASTICITY, _creeps, {
         "creep_compliance": lambda v, b: v["creep"], "creep_time": lambda v, b: v["creep_time"]}),
     "end_gain": _one(ELASTICITY, "end_gain", 0.06, needs=END),
