@@ -43,7 +43,7 @@ reproduce: $(VENV)/.installed-test
 
 hidden: $(VENV)/.installed-test
 	$(BIN)/python -m tests.hidden.run --page
-	$(BIN)/python -m tests.hidden.family_run --aside --first 7200 --every 4 --page
+	$(BIN)/python -m tests.hidden.family_run --aside --first 7800 --every 4 --page
 
 faults: $(VENV)/.installed-test
 	$(BIN)/python -m tests.faults.run --stealth --page docs/faults.md
