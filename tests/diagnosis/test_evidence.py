@@ -22,7 +22,8 @@ from diagnosis.finder import diagnose
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS
-from physics.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, values
+from physics.path_constants import FREE, INDEX, NAMES, PATH_ROWS, TABLE, coordinates_of, named, values
+from physics.path_parameters import simulation_values
 from tests.hidden.family import Job, case
 from tests.plants.draws import set_aside, structure
 
@@ -32,6 +33,8 @@ AT_REST = Job(103, (), 5021)
 """In the reference condition: a bench whose Stribeck speed the reference trial leaves at 2 mm/s."""
 BESIDE_A_DRIFT = Job(43, ("cable_friction", "start_drift"), 52)
 DRIFT = Job(63, ("friction_drift",), 18)
+OUTSIDE_BOUNDS = Job(171, (), 5031)
+"""In the reference condition: the best effect is a wrap that no fabric has."""
 HIGHER = Job(226, (), 5036)
 """In the reference condition: a trial at 50 N with one reference trial, at 40 N."""
 
@@ -201,6 +204,34 @@ def test_a_second_effect_is_named_beside_one_of_a_hundred_times_the_evidence() -
 def test_what_an_effects_equation_leaves_gets_no_name() -> None:
     made = case(DRIFT)
     assert diagnose([made.trial], healthy=list(made.healthy)).rivals == ["friction_drift"]
+
+
+@pytest.mark.exhaustive
+def test_an_effect_outside_its_bounds_is_no_candidate() -> None:
+    made = case(OUTSIDE_BOUNDS)
+    told = diagnose([made.trial], healthy=list(made.healthy))
+    assert told.verdict == "none"
+    assert told.evidence is not None
+    assert "fabric_wrap would explain the trial" in " ".join(told.warnings)
+    assert "fabric_wrap" not in told.evidence["log_bayes_factors"]
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+def test_the_stiffness_is_told_as_the_simulation_reads_it(scale: float) -> None:
+    q = coordinates_of(np.array(list(bench_values(lead=1e-9, prompt=1e-9, slow=1e-9).values())))
+    stiffness = HYPOTHESES["stiffness"]
+    for name, share in stiffness.variants(named(q))[0].directions[0].along.items():
+        q[INDEX[name]] += math.log(scale) * share
+    read = stiffness.reads["stiffness_scale"]
+    before, after = (read(at, at) for at in (bench_values(lead=1e-9, prompt=1e-9, slow=1e-9), named(q)))
+    # the direction is the tangent of a stretch that is 1/s as long
+    assert after / before == pytest.approx(scale, rel=0.03)
+    assert after == simulation_values(named(q))["stiffness_scale"]
+
+
+def bench_values(**given: float) -> dict[str, float]:
+    """Constants of the population's middle, by name, with those that are given."""
+    return dict(zip(NAMES, values(np.zeros(len(TABLE))), strict=True)) | given
 
 
 def test_trials_from_the_prior_depart_by_one_sigma_in_the_directions_that_they_determine() -> None:
