@@ -15,7 +15,7 @@ from physics.laws import Array
 class Compared:
     """A measured signal and its residuals, measured less simulated, in `unit`, each of shape (samples,).
 
-    `output`: name of the signal.  `before`: residual of the simulation as it was.  `after`: residual with the effects
+    `output`: name of the signal.  `before`: residual of the reference condition.  `after`: residual with the effects
     found.  `signals`: other columns at the same samples.  `cycle`: number of the gait cycle.
     """
 

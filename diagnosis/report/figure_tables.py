@@ -26,9 +26,8 @@ def relations(page: Page, found: Findings) -> None:
     page.table(("signal", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high", "held-out before",
                 "after"), [(key, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high,
                             f.holdout_before, f.holdout_after) for key, f in found.relations.items()])
-    page.text("Before: the simulation as it was. After: with what was found. Floor: residual of trials of a healthy "
-              "bench (a dash: none was given). Held out: trials given with --holdout, to which nothing was fitted.",
-              "note")
+    page.text("Before: the reference condition as identified. After: with the named effects. Floor: what reference "
+              "trials miss of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")
 
 
 def rivals(page: Page, found: Findings) -> None:
@@ -36,26 +35,20 @@ def rivals(page: Page, found: Findings) -> None:
     chosen = {c["effect"] for c in found.causes}
     if len(found.rivals) <= len(chosen):
         return
-    page.heading("The class: effects that these data cannot tell apart")
-    page.table(("effect", "what it means", "experiment that would tell", "what to look at"), [
+    page.heading("Ambiguity set: effects that these data do not separate")
+    page.table(("effect", "what it means", "experiment that would separate them", "what to look at"), [
         (name + (" (chosen)" if name in chosen else ""), CATALOGUE[name].words,
          EXPERIMENTS[CATALOGUE[name].experiment].motion, EXPERIMENTS[CATALOGUE[name].experiment].reads)
         for name in found.rivals])
 
 
 def ranking(page: Page, found: Findings) -> None:
-    """Add the table of fitted effects, with the log Bayes factor of each."""
+    """Add the tables of fitted effects, by log Bayes factor, and of the constants on the bench and in the trial."""
     page.section("What was tried")
-    if found.evidence:
-        _bayes_factors(page, found)
+    evidence = found.evidence
+    if not evidence:
+        page.text("Nothing was fitted.", "note")
         return
-    page.text("Nothing was fitted.", "note")
-
-
-def _bayes_factors(page: Page, found: Findings) -> None:
-    """Add a table of the fitted effects' log Bayes factors, and a table of the constants on the bench and in the trial.
-    """
-    evidence = found.evidence or {}
     page.text("Log Bayes factor: by how many nats the trial is likelier with the effect than without any. An effect is "
               f"named from {evidence['named_nats']:g} nats; all that reach {100 * SET_SHARE:g} % of the best are in "
               "the ambiguity set.", "note")

@@ -55,7 +55,7 @@ def section(page: Page, found: Findings) -> None:
         return
     page.heading(f"The strongest relation, {one.relation}: measured less simulated over {one.word}")
     page.text("Residual: measured less simulated. Thick line: mean in each bin. Band: its root mean square either side "
-              "of zero. Before: the simulation as it was; after: with what was found.", "note")
+              "of zero. Before: the reference condition as identified; after: with the named effects.", "note")
     series = []
     for label, (mean, square), colour in (("before", one.before, BEFORE), ("after", one.after, AFTER)):
         series += [Series(label, -square, colour, high=square, width=0.3), Series(label, mean, colour, width=2.2)]
