@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bowden import Diagnosis
+from bowden.cli.app import run
 from diagnosis.data.table import Table, read, table
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
@@ -91,6 +92,22 @@ def test_a_table_of_several_joints_needs_the_name_of_one(tmp_path: Path) -> None
         Diagnosis().fit([file])
     assert read(file, "elbow").joints == ("shoulder", "elbow")
     assert "shoulder.servo_position_m" in read(file, "elbow")
+
+
+def test_the_commands_take_the_joint_as_a_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = []
+    for seed in (1, 2, 3):
+        columns = rigs.two_link_arm(seed)
+        files.append(str(tmp_path / f"arm_{seed}.csv"))
+        np.savetxt(files[-1], np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns),
+                   comments="")
+    assert run(["diagnose", files[2], "--healthy", files[0]]) == 2
+    assert "records shoulder, elbow; name one with --path" in capsys.readouterr().err
+    assert run(["diagnose", files[2], "--healthy", files[0], "--healthy", files[1], "--path", "elbow"]) == 0
+    assert "Path elbow." in capsys.readouterr().out
+    model = tmp_path / "elbow.toml"
+    assert run(["fit", files[0], files[1], "--path", "elbow", "-o", str(model)]) == 0
+    assert "[rig.unbalance]" in model.read_text(encoding="utf-8")
 
 
 def test_a_table_of_several_force_paths_is_read_path_by_path() -> None:
