@@ -348,18 +348,14 @@ def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
 
 
 def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> tuple[str, str] | None:
-    """Return the first chosen effect whose main parameter has its 95 % interval outside the bounds, and a sentence.
-
-    The main parameter is the first one of the effect.
-    """
+    """Return the first chosen effect whose main parameter, its first one, is outside the bounds, and a sentence."""
     model, at = found.observed.model, _mode_of(found, decided)
     constants = model.constants.named(at.q)
     for name in decided.chosen:
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
         low, high, unit = model.limits(name, parameter)
         value = read(constants, bench)
-        half = _half(at, read, bench)
-        if value + half < low or value - half > high:
+        if not low <= value <= high:
             return name, (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
                           + f", which is outside {low:g} … {high:g}: it is not named.")
     return None
