@@ -189,13 +189,15 @@ def _clock(trials: Sequence[Table], healthy: Sequence[Table], found: Findings, t
     """Return a sentence if a wrong clock in `time_s` explains a changed inertia of a rig; else "".
 
     If the clock runs k times too fast, accelerations appear k² times too small, and the inertia k² times too large,
-    within `tolerance`, relative; a ratio k closer to 1 than that is no wrong clock.
+    within `tolerance`, relative; a ratio k closer to 1 than that is no wrong clock.  The inertia is that of the reported
+    force, which the drive's gain divides.
     """
-    told = (found.evidence or {}).get("shifts", {}).get("inertia")
+    shifts = (found.evidence or {}).get("shifts", {})
+    told, gain = shifts.get("inertia"), shifts.get("demand_gain", {"from": 1.0, "to": 1.0})
     if told is None or told["from"] <= 0.0:
         return ""
     paces = [float(np.median(np.concatenate([np.diff(t["time_s"]) for t in group]))) for group in (trials, healthy)]
-    factor, change = paces[0] / paces[1], told["to"] / told["from"]
+    factor, change = paces[0] / paces[1], told["to"] / told["from"] * gain["from"] / gain["to"]
     if abs(factor - 1.0) < tolerance or abs(change / factor**2 - 1.0) > tolerance:
         return ""
     return (f"{', '.join(t.source for t in trials)}: time_s advances {factor:.3g} times as far a row as in the "
