@@ -189,8 +189,8 @@ def _clock(trials: Sequence[Table], healthy: Sequence[Table], found: Findings, t
     """Return a sentence if a wrong clock in `time_s` explains a changed inertia of a rig; else "".
 
     If the clock runs k times too fast, accelerations appear k² times too small, and the inertia k² times too large,
-    within `tolerance`, relative; a ratio k closer to 1 than that is no wrong clock.  The inertia is that of the reported
-    force, which the drive's gain divides.
+    within `tolerance`, relative; a ratio k closer to 1 than that is no wrong clock.  The inertia is that of the
+    reported force, which the drive's gain divides.
     """
     shifts = (found.evidence or {}).get("shifts", {})
     told, gain = shifts.get("inertia"), shifts.get("demand_gain", {"from": 1.0, "to": 1.0})
