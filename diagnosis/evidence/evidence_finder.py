@@ -348,14 +348,15 @@ def _half(at: PosteriorMode, read: Read, bench: Mapping[str, float]) -> float:
 
 
 def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> tuple[str, str] | None:
-    """Return the first chosen effect whose main parameter, its first one, is outside the bounds, and a sentence."""
+    """Return the first chosen effect whose main parameter, its first one, is 1σ outside the bounds, and a sentence."""
     model, at = found.observed.model, _mode_of(found, decided)
     constants = model.constants.named(at.q)
     for name in decided.chosen:
         parameter, read = next(iter(model.hypotheses[name].reads.items()))
         low, high, unit = model.limits(name, parameter)
         value = read(constants, bench)
-        if not low <= value <= high:
+        sd = _half(at, read, bench) / 1.96
+        if value + sd < low or value - sd > high:
             return name, (f"{name} would explain the trial with {parameter} = {value:.3g} {unit}".rstrip()
                           + f", which is outside {low:g} … {high:g}: it is not named.")
     return None
