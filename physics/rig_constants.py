@@ -59,6 +59,11 @@ class RigColumns(NamedTuple):
     joints: tuple[str, ...] = ("",)
     joint: str = ""
 
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Return the links that the drive moves, each by the name of its joint, its own first."""
+        return self.joints[self.joints.index(self.joint):]
+
     def unit(self, linear: str) -> str:
         """Return the unit on this linear or turning axis of a quantity that has the unit `linear` on a linear one."""
         units: Mapping[str, str] = VOLT_UNITS if self.volts else TURNED_UNITS if self.turning else {}
@@ -173,10 +178,8 @@ def links_of(rig: RigColumns) -> tuple[list[str], list[tuple[str, str]]]:
 
     A link is named by its joint.  The first link's inertia is the constant `inertia`.
     """
-    own = rig.joints.index(rig.joint)
-    moved = rig.joints[own:]
-    pairs = [(a, b) for k, b in enumerate(rig.joints) for a in rig.joints[:k] if k >= own]
-    return [name for name in moved if name != rig.joints[0]], pairs
+    pairs = [(a, b) for k, b in enumerate(rig.joints) for a in rig.joints[:k] if b in rig.moved]
+    return [name for name in rig.moved if name != rig.joints[0]], pairs
 
 
 def gravity_of(name: str, rig: RigColumns) -> tuple[str, str]:
@@ -194,7 +197,7 @@ def _arm(rig: RigColumns, scale: RigScale) -> Sequence[ModelConstant]:
                 f"inertia of link {name} about its joint", step=0.01 * heavy) for name in links]
     rows += [row(f"{BETWEEN}{a}_{b}", "kg", 0.0, "linear", heavy, RELATIVE_SD["inertia"] * heavy,
                  f"inertia that couples links {a} and {b}", step=0.01 * heavy) for a, b in pairs]
-    for name in rig.joints[rig.joints.index(rig.joint) + 1:]:
+    for name in rig.moved[1:]:
         weight, phase = gravity_of(name, rig)
         rows += [row(weight, "N·m", size, "log", 1.5, 0.02, f"largest torque of gravity on link {name}"),
                  row(phase, "rad", 0.0, "linear", 2.0, 0.02, f"angle of the mass of link {name} from below")]

@@ -103,10 +103,9 @@ def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: R
 
 def _gravity(given: Constants, links: Array, rig: RigColumns) -> Array:
     """Return the torque of gravity on the links that a drive of an arm moves, N·m."""
-    own = rig.joints.index(rig.joint)
-    named = [gravity_of(name, rig) for name in rig.joints[own:]]
+    named = [gravity_of(name, rig) for name in rig.moved]
     return np.asarray(sum(given[weight] * np.sin(angle + given[phase])
-                          for (weight, phase), angle in zip(named, links[0, own:], strict=True)))
+                          for (weight, phase), angle in zip(named, links[0, -len(named):], strict=True)))
 
 
 def link_torques(links: Array, rig: RigColumns) -> dict[str, Array]:
@@ -116,14 +115,14 @@ def link_torques(links: Array, rig: RigColumns) -> dict[str, Array]:
     τⱼ = Σ_{l≥j} Σₘ Aₗₘ·(cos(θₗ − θₘ)·θ̈ₘ + sin(θₗ − θₘ)·θ̇ₘ²).  The part of A of the own angle's acceleration is
     `inertia`.
     """
-    own, (angle, rate, acceleration) = rig.joints.index(rig.joint), links
+    angle, rate, acceleration = links
     single, pairs = links_of(rig)
     told = {LINK + name: acceleration[rig.joints.index(name)] for name in single}
     for first, second in pairs:
         a, b = rig.joints.index(first), rig.joints.index(second)
         apart = angle[a] - angle[b]
         torque = np.cos(apart) * acceleration[a] - np.sin(apart) * rate[a] ** 2
-        if a >= own:
+        if first in rig.moved:
             torque = torque + np.cos(apart) * acceleration[b] + np.sin(apart) * rate[b] ** 2
         told[f"{BETWEEN}{first}_{second}"] = torque
     return told

@@ -31,9 +31,7 @@ def names(trial: Trial) -> tuple[str, ...]:
 def one_path(trial: Trial, path: str) -> Trial:
     """Return one force path of a trial as a trial; raises `InputError` for a path that it has not."""
     known = names(trial)
-    if path not in known:
-        raise InputError(f"{trial.path}: has no path {path}; " + (
-            f"expected one of {', '.join(known)}." if known else "it records a single one: leave --path out."))
+    refuse_unknown(str(trial.path), path, known)
     metadata = {key: text for key, text in _own(trial.metadata, path, known).items() if key != PATHS}
     result = None if trial.result is None else dict(trial.result)
     homed: Any = (result or {}).pop("homed", {})
@@ -50,6 +48,13 @@ def one_path(trial: Trial, path: str) -> Trial:
     if metadata.get(ALONE) != "true":
         vars(found)["frames"] = trial.frames[:0]
     return found
+
+
+def refuse_unknown(source: str, path: str, known: tuple[str, ...]) -> None:
+    """Raise `InputError` if a file of the paths `known` does not have a path."""
+    if path not in known:
+        raise InputError(f"{source}: has no path {path}; " + (
+            f"expected one of {', '.join(known)}." if known else "it records a single one: leave --path out."))
 
 
 def _own(given: Mapping[str, T], path: str, known: tuple[str, ...]) -> dict[str, T]:

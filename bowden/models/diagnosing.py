@@ -27,8 +27,8 @@ class Diagnosis:
     """Diagnosis of trials of one bench, with the interface of a scikit-learn estimator.
 
     `model`: the identified bench model, or its calibration.toml (None: the one attached to each trial). `lowpass_hz`:
-    cut-off of the zero-phase low-pass put on every signal first. `path`: of tables whose columns are
-    `<joint>.<header>`, the joint or force path.
+    cut-off of the zero-phase low-pass put on every signal first. `path`: force path of trials of
+    several, or joint of tables whose columns are `<joint>.<header>`.
     """
 
     def __init__(self, model: Model | None = None, *, lowpass_hz: float | None = None, path: str | None = None) -> None:

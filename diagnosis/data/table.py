@@ -19,9 +19,10 @@ from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
 from physics.plant.leg import KNEE_AT_FIT
+from trial import paths
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
-from trial.signals import MOTION_AND_FORCE
+from trial.signals import MOTION_AND_FORCE, of_path
 
 UNITS: Final[Mapping[str, str]] = {signal.name: signal.unit for signal in MOTION_AND_FORCE}
 """Unit of each signal by its name in CSV headers, in the channel /cycle and on report axes."""
@@ -77,14 +78,14 @@ class Table:
 def read(path: str | Path, joint: str | None = None) -> Table:
     """Read a trial (.mcap) or a table (CSV, .gz, Parquet, .mat, .mf4) with a subset of the canonical headers.
 
-    `joint`: of a table whose columns are `<joint>.<header>`, the joint or force path to read.
+    `joint`: of a trial of several force paths, or a table whose columns are `<joint>.<header>`, the one to read.
     Raises `InputError` for a file that is absent, unreadable, ragged, without `time_s` or without any signal.  It does
     so, too, for a table of several joints if none of them is named.
     """
     path = Path(path)
     refuse_special(path)
     if path.suffix.lower() == ".mcap":
-        return _read_mcap(path)
+        return _read_mcap(path, joint)
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     if not set(suffixes) & {*ENDINGS, ""} and suffixes:
         raise InputError(f"{path}: is neither a trial nor a table; say bowden import {path} -o trial.mcap first.")
@@ -93,12 +94,12 @@ def read(path: str | Path, joint: str | None = None) -> Table:
 
 def _read_sheet(path: Path, joint: str | None) -> Table:
     sheet = sheet_of(path)
-    known = [name for name in sheet.names if _known(name.rpartition(".")[2])]
+    known = [name for name in sheet.names if _known(name) or _known(name.partition(".")[2])]
     if "time_s" not in known or not _signals(known):
         lacks = "no column time_s" if "time_s" not in known else "no signal among its columns"
         raise InputError(f"{path}: {lacks}; {offer(path)}.")
     for name in known:
-        stated, unit = sheet.unit(name), _unit(name.rpartition(".")[2])
+        stated, unit = sheet.unit(name), _unit(name.partition(".")[2] or name)
         if stated and stated.replace("°", "deg") != unit:
             raise InputError(f"{path}: {name} is in {stated} by the row of units; {offer(path)}.")
     made = table(str(path), {name: sheet.column(name) for name in known}, joint=joint)
@@ -129,7 +130,8 @@ def table(
 
     Raises `InputError` without `time_s` or without a signal, and for another joint than the columns have.
     """
-    joints = tuple(dict.fromkeys(name.rpartition(".")[0] for name in columns if "." in name))
+    joints = tuple(dict.fromkeys(first for first, dot, rest in (name.partition(".") for name in columns)
+                                 if dot and _known(rest)))
     if joints or joint is not None:
         return _of_joint(source, columns, joints, joint)
     known: dict[str, Array] = {}
@@ -157,13 +159,11 @@ def table(
 def _of_joint(source: str, columns: Mapping[str, Sequence[float] | Array], joints: tuple[str, ...],
               joint: str | None) -> Table:
     """Return the columns of one of several joints, with the angles of the other ones if the axes turn."""
-    if joint not in joints:
-        raise InputError(
-            f"{source}: records {', '.join(joints)}; name one with --path." if joint is None else
-            f"{source}: has no path {joint}; " + (f"expected one of {', '.join(joints)}." if joints else
-                                                  "it records a single one: leave --path out."))
-    own = table(source, {name.removeprefix(f"{joint}."): values for name, values in columns.items()
-                         if "." not in name or name.startswith(f"{joint}.")})
+    if joint is None:
+        raise InputError(f"{source}: records {', '.join(joints)}; name one with --path.")
+    paths.refuse_unknown(source, joint, joints)
+    own = table(source, {name: values for old, values in columns.items()
+                         if (name := of_path(old, joint)) is not None})
     angles = {f"{other}.servo_position_m": np.ascontiguousarray(columns[f"{other}.servo_position_rad"], np.float64)
               for other in joints if other != joint and f"{other}.servo_position_rad" in columns}
     if not own.turning or len(angles) < len(joints) - 1:
@@ -205,10 +205,12 @@ def _digest(columns: Mapping[str, Array]) -> str:
     return digest.hexdigest()
 
 
-def _read_mcap(path: Path) -> Table:
+def _read_mcap(path: Path, joint: str | None) -> Table:
     from trial import read as reader
 
     trial: Any = reader.open(path)
+    if joint is not None and paths.names(trial):  # the commands hand over a single path
+        trial = paths.one_path(trial, joint)
     columns = {name: values for name, values in trial.columns.items()
                if (name in UNITS or name.endswith(AGE_SUFFIX)) and not np.isnan(values).all()}
     if _without_knee_drive(trial.columns):

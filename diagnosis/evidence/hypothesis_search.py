@@ -26,7 +26,7 @@ class Searched:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
     `variants`: the variant that each effect of `single` was fitted with.  `paired`: that of each second effect.
-    `refused`: effects that are no candidates, since their best value is none that they can have.
+    `refused`: effects that are no candidates, since their best value is outside their bounds.
     """
 
     observed: Observed

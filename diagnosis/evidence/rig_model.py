@@ -336,7 +336,7 @@ class RigModel(ForwardModel):
 
     def _force_terms(self, trial: Taken, travel: float) -> dict[str, float]:
         columns = {"inertia": trial.a, "drive_offset": np.ones_like(trial.x)}
-        moved = self.rig.joints[self.rig.joints.index(self.rig.joint):]
+        moved = self.rig.moved
         if self.turning:
             columns |= link_torques(trial.links, self.rig)
             for name, angle in zip(moved, trial.links[0, -len(moved):], strict=True):
