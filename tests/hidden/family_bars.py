@@ -78,7 +78,7 @@ SHARES = (
     Share("pairs: one right", _two, lambda a: bool(set(a.job.hidden) & set(a.rivals)), 97.0),
     Share("after the experiment: truth in the class", _again,
           lambda a: a.after is not None and a.job.hidden[0] in a.after.rivals, 95.0),
-    Share("… alone", _again, lambda a: a.after is not None and a.after.rivals == a.job.hidden),
+    Share("… alone", _again, lambda a: a.after is not None and a.after.rivals == a.job.hidden, 70.0),
     Share("no END: wrong name or alarm", lambda a: bool(a.job.left_out),
           lambda a: a.wrong or (not a.job.hidden and bool(a.rivals)), 2.0, None, False),
     Share("… in the class", lambda a: bool(a.job.left_out and a.job.hidden), lambda a: a.right),

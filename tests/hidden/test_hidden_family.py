@@ -16,7 +16,7 @@ from tests.hidden.family import Answer, Job, answer, case, from_json, session
 from tests.hidden.family_jobs import KINDS, digest, jobs
 from tests.hidden.family_run import DOCS, said
 from tests.hidden.run import Kept, asking
-from tests.plants import draws
+from tests.plants import draws, oracle
 from tests.plants.bench import replaced
 from tests.plants.draws import set_aside, structure
 
@@ -83,7 +83,7 @@ def test_the_hash_on_the_page_is_of_what_is_asked() -> None:
                                  for job in jobs(kind, aside=True, every=int(every), first=int(first))])
 
 
-def of(hidden: str, rivals: str, separation: float | None = 100.0, verdict: str = "found",
+def of(hidden: str, rivals: str, separation: float | None = oracle.COUNTS_FROM, verdict: str = "found",
        left_out: tuple[str, ...] = (), found: float = 1.0, low: float = 0.9, high: float = 1.1) -> Answer:
     """An answer made up: of a sensor's offset of 1 N it says `found`."""
     names = tuple(rivals.split())
@@ -98,8 +98,8 @@ def cells(told: list[Answer], name: str) -> list[str]:
 
 def test_a_bar_counts_what_the_oracle_separates() -> None:
     told = [of("end_offset", "end_offset"), of("end_offset", "slack end_offset"), of("end_offset", "slack"),
-            of("end_offset", "slack", separation=10.0)]
-    assert cells(told, "right class") == ["2/3", "66.7 %", "≥ 93 % (worst ≥ 85)", "no"]
+            of("end_offset", "slack", separation=0.99 * oracle.COUNTS_FROM)]
+    assert cells(told, "right class") == ["2/3", "66.7 %", "≥ 88 % (worst ≥ 80)", "no"]
     assert cells(told, "first name")[0] == "1/3"
     assert cells(told, "wrong name")[0] == "1/3"
     assert cells(told, "not counted by the oracle: wrong name")[0] == "1/1"
@@ -137,12 +137,12 @@ def test_the_bars_are_told_by_rig_as_it_was_recorded() -> None:
 
 
 def test_the_bars_are_told_by_how_plainly_the_oracle_sees_an_effect() -> None:
-    told = [of("end_offset", "end_offset", 40.0), of("end_offset", "slack", 199.0), of("end_offset", "slack", 30.0),
+    told = [of("end_offset", "end_offset", 132.0), of("end_offset", "slack", 999.0), of("end_offset", "slack", 131.0),
             of("end_offset slack", "slack", 6000.0), of("", "", None)]
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in family_bars.by_separation(told).split("\n")]
-    assert [row[0] for row in rows[2:]] == ["40 to 200", "200 to 1000", "1000 to 5000", "5000 and more"]
+    assert [row[0] for row in rows[2:]] == ["132 to 1000", "1000 to 5000", "5000 and more"]
     assert rows[2][1:] == ["1/2 = 50.0 %", "1/2 = 50.0 %", "1/2 = 50.0 %", "–", "–"]
-    assert rows[5][1:] == ["–", "–", "–", "0/1 = 0.0 %", "1/1 = 100.0 %"]
+    assert rows[4][1:] == ["–", "–", "–", "0/1 = 0.0 %", "1/1 = 100.0 %"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
