@@ -89,15 +89,16 @@ def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: R
 
     The load is the torque of gravity on a turning axis, else START (None: no load).
     """
-    load = np.zeros_like(motion.x) if start is None else start
+    force = np.zeros_like(motion.x) if start is None else start
+    rigid = given["inertia"] * motion.a
     if rig.turning:
-        load = _gravity(given, motion.links, rig)
-    force = load + given["inertia"] * motion.a + given["drive_offset"] + friction(
-        given, motion, "drive_", np.abs(load) / scale.spread["servo_force_n"], scale.speed)
-    if rig.turning:
-        force = force + sum(given[name] * torque for name, torque in link_torques(motion.links, rig).items())
+        force = _gravity(given, motion.links, rig)
+        rigid = rigid + sum(given[name] * torque for name, torque in link_torques(motion.links, rig).items())
     else:
-        force = force + given["drive_spring"] * (motion.x - motion.x.mean())
+        rigid = rigid + given["drive_spring"] * (motion.x - motion.x.mean())
+    carried = force + rigid if rig.turning else force
+    force = force + rigid + given["drive_offset"] + friction(
+        given, motion, "drive_", np.abs(carried) / scale.spread["servo_force_n"], scale.speed)
     return late(force, given["drive_lag"], step_s) / given["demand_gain"]
 
 

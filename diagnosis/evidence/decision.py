@@ -123,9 +123,11 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
     Residuals are clipped at `HUBER` σ, so that outliers count little.
     """
     observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
-    told = {name: float(np.mean(np.minimum(observed.tau[k] * observed.part(squares, k), HUBER**2)))
-            for k, name in enumerate(observed.outputs)}
-    cost = at.cost / (observed.data.size * observed.cost * float(observed.growth.mean()))
+    told = {}
+    for k, name in enumerate(observed.outputs):
+        own = observed.tau[k] * observed.part(squares, k)[observed.part(observed.weight, k) > 0.0]
+        told[name] = float(np.mean(np.minimum(own, HUBER**2)))
+    cost = at.cost / (observed.count * observed.cost * float(observed.growth.mean()))
     return told | {"session": min(cost, at.strain())}
 
 

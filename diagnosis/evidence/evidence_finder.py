@@ -314,7 +314,7 @@ def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Se
     observed = replace(observed, weight=weight)
     modes = _refitted(found, modes, observed)
     best = max(modes.values(), key=lambda at: at.log_evidence)
-    if best.cost > DOUBTED * observed.data.size:
+    if best.cost > DOUBTED * observed.count:
         return None
     kept = tuple(sorted((name for name, at in modes.items() if at.log_evidence > best.log_evidence - NAMED_NATS),
                         key=lambda name: -modes[name].log_evidence))

@@ -107,12 +107,18 @@ class ForwardModel(ABC):
         """
         return 1.0
 
-    def aliased(self, q: Array, trial: Any, name: str) -> Array | float:
-        """Return the variance of an output's data that aliasing causes, by bin or for all bins."""
+    def unpredicted(self, q: Array, trial: Any, name: str) -> Array | float:
+        """Return the variance of an output's data that no constant predicts, by bin or for all bins.
+
+        It is infinite for a datum that does not count.
+        """
         return 0.0
 
     def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
-        """Return the error of each output signal, by output, that corresponds to a residual of the data."""
+        """Return the error of each output signal, by output, that corresponds to a residual of the data.
+
+        It is NaN where a datum does not count.
+        """
         return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
 
 

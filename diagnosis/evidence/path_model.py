@@ -127,7 +127,7 @@ class PathModel(ForwardModel):
         return q, np.concatenate([np.abs(self.predict(part, trial) - trial.data).mean(axis=1)
                                   for part in np.array_split(q, 15, axis=1)])
 
-    def aliased(self, q: Array, trial: PathRecording, name: str) -> Array | float:
+    def unpredicted(self, q: Array, trial: PathRecording, name: str) -> Array | float:
         """Return the variance of the servo force by aliased inertia forces, N², by bin; 0 for the other outputs."""
         if name != "servo_force_n":
             return 0.0

@@ -56,6 +56,11 @@ class Observed:
         return self.trials[0].outputs
 
     @cached_property
+    def count(self) -> int:
+        """Number of data that count."""
+        return int(np.count_nonzero(self.weight))
+
+    @cached_property
     def data(self) -> Array:
         """Measured data of all trials."""
         return np.concatenate([trial.data for trial in self.trials])

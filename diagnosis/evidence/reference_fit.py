@@ -136,10 +136,10 @@ class ReferenceFit:
         """Return trials of one session as data with the features and weights of this bench."""
         states = [self.model.simulated_states(self.origin, trial) for trial in trials]
         made = [features(self.model, s, self.scaling, self.outputs) for s in states]
-        return Observed(self.model, trials, np.concatenate(made),
-                        np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)]),
-                        self.tau, self.cost, np.concatenate([self._grown(t) for t in trials]),
-                        0.0 if self.reach is None else max(self.reach.exceeded(self.model.motion(t)) for t in trials))
+        beyond = [0.0 if self.reach is None else self.reach.exceeded(self.model.motion(t)) for t in trials]
+        weight = np.concatenate([1.0 / self._variance(t, s) for t, s in zip(trials, states, strict=True)])
+        growth = np.concatenate([self._grown(t, excess) for t, excess in zip(trials, beyond, strict=True)])
+        return Observed(self.model, trials, np.concatenate(made), weight, self.tau, self.cost, growth, max(beyond))
 
     def prior_of(self, observed: Observed) -> Gaussian:
         """Return the prior of the session `observed`: session deviations grow where its motion exceeds the references'.
@@ -154,19 +154,23 @@ class ReferenceFit:
         """Return the growth of the model error's variance with the signals in `data`, by output."""
         return [self.model.growth(trial, name, trial.part(data, k)) for k, name in enumerate(self.outputs)]
 
-    def _grown(self, trial: Recording) -> Array:
-        """Return, by datum, the growth with the measured signals over that with the reference condition's."""
+    def _grown(self, trial: Recording, beyond: float) -> Array:
+        """Return, by datum, the growth with the measured signals over that with the reference condition's.
+
+        A rig's model misses a motion `beyond` that of the reference trials in proportion.
+        """
         measured, expected = (np.array([
             self.model.changing(trial, name, trial.part(data, k)) for k, name in enumerate(self.outputs)])
             for data in (trial.data, predicted(self.model, self.origin, trial)))
-        return np.repeat(np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
+        faster = (1.0 + beyond) ** 2 if self.model.pools_sessions else 1.0
+        return np.repeat(faster * np.maximum(1.0, measured / np.maximum(expected, 1e-12)), trial.bins)
 
     def _variance(self, trial: Recording, states: Array) -> Array:
         quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
         parts, growth = [], self._growth(trial, predicted(self.model, self.origin, trial))
         for k, name in enumerate(self.outputs):
             variance = growth[k] * self.model_error[k][quarter] + trial.noise_n[name] ** 2
-            parts.append((variance + self.model.aliased(self.origin, trial, name)) * self.tau[k])
+            parts.append((variance + self.model.unpredicted(self.origin, trial, name)) * self.tau[k])
         return np.concatenate(parts)
 
 
@@ -334,7 +338,7 @@ class _Fit:
 
     def _mean_cost(self) -> float:
         """Return the mean cost per datum of the reference trials at their modes."""
-        costs = [self._trial_cost(k, self.bench, x) / self.trials[k].data.size for k, x in enumerate(self.at)]
+        costs = [self._trial_cost(k, self.bench, x) / np.count_nonzero(self._weight(k)) for k, x in enumerate(self.at)]
         return float(np.mean(costs))
 
     def _constants(self, x: Array) -> Array:
@@ -491,12 +495,14 @@ class _Fit:
             quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)
-                self.tau[k] += autocorrelation(rest) / len(rests)
-                known = trial.noise_n[name] ** 2 + self.model.aliased(self.origin, trial, name)
-                squared = np.minimum(rest**2, HUBER**2 * np.median(rest**2) + 1e-9) - known
+                known = trial.noise_n[name] ** 2 + self.model.unpredicted(self.origin, trial, name)
+                counts_here = np.isfinite(known) & np.ones(rest.size, np.bool_)
+                self.tau[k] += autocorrelation(rest[counts_here]) / len(rests)
+                squared = np.minimum(rest**2, HUBER**2 * np.median(rest[counts_here] ** 2) + 1e-9) - known
                 for j in range(4):
-                    squares[k, j] += float(squared[quarter == j].sum())
-                    counts[k, j] += int((quarter == j).sum())
+                    inside = counts_here & (quarter == j)
+                    squares[k, j] += float(squared[inside].sum())
+                    counts[k, j] += int(inside.sum())
         least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
         self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
@@ -537,7 +543,7 @@ class _Fit:
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
                             for q, c in models], axis=0)
             for name, error in self.model.errors(trial, np.asarray(rest)).items():
-                squares[name].append(float(np.mean(error**2)))
+                squares[name].append(float(np.nanmean(error**2)))
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
 
     def _others(self, j: int) -> list[tuple[Array, Array]]:

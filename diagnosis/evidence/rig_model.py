@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from diagnosis.data.table import Table
@@ -46,27 +48,30 @@ from physics.rig_forces import RigMotion, dahl_states, drive_force, link_torques
 class RigRecording(Recording):
     """A trial of a rig on the time grid: position `x`, its derivatives `v` and `a`, and the other `inputs` by name.
 
-    Inputs are START, END and joint angle, as far as recorded.  Outputs pass half the cut-off of the motion, since
-    accelerations above it are noise.
+    Inputs are START, END and joint angle, as far as recorded.  `motion_hz`: cut-off of the motion.  `stands`: bins in
+    which the axis stands, none if it never moves.
     """
 
-    def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "") -> None:
+    def __init__(self, table: Table, outputs: Sequence[str], joints: Sequence[str] = ("",), joint: str = "",
+                 motion_hz: float = LOWPASS_HZ) -> None:
         at = table["servo_position_m"]
         gone = np.cumsum(np.abs(np.diff(at, prepend=at[0])))
         # after half a stroke friction no longer depends on the motion before the trial
         time = table["time_s"] - table["time_s"][0]
         settled = max(time[np.searchsorted(gone, 0.5 * np.ptp(at))], 0.5 * START_S)
         super().__init__(table, outputs, 0.5 * LOWPASS_HZ, min(settled, 0.3 * time[-1]))
-        self.x = self.sampled("servo_position_m", LOWPASS_HZ)
+        self.x = self.sampled("servo_position_m", motion_hz)
         self.v = np.gradient(self.x, GRID_S)
         self.a = np.gradient(self.v, GRID_S)
-        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", LOWPASS_HZ)
+        angles = np.cumsum([self.x if name == joint else self.sampled(f"{name}.servo_position_m", motion_hz)
                             for name in joints], axis=0)
         rates = np.gradient(angles, GRID_S, axis=1)
         self.links = np.stack([angles, rates, np.gradient(rates, GRID_S, axis=1)])
         self.motion = RigMotion(self.x, self.v, self.a, self.progress, self.links)
         self.inputs = {name: self.sampled(name, LOWPASS_HZ) for name in (START, END, JOINT) if name in table}
         self.along = {"rope_m_s": self.v, "servo_position_m": self.x, **self.inputs}
+        stands = self.binned(_stands(at, self.x, table["time_s"])) > 0.0
+        self.stands = stands & ~stands.all()
         self._smoother = butter(2, self.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         self.data = np.concatenate([self.binned(self.measured(name)) for name in self.outputs])
 
@@ -90,6 +95,7 @@ class RigSession:
         self.inputs = {n: np.concatenate([r.inputs[n] for r in recordings]) for n in first.inputs}
         self.noise_n = {n: float(np.sqrt(np.mean([r.noise_n[n] ** 2 for r in recordings]))) for n in first.outputs}
         self.bins = sum(r.bins for r in recordings)
+        self.stands = np.concatenate([r.stands for r in recordings])
         self.data = self.joined([r.data for r in recordings])
 
     def joined(self, parts: Sequence[Array]) -> Array:
@@ -132,11 +138,17 @@ class RigModel(ForwardModel):
     states = 6
     load_state = 3
     pools_sessions = True
+    unseen = 1.0
     session_share = 0.7
     nats_factor = 0.4
     unlike_share = 0.7
 
-    def __init__(self, tables: Sequence[Table]) -> None:
+    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0)) -> None:
+        """Choose outputs and constants by the columns of the reference trials.
+
+        `cutoffs_hz`: of the motion of a drive; the one with which the first regression leaves least is taken, since the
+        acceleration from a coarse encoder is noise above some frequency.
+        """
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
         self.has_end = {START, END} <= has
         self.sprung = {START, JOINT} <= has and not self.has_end
@@ -152,6 +164,15 @@ class RigModel(ForwardModel):
         self.judged = tuple(name for name in self.outputs if name != JOINT)
         if not self.outputs:
             return
+        offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
+        self._size(tables, min(offered, key=lambda hz: self._size(tables, hz)))
+
+    def _size(self, tables: Sequence[Table], motion_hz: float) -> float:
+        """Set sizes, constants and first noise with a cut-off of the motion, Hz.
+
+        Returns what the first regression leaves: the sum over outputs of residual over spread.
+        """
+        self.motion_hz = motion_hz
         self.scale = self._scaled(tables)
         self.least = {n: 0.003 * s for n, s in self.scale.spread.items()}
         self.constants = table_of(self.rig, self.scale)
@@ -161,8 +182,9 @@ class RigModel(ForwardModel):
             self.sense = self._sense(every)
         self.regressed = tuple(n for n in self.constants.names if is_regressed(n))
         left = every.data - self.predict(self.origin(every)[:, None], every)[0]
-        self.first_noise = {
-            n: max(float(np.std(every.part(left, k))), self.least[n]) for k, n in enumerate(self.outputs)}
+        self.first_noise = {n: max(float(np.std(every.part(left, k)[self._counts(every, n)])), self.least[n])
+                            for k, n in enumerate(self.outputs)}
+        return sum(noise / self.scale.spread[n] for n, noise in self.first_noise.items())
 
     # -- columns, sizes and constants of the rig ---------------------------------------------------------------------
 
@@ -199,7 +221,7 @@ class RigModel(ForwardModel):
 
     def record(self, table: Table) -> RigRecording:
         """Return a trial of this rig on the time grid of the likelihood."""
-        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint)
+        return RigRecording(table, self.outputs, self.rig.joints, self.rig.joint, self.motion_hz)
 
     def _scaled(self, tables: Sequence[Table]) -> RigScale:
         made = [self.record(t) for t in tables]
@@ -288,6 +310,10 @@ class RigModel(ForwardModel):
             trial.x - trial.x.mean(), np.arcsinh(3.0 * trial.v / self.scale.speed), slip,
             np.log(load + 0.1 * load.mean() + 1e-12), np.arcsinh(trial.a / self.scale.acceleration),
             joint - joint.mean(), *others]))
+
+    def motion(self, trial: Taken) -> Array:
+        """Return position, speed and acceleration, whose range in the reference trials a trial should not exceed."""
+        return trial.binned(np.stack([trial.x, trial.v, trial.a]))
 
     # -- start of the first fit --------------------------------------------------------------------------------------
 
@@ -388,6 +414,20 @@ class RigModel(ForwardModel):
         """Return 1σ between sessions of each constant, in coordinates, of a rig at coordinates `q`."""
         return session_sd(self.constants, q)
 
+    def unpredicted(self, q: Array, trial: Taken, name: str) -> Array:
+        """Return infinity where the axis stands, for the drive force, else 0."""
+        return np.where(self._counts(trial, name), 0.0, np.inf)
+
+    def errors(self, trial: Taken, residual: Array) -> dict[str, Array]:
+        """Return the error of each output; NaN where the axis stands, for the drive force."""
+        return {name: np.where(self._counts(trial, name), error, np.nan)
+                for name, error in super().errors(trial, residual).items()}
+
+    def _counts(self, trial: Taken, name: str) -> NDArray[np.bool_]:
+        """Return the bins of an output that count: while the axis stands, friction is anywhere up to its static value.
+        """
+        return ~trial.stands if name == FORCE else np.ones(trial.bins, np.bool_)
+
     def growth(self, trial: Taken, name: str, signal: Array) -> float:
         """Return the factor, at least 1, by which the model error's variance grows with the `signal` of an output."""
         if name == JOINT:
@@ -408,15 +448,32 @@ class RigModel(ForwardModel):
         return 1.0 if name == JOINT else float(np.var(signal))
 
 
+def _stands(position: Array, smooth: Array, time_s: Array, window_s: float = 0.2) -> Array:
+    """Return where an axis moves by less than two counts of its encoder within `window_s`, as 1 and 0.
+
+    `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.  A count is √12 times the RMS of what
+    the low-pass takes off, as that of rounding.
+    """
+    size = round(window_s / GRID_S) | 1
+    moved = maximum_filter1d(smooth, size) - minimum_filter1d(smooth, size)
+    rounding = position - np.interp(time_s, time_s[0] + GRID_S * np.arange(smooth.size), smooth)
+    return np.asarray(moved < 2.0 * np.sqrt(12.0 * np.mean(rounding**2)), np.float64)
+
+
 def _rest(signal: Array, columns: Sequence[Array]) -> Array:
     design = np.stack(columns, axis=1)
     return np.asarray(signal - design @ np.linalg.lstsq(design, signal, rcond=None)[0])
 
 
 def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | None = None) -> list[float]:
-    """Return the coefficients of `columns` that fit an output, less a known signal, by least squares."""
-    signal = trial.measured(output) if less is None else trial.measured(output) - less
+    """Return the coefficients of `columns` that fit an output, less a known signal, by least squares.
+
+    A drive force is fitted where the axis moves.
+    """
+    signal = trial.binned(trial.measured(output) if less is None else trial.measured(output) - less)
     design = trial.smoothed(np.stack(columns))
+    if output == FORCE:
+        design, signal = design[:, ~trial.stands], signal[~trial.stands]
     size = np.sqrt(np.mean(design**2, axis=1)) + 1e-30
-    found = np.linalg.lstsq((design / size[:, None]).T, trial.binned(signal), rcond=2e-2)[0]
+    found = np.linalg.lstsq((design / size[:, None]).T, signal, rcond=2e-2)[0]
     return [float(value) for value in found / size]
