@@ -2,7 +2,9 @@
 
 The recordings are those beside the repository (`../shared/data`).  Half of the cases was used for development, and
 `--other` asks the rest.  A change is right if its cause is in the answer's set and every name is allowed; a repeat is
-right if the answer is `none`.
+right if the answer is `none`.  Last, the changes are counted that exceed three times what repeats differ by, both by
+hand: the friction of a seal as half of what its strokes are apart, the gravity of the pendulum by linear regression
+where it moves.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ from parameters import InputError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FRICTION = frozenset({"cable_friction", "viscous_friction", "load_dependent_friction", "stribeck", "presliding"})
+MASS = frozenset({"unbalance", "demand_gain"})
+"""Names that a mass may have: the torque of gain 400 is 1.18 times that of gain 200 (inertia and gravity by hand), and
+a force that is off by a factor differs from a mass in friction alone."""
 LEVER_M, GRAVITY = 0.1, 9.81
 SESSIONS = ("rerun1", "reconnected3", "rerun3", "reconnected2")
 
@@ -52,7 +57,7 @@ def _rubs(given: Table, share: float) -> Table:
         **given.columns, "tension_start_n": given["tension_start_n"] + (share - 1.0) * (apart - apart.mean())})
 
 
-def _heavier(given: Table, mass_kg: float) -> Table:
+def heavier(given: Table, mass_kg: float) -> Table:
     """Return a recording of the pendulum with a mass beside its own one."""
     angle, step = given["servo_position_m"], float(np.median(np.diff(given["time_s"])))
     turns = savgol_filter(angle, 11, 3, deriv=2, delta=step)
@@ -75,11 +80,42 @@ def cases() -> list[RigCase]:
     for own, other in (("kp200", "kp400"), ("kp400", "kp200")):
         made.append(RigCase("repeat", gains[own][0], f"{own} → {other}", gains[other][1]))
         made += [RigCase("mass", gains[own][0], f"{own} → {other} + {mass} kg",
-                         tuple(_heavier(t, mass) for t in gains[other][1]), frozenset({"unbalance"}))
+                         tuple(heavier(t, mass) for t in gains[other][1]), MASS)
                  for mass in (0.1, 0.2, 0.4)]
     made.append(RigCase("repeat", _files("cable_drive/fit/*"), "cable drive", _read("cable_drive/check/*")))
     made.append(RigCase("repeat", _files("tribometer/fit*"), "tribometer", _read("tribometer/holdout*")))
     return made
+
+
+def by_hand(kind: str, trials: Sequence[Table]) -> float:
+    """Return the size of what may have changed: friction of a seal, N, or gravity of the pendulum, N·m."""
+    return float(np.mean([_gravity(t) if kind == "servo_pendulum" else _friction(t) for t in trials]))
+
+
+def _friction(given: Table) -> float:
+    apart, speed = given["tension_start_n"] - given["tension_end_n"], np.gradient(given["servo_position_m"])
+    fast = 0.3 * np.quantile(np.abs(speed), 0.9)
+    return 0.5 * abs(float(apart[speed > fast].mean() - apart[speed < -fast].mean()))
+
+
+def _gravity(given: Table) -> float:
+    angle, step = given["servo_position_m"], float(np.median(np.diff(given["time_s"])))
+    speed, turns = (savgol_filter(angle, 31, 3, deriv=k, delta=step) for k in (1, 2))
+    moves = np.abs(speed) > 0.15
+    columns = np.stack([np.sin(angle), np.cos(angle), turns, np.sign(speed), speed], axis=1)
+    return float(np.linalg.lstsq(columns[moves], given["servo_force_n"][moves], rcond=None)[0][0])
+
+
+def plain(told: Sequence[tuple[RigCase, bool, bool]], rig: str, times: float = 3.0) -> tuple[int, int]:
+    """Return how many changes of a rig exceed `times` what all its repeats differ by (RMS), and how many are right."""
+    def size(case: RigCase) -> float:
+        return abs(float(np.log(by_hand(rig, case.trials) / by_hand(rig, [read(p) for p in case.reference]))))
+
+    repeats = [size(case) for case in cases() if case.kind == "repeat" and case.reference[0].parent.name == rig]
+    least = times * np.sqrt(np.mean(np.square(repeats)))
+    beyond = [right for case, right, _ in told
+              if case.right and case.reference[0].parent.name == rig and size(case) > least]
+    return len(beyond), sum(beyond)
 
 
 def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
@@ -91,7 +127,8 @@ def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
         return False, False
     named = set(found.rivals)
     wrong = bool(named - case.right)
-    right = (bool(named & case.right) and not wrong) if case.right else found.verdict == "none"
+    cause = {"unbalance"} if case.kind == "mass" else case.right
+    right = (bool(named & cause) and not wrong) if case.right else found.verdict == "none"
     best = next(iter((found.evidence or {}).get("log_bayes_factors", {}).items()), ("", 0.0))
     error = (found.evidence or {}).get("error_n", {})
     print(f"{case.kind:7} {case.name:28} {'right' if right else 'WRONG' if wrong else 'missed':6} {found.verdict:11} "
@@ -113,6 +150,9 @@ def main(arguments: Sequence[str]) -> None:
     for kind in dict.fromkeys(case.kind for case, _, _ in told):
         mine = [(right, wrong) for case, right, wrong in told if case.kind == kind]
         print(f"{kind}: {sum(r for r, _ in mine)} of {len(mine)} right, {sum(w for _, w in mine)} wrong names")
+    for rig in ("pneumatic_seal", "servo_pendulum"):
+        many, right = plain(told, rig)
+        print(f"{rig}: {right} of {many} changes beyond three times what repeats differ by are right")
 
 
 if __name__ == "__main__":

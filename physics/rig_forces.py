@@ -87,7 +87,8 @@ def drive_force(given: Constants, motion: RigMotion, start: Array | None, rig: R
                 step_s: float) -> Array:
     """Return the force that a drive reports: load, friction, inertia, offset, spring of position.
 
-    The load is the torque of gravity on a turning axis, else START (None: no load).
+    The load is the torque of gravity on a turning axis, else START (None: no load).  A gear of a turning axis carries
+    gravity and what accelerates the links, and its friction grows with both: in a free swing they cancel.
     """
     force = np.zeros_like(motion.x) if start is None else start
     rigid = given["inertia"] * motion.a

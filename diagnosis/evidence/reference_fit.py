@@ -485,28 +485,43 @@ class _Fit:
         return ReferenceFit(self.model, self.outputs, self.origin, empty, empty, self.scaling, self.model_error,
                             self.tau, self.scatter_n, 1.0, self.reach)
 
-    def _noise(self) -> None:
-        """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes."""
-        more = POOLED if self.model.pools_sessions else 1.0
-        squares, counts = np.zeros((len(self.outputs), 4)), np.zeros((len(self.outputs), 4))
-        self.tau = np.zeros(len(self.outputs))
-        rests = [self._residual(k, x) for k, x in enumerate(self.at)]
-        for residual, trial, states in zip(rests, self.trials, self.states, strict=True):
+    def _noise(self, least_share: float = 0.1) -> None:
+        """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes.
+
+        Of a rig, whose reference trials may be few data, what the fit determines is subtracted from the number of data,
+        of which `least_share` are left at least.
+        """
+        shape = (len(self.outputs), 4)
+        squares, counts, fitted, self.tau = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[0])
+        for i, (trial, states) in enumerate(zip(self.trials, self.states, strict=True)):
+            residual, determined = self._residual(i, self.at[i]), self._determined(i)
             quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)
                 known = trial.noise_n[name] ** 2 + self.model.unpredicted(self.origin, trial, name)
-                counts_here = np.isfinite(known) & np.ones(rest.size, np.bool_)
-                self.tau[k] += autocorrelation(rest[counts_here]) / len(rests)
-                squared = np.minimum(rest**2, HUBER**2 * np.median(rest[counts_here] ** 2) + 1e-9) - known
+                counted = np.isfinite(known) & np.ones(rest.size, np.bool_)
+                self.tau[k] += autocorrelation(rest[counted]) / len(self.trials)
+                squared = np.minimum(rest**2, HUBER**2 * np.median(rest[counted] ** 2) + 1e-9) - known
                 for j in range(4):
-                    inside = counts_here & (quarter == j)
+                    inside = counted & (quarter == j)
                     squares[k, j] += float(squared[inside].sum())
                     counts[k, j] += int(inside.sum())
+                    fitted[k, j] += float(trial.part(determined, k)[inside].sum())
         least = np.array([[self.model.least[name] ** 2] for name in self.outputs])
-        self.model_error = np.maximum(more * squares / np.maximum(counts, 1), least)
+        left = np.maximum(counts, 1)
+        if self.model.pools_sessions:
+            left = np.maximum(left - self.tau[:, None] * fitted, least_share * left) / POOLED
+        self.model_error = np.maximum(squares / left, least)
         self.identified = [(self._constants(x), x[len(self.free):]) for x in self.at]
         self.scatter_n = self._missed()
+
+    def _determined(self, k: int) -> Array:
+        """Return by how much each datum of trial `k` determines its own prediction: diagonal of H(HᵀWH + P⁻¹)⁻¹HᵀW."""
+        linear = self.linear[k]
+        scale = np.sqrt(self._bench_variance() + self._session())
+        design = linear.design * scale * np.sqrt(linear.weight)[:, None]
+        inner = np.eye(scale.size) + design.T @ design
+        return np.asarray((design * np.linalg.solve(inner, design.T).T).sum(axis=1))
 
     def _amplitudes(self) -> None:
         """Estimate the amplitude of the discrepancy by output: one of `shares` of the RMS residual of constants alone.

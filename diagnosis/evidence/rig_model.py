@@ -165,12 +165,14 @@ class RigModel(ForwardModel):
         if not self.outputs:
             return
         offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
-        self._size(tables, min(offered, key=lambda hz: self._size(tables, hz)))
+        left = np.array([self._size(tables, hz) for hz in offered])
+        moves = np.isfinite(left).all(axis=0)
+        self._size(tables, offered[int(np.argmin((left[:, moves] ** 2).sum(axis=1)))])
 
-    def _size(self, tables: Sequence[Table], motion_hz: float) -> float:
+    def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
         """Set sizes, constants and first noise with a cut-off of the motion, Hz.
 
-        Returns what the first regression leaves: the sum over outputs of residual over spread.
+        Returns what the first regression leaves of each datum, over the spread of its output; NaN where none counts.
         """
         self.motion_hz = motion_hz
         self.scale = self._scaled(tables)
@@ -181,10 +183,9 @@ class RigModel(ForwardModel):
         if self.has_end:
             self.sense = self._sense(every)
         self.regressed = tuple(n for n in self.constants.names if is_regressed(n))
-        left = every.data - self.predict(self.origin(every)[:, None], every)[0]
-        self.first_noise = {n: max(float(np.std(every.part(left, k)[self._counts(every, n)])), self.least[n])
-                            for k, n in enumerate(self.outputs)}
-        return sum(noise / self.scale.spread[n] for n, noise in self.first_noise.items())
+        left = self.errors(every, every.data - self.predict(self.origin(every)[:, None], every)[0])
+        self.first_noise = {n: max(float(np.nanstd(left[n])), self.least[n]) for n in self.outputs}
+        return np.concatenate([left[n] / self.scale.spread[n] for n in self.outputs])
 
     # -- columns, sizes and constants of the rig ---------------------------------------------------------------------
 
@@ -449,7 +450,7 @@ class RigModel(ForwardModel):
 
 
 def _stands(position: Array, smooth: Array, time_s: Array, window_s: float = 0.2) -> Array:
-    """Return where an axis moves by less than two counts of its encoder within `window_s`, as 1 and 0.
+    """Return 1 where an axis moves by less than two counts of its encoder in the `window_s` around, else 0.
 
     `position`: at the times `time_s`.  `smooth`: low-passed, on the time grid.  A count is √12 times the RMS of what
     the low-pass takes off, as that of rounding.

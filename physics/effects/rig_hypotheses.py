@@ -4,6 +4,8 @@ A rig's friction has a size G, N, and two shares of it that depend on load (a) a
 
     F = G·[(1 − a − b)·s·(1 + α·s) + a·s·T/T₀]·(1 + r·e^(−(v/vₛ)²)) + G·b·(v + β·abs(v))/v₀     s Dahl's state
 
+T is END between two tensions, START of a drive that carries it, and all that accelerates or lifts of a turning axis.
+
 `prefix` "" for friction between two tensions, "drive_" for that of a drive; `load`, `speed`: T₀ and v₀ of the rig.
 """
 

@@ -117,6 +117,46 @@ def test_another_motion_of_the_same_pendulum_is_none() -> None:
     assert swung().diagnose([pendulum(3)]).verdict == "none"
 
 
+def held(seed: int, mass_kg: float = 0.5, counts: float = 1.5e-3) -> Table:
+    """Return a pendulum that is held for 3 s where it turns, by a torque that wanders within the static friction.
+
+    `counts`: of the encoder, rad.
+    """
+    columns = rigs.pendulum(seed, mass_kg)
+    angle, torque, time = (columns[n] for n in ("servo_position_rad", "servo_torque_nm", "time_s"))
+    turn = 800 + int(np.argmin(np.abs(np.gradient(angle))[800:1600]))
+    stands = np.arange(600)
+    wanders = torque[turn] + 0.04 * np.sin(2.0 * np.pi * stands / 400.0)
+    at = np.concatenate([angle[:turn], np.full(600, angle[turn]), angle[turn:]])
+    return table(f"held_{seed}", {
+        "time_s": time[0] + 0.005 * np.arange(at.size), "servo_position_rad": counts * np.round(at / counts),
+        "servo_torque_nm": np.concatenate([torque[:turn], wanders, torque[turn:]])})
+
+
+def test_where_a_drive_stands_its_force_does_not_count() -> None:
+    reference = [held(1), held(2)]
+    model, _, constants = fitted(reference)
+    assert model.record(reference[0]).stands.mean() == pytest.approx(3.0 / 23.0, abs=0.04)
+    # with these data counted, as before, it is 0.67 N·m of 0.74
+    assert constants["unbalance"] == pytest.approx(GRAVITY_NM, rel=0.02)
+    finder = known(reference)
+    assert finder.diagnose([held(3)]).verdict == "none"
+    # friction is 7 % of gravity here, and all that tells a heavier mass from a stronger drive
+    assert set(finder.diagnose([held(4, 0.6)]).rivals) == {"unbalance", "demand_gain"}
+
+
+def test_the_motion_of_a_coarse_encoder_is_smoothed_more() -> None:
+    assert RigModel([pendulum(1)]).motion_hz == 40.0
+    assert RigModel([held(1, counts=5e-3)]).motion_hz < 40.0
+
+
+def test_an_axis_that_never_moves_counts_whole() -> None:
+    model, still = RigModel([pendulum(1)]), pendulum(2)
+    angle = np.full_like(still["servo_position_m"], 0.3)
+    recorded = model.record(table("still", {**still.columns, "servo_position_m": angle}))
+    assert not recorded.stands.any()
+
+
 def heavier() -> Findings:
     return swung().diagnose([pendulum(4, 0.6)])
 
