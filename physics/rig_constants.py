@@ -1,8 +1,8 @@
 """Constants of a rig other than the bench, with their priors: one row a constant, sized by the rig's own signals.
 
 1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant: for
-the size of friction and the shares of load and speed as measured on a rubber seal in five sessions, else a usual
-repeatability.  With half of it for the shares, one of four repeats of that seal is named.
+the size of friction and the shares of load and speed as measured on a rubber seal in five sessions, and that of rest
+alike (a seal, a cable drive and a pendulum differ in it by 0.1 to 0.25), else a usual repeatability.  With half of it for the shares, one of four repeats of that seal is named.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _friction(prefix: str, output: str, load: bool, scale: RigScale) -> Sequence
             step=0.02),
         row(prefix + "viscous_share", "", 0.0, "linear", 0.4, 0.1, "share of it that speed carries"),
         row(prefix + "travel", "m", 1e-2 * scale.stroke, "log", 2.0, 0.2, "pre-sliding distance"),
-        row(prefix + "rest", "", 0.0, "linear", 0.4, 0.04, "static over sliding friction, less 1"),
+        row(prefix + "rest", "", 0.0, "linear", 0.4, 0.1, "static over sliding friction, less 1"),
         row(prefix + "rest_speed", "m/s", 0.2 * scale.speed, "log", 1.0, 0.1, "Stribeck speed"),
     ]
     if not prefix:  # between two tensions an asymmetry is confounded with ratio and offset
