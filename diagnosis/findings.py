@@ -59,6 +59,11 @@ class Findings:
     held_traces: Mapping[str, Sequence[Compared]] = field(default_factory=dict, repr=False)
     undecided: str | None = None
 
+    @property
+    def of_rig(self) -> bool:
+        """Whether the trials are of a rig of another kind than the bench."""
+        return self.bench is None and self.reference == "healthy"
+
     def unnamed(self) -> Findings:
         """Return findings whose causes and ambiguity set are `candidates`, so that no cause is named.
 

@@ -49,7 +49,7 @@ def build(
         residual_picture.section(page, found)
     _summary(page, found)
     plots.measured(page, sides, "Measured against simulated", "time_s")
-    plots.residuals(page, sides)
+    plots.residuals(page, sides, trials[0].turning)
     if holdout:
         plots.measured(page, found.held_traces, "Held-out trials", "held-out time_s")
     if tracked is not None:

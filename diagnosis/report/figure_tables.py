@@ -38,8 +38,7 @@ def rivals(page: Page, found: Findings) -> None:
     page.heading("Ambiguity set: effects that these data do not separate")
     page.table(("effect", "what it means", "experiment that would separate them", "what to look at"), [
         (name + (" (chosen)" if name in chosen else ""), CATALOGUE[name].words,
-         EXPERIMENTS[CATALOGUE[name].experiment].motion, EXPERIMENTS[CATALOGUE[name].experiment].reads)
-        for name in found.rivals])
+         *EXPERIMENTS[CATALOGUE[name].experiment].told(found.of_rig)) for name in found.rivals])
 
 
 def ranking(page: Page, found: Findings) -> None:
@@ -80,7 +79,9 @@ def limits(page: Page, found: Findings) -> None:
               "straight line; below it an effect may be there and not be named. Where an effect was found, its size is "
               "the limit if that is smaller.", "note")
     rows = limit_rows(found)
-    page.table(LIMIT_COLUMNS, rows, tall=len(rows) > 15)
+    # the likely range is that of a bench
+    columns = 4 if found.of_rig else len(LIMIT_COLUMNS)
+    page.table(LIMIT_COLUMNS[:columns], [row[:columns] for row in rows], tall=len(rows) > 15)
 
 
 LIMIT_COLUMNS: Final = ("effect", "parameter", "smallest", "unit", "likely range", "would be seen")

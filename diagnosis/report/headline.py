@@ -67,8 +67,7 @@ def _error(found: Findings) -> Iterator[str]:
     after = f", {told['after_rms_n']:.2f} {unit} with what is named below" if found.causes else ""
     own = told["healthy_rms_n"]
     beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
-    what = "rig" if found.bench is None and found.reference == "healthy" else "bench"
-    yield (f"The simulation of this {what} misses {missed} by "
+    yield (f"The simulation of this {'rig' if found.of_rig else 'bench'} misses {missed} by "
            f"{told['before_rms_n']:.2f} {unit}{after}, on cycles that no fit has seen{beside}.")
 
 
@@ -78,9 +77,9 @@ def _set(found: Findings) -> Iterator[str]:
     if among:
         yield f"These data do not separate it from: {', '.join(among)}."
     if found.experiment is not None:
-        chosen = EXPERIMENTS[found.experiment]
-        hands = f"; {chosen.by_hand}" if chosen.by_hand else ""
-        yield f"To separate them, record {chosen.name}: {chosen.motion}{hands}. Look at {chosen.reads}."
+        motion, reads = EXPERIMENTS[found.experiment].told(found.of_rig)
+        named = "" if found.of_rig else f"{found.experiment}: "
+        yield f"To separate them, record {named}{motion}. Look at {reads}."
 
 
 def refused_because(found: Findings) -> str:

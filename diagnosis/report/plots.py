@@ -64,8 +64,11 @@ def _drawn(page: Page, title: str, one: Compared, shown: np.ndarray[Any, Any], l
         "time_s (s)", one.unit, linked=linked, height=220)
 
 
-def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
-    """Add plots of the residual of each prediction equation along each recorded signal of `SIDES`."""
+def residuals(page: Page, sides: Mapping[str, Sequence[Compared]], turning: bool = False) -> None:
+    """Add plots of the residual of each prediction equation along each recorded signal of `SIDES`.
+
+    `turning`: the position is an angle.
+    """
     page.section("Residuals")
     if not any(sides.values()):
         page.text("No relation was searched.", "note")
@@ -80,6 +83,8 @@ def residuals(page: Page, sides: Mapping[str, Sequence[Compared]]) -> None:
             along, before, after = joined(parts, signal)
             if along.size and float(np.ptp(along)) > 0.0:
                 centres = binned(along, before, bins_of(along.size))[0]
+                if turning and signal == "servo_position_m":
+                    word, axis = "angle", "servo_position_rad (rad)"
                 page.plot(f"{name} by {word}", centres, _banded(along, before, after), axis, unit,
                           linked=f"{signal} bins", height=190)
         _loops(page, name, parts)

@@ -47,7 +47,8 @@ class SeparatingExperiment:
 
     `by_hand`: work that an engineer does by hand, "" for none; `around`: the motion of the bench around such work.
     `script`: parts that a bench runs by itself, empty if it needs hands. `waypoints`: its motion as the diagnosis
-    simulates it; without waypoints no observation is predicted.
+    simulates it; without waypoints no observation is predicted.  `elsewhere`: motion and reads on a rig of another
+    kind.
     """
 
     name: str
@@ -57,6 +58,19 @@ class SeparatingExperiment:
     around: str = ""
     script: Sequence[ScriptPart | ScriptedWalk] = ()
     waypoints: Sequence[Waypoint] = ()
+    elsewhere: tuple[str, str] | None = None
+
+    def told(self, of_rig: bool) -> tuple[str, str]:
+        """Return what to record and what to look at, on the bench or on a rig of another kind."""
+        if of_rig and self.elsewhere is not None:
+            return self.elsewhere
+        return f"{self.motion}{f'; {self.by_hand}' if self.by_hand else ''}", self.reads
+
+
+_STROKES: Final = (
+    "the same strokes at three loads and at three speeds",
+    "half of what the two directions are apart: what grows with the load, what with the speed, and what is left at "
+    "small ones")
 
 
 def _locked(angle: float, low_n: float, high_n: float, count: int) -> ScriptPart:
@@ -74,7 +88,7 @@ _TABLE: Final = (
         "the friction loop's width against the change of bend: its slope is μ1 alone",
         by_hand="change the sheath's bend by a known angle in between",
         around="run two_peaks before and after, in two trials",
-        waypoints=laps(2.0, (40.0, 10.0), -30.0, 4)),
+        waypoints=laps(2.0, (40.0, 10.0), -30.0, 4), elsewhere=_STROKES),
     SeparatingExperiment(
         "locked_angles", "pull and release between 10 and 50 N at three locked knee angles, −10, −30 and −60°",
         "the loop's width against the knee angle: φ0, κ and κb part from μ2",
@@ -85,40 +99,49 @@ _TABLE: Final = (
         "START over END at both loads: equal for pure capstan friction",
         script=[ScriptPart((Knee(MIDDLE),), (Pull(20.0), Release(5.0)), 5),
                 ScriptPart((), (Pull(60.0), Release(5.0)), 5)],
-        waypoints=laps(2.0, (20.0, 5.0), -30.0) + laps(2.0, (60.0, 5.0), -30.0)),
+        waypoints=laps(2.0, (20.0, 5.0), -30.0) + laps(2.0, (60.0, 5.0), -30.0),
+        elsewhere=_STROKES),
     SeparatingExperiment(
         "two_speeds", "pull and release to 40 N at 10 and at 80 mm/s, knee locked",
         "what grows with speed at one load is viscous; what grows with dT/dt alone is a delay",
         script=[ScriptPart((Knee(MIDDLE),), (Pull(40.0, CREEP), Release(5.0, CREEP)), 4),
                 ScriptPart((), (Pull(40.0, BRISK), Release(5.0, BRISK)), 8)],
-        waypoints=laps(4.0, (40.0, 5.0), -30.0) + laps(0.4, (40.0, 5.0), -30.0, 6)),
+        waypoints=laps(4.0, (40.0, 5.0), -30.0) + laps(0.4, (40.0, 5.0), -30.0, 6),
+        elsewhere=_STROKES),
     SeparatingExperiment(
         "dither", "hold 30 N with a 40 Hz, 0.1 mm dither on the rope, then without",
         "the peak after a reversal goes with dither if it is static friction",
         script=[ScriptPart((Knee(MIDDLE), Pull(30.0), Hold(SETTLE_S)),
                            (Dither(0.1 * MM, 40.0, 1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5),
-                ScriptPart((), (Hold(1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5)]),
+                ScriptPart((), (Hold(1.0), Wind(-1.0 * MM, CREEP), Wind(1.0 * MM, CREEP)), 5)],
+        elsewhere=_STROKES),
     SeparatingExperiment(
         "amplitude_sweep", "rope reversals of 0.1, 0.2, 0.5, 1, 2 and 5 mm at 30 N, knee locked",
         "how the loop closes as the reversal shrinks: pre-sliding has no dead band",
         script=[ScriptPart((Knee(MIDDLE), Pull(30.0), Hold(SETTLE_S)) if amplitude == 0.1 else (),
                            (Wind(-amplitude * MM, SLOW), Wind(amplitude * MM, SLOW)), 3)
                 for amplitude in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)],
-        waypoints=[p for size in (0.5, 1.0, 2.0, 5.0, 10.0) for p in laps(1.0, (30.0 + size, 30.0 - size), -30.0)]),
+        waypoints=[p for size in (0.5, 1.0, 2.0, 5.0, 10.0) for p in laps(1.0, (30.0 + size, 30.0 - size), -30.0)],
+        elsewhere=("reversals of growing amplitude, from a hundredth of the stroke on",
+                   "how the loop closes as the reversal shrinks: pre-sliding has no dead band")),
     SeparatingExperiment(
         "rest_repeat", "ten gait cycles, a minute of rest, ten more",
         "heat recovers with rest, wear does not, a drifting zero shows at slack",
         script=[ScriptedWalk(cycles=10), ScriptedWalk(rest_s=60.0, cycles=10)],
-        waypoints=[*gaits(5), *_points((20.0, 5.0, -10.0)), *gaits(5)]),
+        waypoints=[*gaits(5), *_points((20.0, 5.0, -10.0)), *gaits(5)],
+        elsewhere=("ten cycles, a minute of rest, ten more", "heat recovers with rest, wear does not")),
     SeparatingExperiment(
         "dead_weight", "hang a known weight on the END side, drives off", "both sensors against the weight",
         by_hand="hang the weight", around="record with --dry-run while it hangs, and again without it",
-        waypoints=_points((1.0, 20.0, -30.0), (3.0, 20.0, -30.0), (1.0, 40.0, -30.0), (3.0, 40.0, -30.0))),
+        waypoints=_points((1.0, 20.0, -30.0), (3.0, 20.0, -30.0), (1.0, 40.0, -30.0), (3.0, 40.0, -30.0)),
+        elsewhere=("a known force or weight on the far side, the drive off", "both sensors against the known force")),
     SeparatingExperiment(
         "swapped_sensors", "pull and release to 40 N at a locked knee, before and after",
         "a wrong gain moves with its sensor, a wrong stiffness stays",
         by_hand="swap the two sensors", around="run two_peaks before and after, in two trials",
-        waypoints=laps(2.0, (40.0, 5.0), -30.0, 4)),
+        waypoints=laps(2.0, (40.0, 5.0), -30.0, 4),
+        elsewhere=("the same strokes before and after the two sensors are swapped",
+                   "a wrong gain moves with its sensor, a wrong stiffness stays")),
     SeparatingExperiment(
         "hold_return", "hold the rope at 40 N for 20 s, return to 5 N, hold for 20 s",
         "creep relaxes and comes back; a slipped anchor does not come back",
@@ -128,7 +151,9 @@ _TABLE: Final = (
         "unload", "pay out 10 mm beyond slack, then wind up to 20 N, knee locked",
         "where the tension begins: slack shifts the start, an offset shifts the level",
         script=[ScriptPart((Knee(MIDDLE),), (Release(beyond_m=10.0 * MM, speed_m_s=EASY), Pull(20.0, EASY)), 6)],
-        waypoints=laps(2.0, (20.0, REST_N, REST_N), -30.0, 3)),
+        waypoints=laps(2.0, (20.0, REST_N, REST_N), -30.0, 3),
+        elsewhere=("strokes down to no load and up again",
+                   "where the force begins: slack shifts the start, an offset shifts the level")),
     SeparatingExperiment(
         "locked_motor", "hold the rope, swing the knee by ±1, ±2 and ±5° about −30°",
         "a dead band steps by the same angle at every reversal, pre-sliding does not",
@@ -161,7 +186,9 @@ _TABLE: Final = (
         "force against speed, by direction, and against acceleration",
         script=[ScriptPart((Knee(ANGLES[2]), Release(beyond_m=10.0 * MM)) if speed == 0.01 else (),
                            (Wind(-30.0 * MM, speed), Wind(30.0 * MM, speed)), 3)
-                for speed in (0.01, 0.03, 0.1)]),
+                for speed in (0.01, 0.03, 0.1)],
+        elsewhere=("the same strokes at three speeds, then with a known mass or force added",
+                   "force against speed by direction, and against acceleration; the known mass gives the scale")),
     SeparatingExperiment(
         "log_current", "the fastest trial of the plan", "motor current and supply voltage at their limits",
         by_hand="log current and voltage, which no PDO of the plan carries",

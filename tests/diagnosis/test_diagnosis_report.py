@@ -171,6 +171,16 @@ def test_figures_are_exported_as_pictures_and_tables(found: Findings, tmp_path: 
         figure_export.write(found, folder / "loop.png")
 
 
+def test_a_rig_of_another_kind_is_told_what_it_can_record(found: Findings, measured: Table) -> None:
+    rig = dataclasses.replace(found, bench=None, reference="healthy", verdict="ambiguous", experiment="two_peaks",
+                              rivals=[*found.rivals, "load_dependent_friction"])
+    (told,) = (line for line in headline(rig) if line.startswith("To separate them"))
+    assert told.startswith("To separate them, record the same strokes at three loads and at three speeds. Look at half")
+    html = build(rig, [dataclasses.replace(measured, turning=True)], []).html()
+    assert "servo_position_rad (rad)" in html
+    assert "likely range" not in html
+
+
 def test_what_is_unexplained_is_told_by_place_and_size(found: Findings, measured: Table) -> None:
     strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
     html = build(strange, [measured], []).html()
