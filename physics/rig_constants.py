@@ -2,8 +2,8 @@
 
 1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant: for
 the size of friction and its shares of load and speed as measured on a rubber seal in five sessions, for that of rest as
-much (a seal, a cable drive and a pendulum differ in it by 0.1 to 0.25), else a usual repeatability.  With half of it for
-the shares, one of four repeats of that seal is named.
+much (a seal, a cable drive and a pendulum differ in it by 0.1 to 0.25), else a usual repeatability.  With half of it
+for the shares, one of four repeats of that seal is named.
 """
 
 from __future__ import annotations
