@@ -165,9 +165,10 @@ class RigModel(ForwardModel):
         if not self.outputs:
             return
         offered = cutoffs_hz if FORCE in has else cutoffs_hz[:1]
-        left = np.array([self._size(tables, hz) for hz in offered])
+        left = np.abs([self._size(tables, hz) for hz in offered])
         moves = np.isfinite(left).all(axis=0)
-        self._size(tables, offered[int(np.argmin((left[:, moves] ** 2).sum(axis=1)))])
+        # the median, since what is left at reversals says little of the rest
+        self._size(tables, offered[int(np.argmin(np.median(left[:, moves], axis=1)))])
 
     def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
         """Set sizes, constants and first noise with a cut-off of the motion, Hz.
