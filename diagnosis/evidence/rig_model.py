@@ -143,11 +143,12 @@ class RigModel(ForwardModel):
     nats_factor = 0.4
     unlike_share = 0.7
 
-    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0)) -> None:
+    def __init__(self, tables: Sequence[Table], cutoffs_hz: Sequence[float] = (LOWPASS_HZ, 20.0, 10.0, 5.0),
+                 alike: float = 0.05) -> None:
         """Choose outputs and constants by the columns of the reference trials.
 
-        `cutoffs_hz`: of the motion of a drive; the one with which the first regression leaves least is taken, since the
-        acceleration from a coarse encoder is noise above some frequency.
+        `cutoffs_hz`: of the motion of a drive, whose acceleration from a coarse encoder is noise above some frequency.
+        Taken is the highest one with which a first regression leaves as little as with the best, to a share `alike`.
         """
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
         self.has_end = {START, END} <= has
@@ -168,7 +169,8 @@ class RigModel(ForwardModel):
         left = np.abs([self._size(tables, hz) for hz in offered])
         moves = np.isfinite(left).all(axis=0)
         # the median, since what is left at reversals says little of the rest
-        self._size(tables, offered[int(np.argmin(np.median(left[:, moves], axis=1)))])
+        median = np.median(left[:, moves], axis=1)
+        self._size(tables, offered[int(np.argmax(median <= (1.0 + alike) * median.min()))])
 
     def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
         """Set sizes, constants and first noise with a cut-off of the motion, Hz.
