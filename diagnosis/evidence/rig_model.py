@@ -316,8 +316,11 @@ class RigModel(ForwardModel):
             joint - joint.mean(), *others]))
 
     def motion(self, trial: Taken) -> Array:
-        """Return position, speed and acceleration, whose range in the reference trials a trial should not exceed."""
-        return trial.binned(np.stack([trial.x, trial.v, trial.a]))
+        """Return speed and acceleration, whose range in the reference trials a trial should not exceed.
+
+        A position depends on the encoder's zero, and of a motor that runs on, on the length of the recording.
+        """
+        return trial.binned(np.stack([trial.v, trial.a]))
 
     # -- start of the first fit --------------------------------------------------------------------------------------
 

@@ -150,6 +150,16 @@ def test_the_motion_of_a_coarse_encoder_is_smoothed_more() -> None:
     assert RigModel([held(1, counts=5e-3)]).motion_hz < 40.0
 
 
+def test_a_faster_motion_is_beyond_the_reference_trials_and_another_zero_of_the_encoder_is_not() -> None:
+    model, fit, _ = fitted([pendulum(1), pendulum(2)])
+    same = pendulum(3)
+    far = table("far", {**same.columns, "servo_position_m": same["servo_position_m"] + 20.0})
+    quick = table("quick", {**same.columns, "time_s": 0.5 * same["time_s"]})
+    beyond = [fit.observe(model.record(given)).beyond for given in (same, far, quick)]
+    assert beyond[0] == pytest.approx(beyond[1], abs=1e-6)
+    assert beyond[2] > 0.4 + beyond[0]
+
+
 def test_an_axis_that_never_moves_counts_whole() -> None:
     model, still = RigModel([pendulum(1)]), pendulum(2)
     angle = np.full_like(still["servo_position_m"], 0.3)
