@@ -115,10 +115,7 @@ class ForwardModel(ABC):
         return 0.0
 
     def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
-        """Return the error of each output signal, by output, that corresponds to a residual of the data.
-
-        It is NaN where a datum does not count.
-        """
+        """Return the error of each output signal, by output, that corresponds to a residual of the data."""
         return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
 
 

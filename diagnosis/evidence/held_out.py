@@ -42,7 +42,7 @@ class HeldOut:
         model = self.observed.model
         parts = [errors[name] for trial, rest in self.observed.each(getattr(self, which))
                  for errors in (model.errors(trial, rest),) for name in model.judged if name in errors]
-        return float(np.sqrt(np.nanmean(np.concatenate(parts) ** 2)))
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
     def figures(self, reference: ReferenceFit, held: HeldOut | None = None) -> dict[str, Figures]:
         """Return the figures by output; `held`: errors of held-out trials, for the figures on these."""
@@ -64,13 +64,11 @@ class HeldOut:
         return float(np.sqrt(squares / counts))
 
     def _squares(self, name: str, which: str) -> Array:
-        """Return the sum of squared errors and the number of data that count, of each cycle, shape (cycles, 2)."""
+        """Return the sum of squared errors and the number of data of each cycle, shape (cycles, 2)."""
         rows = []
         for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
             squares = self.observed.model.errors(trial, rest)[name] ** 2
-            there = np.isfinite(squares)
-            rows += [(float(squares[own].sum()), float(own.sum())) for n in np.unique(block[there])
-                     for own in (there & (block == n),)]
+            rows += [(float(squares[block == n].sum()), float((block == n).sum())) for n in np.unique(block)]
         return np.array(rows)
 
     def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
@@ -82,10 +80,8 @@ class HeldOut:
             first, last = errors(trial, before), errors(trial, after)
             along = _along(trial, table)
             for name in made:
-                there = np.isfinite(first[name])
-                measured = trial.binned(trial.measured(name))
-                made[name].append(Compared(name, self.observed.model.signals[name], measured[there], first[name][there],
-                                           last[name][there], block[there], {n: v[there] for n, v in along.items()}))
+                made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
+                                           first[name], last[name], block, along))
         return made
 
 

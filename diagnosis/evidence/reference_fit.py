@@ -558,7 +558,7 @@ class _Fit:
             rest = np.mean([trial.data - predicted(self.model, q, trial) - self.features[j] @ c
                             for q, c in models], axis=0)
             for name, error in self.model.errors(trial, np.asarray(rest)).items():
-                squares[name].append(float(np.nanmean(error**2)))
+                squares[name].append(float(np.mean(error**2)))
         return {name: float(np.sqrt(np.mean(each))) for name, each in squares.items()}
 
     def _others(self, j: int) -> list[tuple[Array, Array]]:

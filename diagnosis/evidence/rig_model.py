@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -186,7 +185,9 @@ class RigModel(ForwardModel):
         if self.has_end:
             self.sense = self._sense(every)
         self.regressed = tuple(n for n in self.constants.names if is_regressed(n))
-        left = self.errors(every, every.data - self.predict(self.origin(every)[:, None], every)[0])
+        origin = self.origin(every)
+        left = self.errors(every, every.data - self.predict(origin[:, None], every)[0])
+        left = {n: np.where(self.unpredicted(origin, every, n) < np.inf, left[n], np.nan) for n in self.outputs}
         self.first_noise = {n: max(float(np.nanstd(left[n])), self.least[n]) for n in self.outputs}
         return np.concatenate([left[n] / self.scale.spread[n] for n in self.outputs])
 
@@ -422,18 +423,11 @@ class RigModel(ForwardModel):
         return session_sd(self.constants, q)
 
     def unpredicted(self, q: Array, trial: Taken, name: str) -> Array:
-        """Return infinity where the axis stands, for the drive force, else 0."""
-        return np.where(self._counts(trial, name), 0.0, np.inf)
+        """Return infinity where the axis stands, for the drive force, else 0.
 
-    def errors(self, trial: Taken, residual: Array) -> dict[str, Array]:
-        """Return the error of each output; NaN where the axis stands, for the drive force."""
-        return {name: np.where(self._counts(trial, name), error, np.nan)
-                for name, error in super().errors(trial, residual).items()}
-
-    def _counts(self, trial: Taken, name: str) -> NDArray[np.bool_]:
-        """Return the bins of an output that count: while the axis stands, friction is anywhere up to its static value.
+        While an axis stands, its friction is anywhere up to the static value.
         """
-        return ~trial.stands if name == FORCE else np.ones(trial.bins, np.bool_)
+        return np.where(trial.stands & (name == FORCE), np.inf, 0.0)
 
     def growth(self, trial: Taken, name: str, signal: Array) -> float:
         """Return the factor, at least 1, by which the model error's variance grows with the `signal` of an output."""
