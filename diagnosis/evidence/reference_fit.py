@@ -494,7 +494,8 @@ class _Fit:
         shape = (len(self.outputs), 4)
         squares, counts, fitted, self.tau = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[0])
         for i, (trial, states) in enumerate(zip(self.trials, self.states, strict=True)):
-            residual, determined = self._residual(i, self.at[i]), self._determined(i)
+            residual = self._residual(i, self.at[i])
+            determined = self._determined(i) if self.model.pools_sessions else np.zeros(residual.size)
             quarter = np.searchsorted(self.scaling.quarters, states[self.model.load_state])
             for k, name in enumerate(self.outputs):
                 rest = trial.part(residual, k)

@@ -168,7 +168,7 @@ class RigModel(ForwardModel):
         left = np.abs([self._size(tables, hz) for hz in offered])
         moves = np.isfinite(left).all(axis=0)
         # the median, since what is left at reversals says little of the rest
-        median = np.median(left[:, moves], axis=1)
+        median = np.median(left[:, moves], axis=1) if moves.any() else np.ones(len(offered))
         self._size(tables, offered[int(np.argmax(median <= (1.0 + alike) * median.min()))])
 
     def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
