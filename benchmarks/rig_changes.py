@@ -26,20 +26,25 @@ from parameters import InputError
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 FRICTION = frozenset({"cable_friction", "viscous_friction", "load_dependent_friction", "stribeck", "presliding"})
 MASS = frozenset({"unbalance", "demand_gain"})
-"""Names that a mass may have: the torque of gain 400 is 1.18 times that of gain 200 (inertia and gravity by hand), and
-a force that is off by a factor differs from a mass in friction alone."""
+"""Names that a mass may have: a force that is off by a factor differs from a mass in friction alone.
+
+The torque of gain 400 is off by 1.18 against gain 200; `tests/diagnosis/test_diagnosis_pendulum.py` computes it."""
 LEVER_M, GRAVITY = 0.1, 9.81
 SESSIONS = ("rerun1", "reconnected3", "rerun3", "reconnected2")
 
 
 class RigCase(NamedTuple):
-    """A case: kind, reference files, name, trials, and the names that are right (none: nothing has changed)."""
+    """A case: kind, reference files, name and trials.
+
+    `cause`: names of which one must be in the set (none: nothing has changed).  `allowed`: names that may be beside it.
+    """
 
     kind: str
     reference: tuple[Path, ...]
     name: str
     trials: tuple[Table, ...]
-    right: frozenset[str] = frozenset()
+    cause: frozenset[str] = frozenset()
+    allowed: frozenset[str] = frozenset()
 
 
 def _files(pattern: str) -> tuple[Path, ...]:
@@ -51,7 +56,7 @@ def _read(pattern: str) -> tuple[Table, ...]:
 
 
 def _rubs(given: Table, share: float) -> Table:
-    """Return a recording whose friction is `share` of what it was; what both directions share is the sensors'."""
+    """Return a recording whose friction is times `share`; the mean of both directions belongs to the sensors."""
     apart = given["tension_start_n"] - given["tension_end_n"]
     return replace(given, digest=f"{given.digest}{share}", columns={
         **given.columns, "tension_start_n": given["tension_start_n"] + (share - 1.0) * (apart - apart.mean())})
@@ -69,18 +74,19 @@ def heavier(given: Table, mass_kg: float) -> Table:
 def cases() -> list[RigCase]:
     """Return every case, the pairs of a kind in turns: one for development, one set aside."""
     seal, same = "pneumatic_seal/", _files("pneumatic_seal/oring257_*_fit*") + _files("pneumatic_seal/oring257_*_hold*")
-    made = [RigCase("seal", _files(f"{seal}{a}_*"), f"{a} → {b}", _read(f"{seal}{b}_*"), FRICTION)
+    made = [RigCase("seal", _files(f"{seal}{a}_*"), f"{a} → {b}", _read(f"{seal}{b}_*"), FRICTION, FRICTION)
             for a, b in (("circle", "napn"), ("napn", "circle"), ("napn", "pk"), ("pk", "napn"), ("circle", "pk"),
                          ("pk", "circle"))]
     again = {name: _read(f"{seal}oring257_{name}_*") for name in SESSIONS}
     made += [RigCase("repeat", same, f"oring → {name}", trials) for name, trials in again.items()]
-    made += [RigCase("seal", same, f"oring {name} × {share}", tuple(_rubs(t, share) for t in again[name]), FRICTION)
+    made += [RigCase("seal", same, f"oring {name} × {share}", tuple(_rubs(t, share) for t in again[name]), FRICTION,
+                     FRICTION)
              for share in (0.5, 2.0, 0.7, 1.4, 3.0) for name in ("rerun3", "reconnected2")]
     gains = {gain: (_files(f"servo_pendulum/{gain}*"), _read(f"servo_pendulum/{gain}*")) for gain in ("kp200", "kp400")}
     for own, other in (("kp200", "kp400"), ("kp400", "kp200")):
         made.append(RigCase("repeat", gains[own][0], f"{own} → {other}", gains[other][1]))
         made += [RigCase("mass", gains[own][0], f"{own} → {other} + {mass} kg",
-                         tuple(heavier(t, mass) for t in gains[other][1]), MASS)
+                         tuple(heavier(t, mass) for t in gains[other][1]), frozenset({"unbalance"}), MASS)
                  for mass in (0.1, 0.2, 0.4)]
     made.append(RigCase("repeat", _files("cable_drive/fit/*"), "cable drive", _read("cable_drive/check/*")))
     made.append(RigCase("repeat", _files("tribometer/fit*"), "tribometer", _read("tribometer/holdout*")))
@@ -89,7 +95,7 @@ def cases() -> list[RigCase]:
 
 def by_hand(kind: str, trials: Sequence[Table]) -> float:
     """Return the size of what may have changed: friction of a seal, N, or gravity of the pendulum, N·m."""
-    return float(np.mean([_gravity(t) if kind == "servo_pendulum" else _friction(t) for t in trials]))
+    return float(np.mean([rigid_body(t)[0] if kind == "servo_pendulum" else _friction(t) for t in trials]))
 
 
 def _friction(given: Table) -> float:
@@ -98,12 +104,14 @@ def _friction(given: Table) -> float:
     return 0.5 * abs(float(apart[speed > fast].mean() - apart[speed < -fast].mean()))
 
 
-def _gravity(given: Table) -> float:
+def rigid_body(given: Table) -> tuple[float, float]:
+    """Return gravity, N·m, and inertia, kg·m², of the pendulum by linear regression where it moves."""
     angle, step = given["servo_position_m"], float(np.median(np.diff(given["time_s"])))
     speed, turns = (savgol_filter(angle, 31, 3, deriv=k, delta=step) for k in (1, 2))
     moves = np.abs(speed) > 0.15
     columns = np.stack([np.sin(angle), np.cos(angle), turns, np.sign(speed), speed], axis=1)
-    return float(np.linalg.lstsq(columns[moves], given["servo_force_n"][moves], rcond=None)[0][0])
+    found = np.linalg.lstsq(columns[moves], given["servo_force_n"][moves], rcond=None)[0]
+    return float(found[0]), float(found[2])
 
 
 def plain(told: Sequence[tuple[RigCase, bool, bool]], rig: str, times: float = 3.0) -> tuple[int, int]:
@@ -114,7 +122,7 @@ def plain(told: Sequence[tuple[RigCase, bool, bool]], rig: str, times: float = 3
     repeats = [size(case) for case in cases() if case.kind == "repeat" and case.reference[0].parent.name == rig]
     least = times * np.sqrt(np.mean(np.square(repeats)))
     beyond = [right for case, right, _ in told
-              if case.right and case.reference[0].parent.name == rig and size(case) > least]
+              if case.cause and case.reference[0].parent.name == rig and size(case) > least]
     return len(beyond), sum(beyond)
 
 
@@ -126,9 +134,8 @@ def _asked(finder: EvidenceFinder, case: RigCase) -> tuple[bool, bool]:
         print(f"{case.kind:7} {case.name:28} refused: {error}")
         return False, False
     named = set(found.rivals)
-    wrong = bool(named - case.right)
-    cause = {"unbalance"} if case.kind == "mass" else case.right
-    right = (bool(named & cause) and not wrong) if case.right else found.verdict == "none"
+    wrong = bool(named - case.allowed)
+    right = (bool(named & case.cause) and not wrong) if case.cause else found.verdict == "none"
     best = next(iter((found.evidence or {}).get("log_bayes_factors", {}).items()), ("", 0.0))
     error = (found.evidence or {}).get("error_n", {})
     print(f"{case.kind:7} {case.name:28} {'right' if right else 'WRONG' if wrong else 'missed':6} {found.verdict:11} "

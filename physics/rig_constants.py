@@ -1,9 +1,9 @@
 """Constants of a rig other than the bench, with their priors: one row a constant, sized by the rig's own signals.
 
-1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a share of the constant: for
-the size of friction and its shares of load and speed as measured on a rubber seal in five sessions, for that of rest as
-much (a seal, a cable drive and a pendulum differ in it by 0.1 to 0.25), else a usual repeatability.  With half of it
-for the shares, one of four repeats of that seal is named.
+1σ between benches is wide, since nothing is known of such a rig.  1σ between sessions is a usual repeatability, except
+for friction: its size and its shares of load and speed are as measured on a rubber seal in five sessions, and its share
+of rest as much (repeats of a seal, a cable drive and a pendulum differ by 0.1 to 0.25).  With half of it for the
+shares, one of four repeats of that seal is named.
 """
 
 from __future__ import annotations

@@ -488,8 +488,8 @@ class _Fit:
     def _noise(self, least_share: float = 0.1) -> None:
         """Estimate model error by load quarter, autocorrelation and `scatter_n` from the residuals at the modes.
 
-        Of a rig, whose reference trials may be few data, what the fit determines is subtracted from the number of data,
-        of which `least_share` are left at least.
+        A rig's reference trials may be few data, so its number of data is reduced by the degrees of freedom of the fit,
+        to a share `least_share` at least.
         """
         shape = (len(self.outputs), 4)
         squares, counts, fitted, self.tau = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[0])

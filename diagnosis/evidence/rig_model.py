@@ -147,7 +147,7 @@ class RigModel(ForwardModel):
         """Choose outputs and constants by the columns of the reference trials.
 
         `cutoffs_hz`: of the motion of a drive, whose acceleration from a coarse encoder is noise above some frequency.
-        Taken is the highest one with which a first regression leaves as little as with the best, to a share `alike`.
+        Taken is the highest one whose first regression has a median error within the share `alike` of the least.
         """
         has = {name for name in (START, END, FORCE, JOINT) if all(name in t for t in tables)}
         self.has_end = {START, END} <= has
@@ -174,7 +174,7 @@ class RigModel(ForwardModel):
     def _size(self, tables: Sequence[Table], motion_hz: float) -> Array:
         """Set sizes, constants and first noise with a cut-off of the motion, Hz.
 
-        Returns what the first regression leaves of each datum, over the spread of its output; NaN where none counts.
+        Returns the error of the first regression relative to the spread of each output; NaN where no datum counts.
         """
         self.motion_hz = motion_hz
         self.scale = self._scaled(tables)

@@ -25,6 +25,14 @@ def finders() -> dict[str, EvidenceFinder]:
     return made
 
 
+def test_the_torque_of_one_gain_is_that_of_the_other_times_a_factor() -> None:
+    """Gravity and inertia of a swing, by hand, differ alike, though nothing mechanical was changed."""
+    low, high = (rig_changes.rigid_body(read(rig_changes.DATA / f"servo_pendulum/{gain}_sin_time_square.csv.gz"))
+                 for gain in ("kp200", "kp400"))
+    assert high[0] / low[0] == pytest.approx(1.18, abs=0.03)
+    assert high[1] / low[1] == pytest.approx(1.18, abs=0.03)
+
+
 CASES = [case for case in rig_changes.cases() if case.name.startswith("kp")] if rig_changes.DATA.is_dir() else []
 
 
