@@ -489,7 +489,7 @@ def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigMode
     """
     for given in (*reference, *trials):
         if "servo_position_m" not in given:
-            raise InputError(f"{given.source}: has no column servo_position_m that moves; the simulation of a rig needs "
-                             "it. Record the axis' position, in trials and reference trials alike.")
+            raise InputError(f"{given.source}: has no column servo_position_m that moves; the simulation of a rig "
+                             "needs it. Record the axis' position, in trials and reference trials alike.")
     kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
     return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])

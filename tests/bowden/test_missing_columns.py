@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import trial
+from estimation.data import integrity
+from estimation.data import table as data_table
+from trial.report import force_section
 from trial.signals import MOTION_AND_FORCE
 
-COMMANDS = ("diagnose lacking.csv", "diagnose lacking.csv --healthy whole.csv", "diagnose whole.csv --healthy lacking.csv",
-            "fit lacking.csv -o model.toml", "simulate lacking.csv", "import lacking.csv -o lacking.mcap",
-            "import lacking.csv --guess -o map.toml")
+COMMANDS = ("diagnose lacking.csv", "diagnose lacking.csv --healthy whole.csv",
+            "diagnose whole.csv --healthy lacking.csv", "fit lacking.csv -o model.toml", "simulate lacking.csv",
+            "import lacking.csv -o lacking.mcap", "import lacking.csv --guess -o map.toml")
 NAMES = [signal.name for signal in MOTION_AND_FORCE]
 
 
@@ -58,3 +62,25 @@ def test_a_table_without_any_of_its_columns_is_read_or_refused_in_one_sentence(
     chance = np.random.default_rng(number)
     lacking = set(chance.choice(NAMES[1:], chance.integers(1, 8), replace=False))
     refused(bowden, lacking, COMMANDS[number % len(COMMANDS)])
+
+
+def test_a_position_at_a_tenth_of_the_force_s_rate_is_diagnosed_and_drawn(
+    here: Path, bowden: Callable[..., tuple[int, str, str]]
+) -> None:
+    table(Path("whole.csv"))
+    header, *rows = Path("whole.csv").read_text().splitlines()
+    slow = header.split(",").index("servo_position_m")
+    cells = [row.split(",") for row in rows]
+    position = np.array([float(row[slow]) for row in cells])
+    for k, row in enumerate(cells):
+        row[slow] = row[slow] if k % 10 == 0 and not 200 < k < 240 else ""
+    Path("slow.csv").write_text("\n".join([header, *map(",".join, cells)]) + "\n")
+    read = data_table.read("slow.csv")
+    gone = np.isnan(read["servo_position_m"])
+    assert np.flatnonzero(gone)[[0, -1]].tolist() == [201, 799]
+    assert np.abs(read["servo_position_m"] - position)[~gone].max() < 2e-4
+    assert "servo_position_m is recorded every 0.1 s" in read.notes[0]
+    assert not any(finding.refuses for finding in integrity.examine(read))
+    assert bowden("import", "slow.csv", "-o", "slow.mcap")[0] == 0
+    drawn = force_section.chosen(trial.open("slow.mcap"), ["servo_position_m"])["servo_position_m"]
+    assert np.isfinite(drawn).mean() > 0.9  # but for the gap

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trial import metrics
+from trial import metrics, slow_columns
 from trial.read import Trial
 from trial.report.packing import broken, thinned
 from trial.report.page import Page, Series
@@ -75,9 +75,10 @@ def over_time(
 
 
 def chosen(trial: Trial, names: Sequence[str]) -> dict[str, Floats]:
-    """Return those of the columns that the trial has."""
+    """Return those of the columns that the trial has; one of a lower rate than the rows with lines between values."""
     found = {name: known(trial, name) for name in names}
-    return {name: column for name, column in found.items() if column is not None}
+    time = seconds(trial, trial.time_ns)
+    return {name: slow_columns.on_rows(time, column)[0] for name, column in found.items() if column is not None}
 
 
 def force(page: Page, trial: Trial, setting: TrialSetting) -> None:
