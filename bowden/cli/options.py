@@ -43,6 +43,8 @@ SoftStart = Annotated[int | None, _given("Gait cycles before the first, over whi
 Rate = Annotated[int | None, _given("Control cycles per second, Hz (default 1000).", metavar="HZ")]
 Controller = Annotated[str | None, _given(
     "paper, none, friction, impedance, extended or module:Class (paper).", metavar="NAME")]
+Tuning = Annotated[list[str] | None, typer.Option(
+    "--set", metavar="NAME=VALUE", help="A parameter that the controller declares; repeatable.")]
 Knee = Annotated[Path | None, _file("Knee motion, CSV of time_s, knee_angle_rad or gait_percent, knee_angle_deg.")]
 Desired = Annotated[Path | None, _file("Desired force, CSV of time_s or gait_percent and desired_force_n.")]
 Calibration = Annotated[Path | None, _file("Bench model to work from (default: the packaged nominal one).")]

@@ -29,7 +29,8 @@ UNKNOWN = "–"
 class Series(NamedTuple):
     """A line: `values` along the plot's x, NaN where unknown; with `high` the band between the two, filled.
 
-    Series of one label share a legend entry.  `steps` holds each value to the next; `points` draws no line.
+    Series of one label share a legend entry; `tip` is its tooltip, such as the column's name.  `steps` holds each value
+    to the next; `points` draws no line.
     """
 
     label: str
@@ -40,6 +41,19 @@ class Series(NamedTuple):
     dash: bool = False
     steps: bool = False
     points: bool = False
+    tip: str = ""
+
+
+class Named(str):
+    """Words for a thing that has a name in files: the page shows the words, and `tip`, the name, as their tooltip."""
+
+    tip: str
+
+    def __new__(cls, words: str, tip: str) -> Named:
+        """Make the text `words`."""
+        made = super().__new__(cls, words)
+        made.tip = tip
+        return made
 
 
 class Tile(NamedTuple):
@@ -136,6 +150,10 @@ class Page:
         self._add(f'<figure><figcaption>{_text(title)}</figcaption><div class="legend"></div>'
                   f'<div class="plot" id="{number}" role="img" aria-label="{_text(title)}"></div></figure>')
 
+    def drawing(self, title: str, svg: str) -> None:
+        """Add a picture as an SVG element, whose texts the caller has escaped."""
+        self._add(f"<figure><figcaption>{_text(title)}</figcaption>{svg}</figure>")
+
     def _packed(self, one: Series) -> dict[str, Any]:
         high = None if one.high is None else self._pool.ordinate(_floats(one.high))
         style = {name: value for name, value in one._asdict().items() if name != "values"}
@@ -181,6 +199,10 @@ def number(value: float | None, digits: int = 4) -> str:
     """Return a number with `digits` significant digits, the minus typographic; a dash where it is unknown."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
+    if 1.0 <= abs(value) < 1e6:  # never 1.2e+03
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{places}f}"
+        return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -207,4 +229,5 @@ def _kind(word: str) -> str:
 
 
 def _text(text: str) -> str:
-    return escape(text, quote=True).replace("\0", "␀")
+    shown = escape(text, quote=True).replace("\0", "␀")
+    return f'<span title="{escape(text.tip, quote=True)}">{shown}</span>' if isinstance(text, Named) else shown

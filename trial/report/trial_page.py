@@ -14,6 +14,7 @@ from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
 from trial.report.page import UNKNOWN, Cell, Page, Tile, number
 from trial.report.setting import TrialSetting, known, setting, unknown
+from trial.report.words import quantity, words
 
 FIGURES = (
     ("relative_rmse_percent", "%", "relative RMSE of END, whole gait cycles, by the peak"),
@@ -97,13 +98,13 @@ def _summary(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[
     seconds = (int(trial.time_ns[-1]) - int(trial.time_ns[0])) / 1e9 if len(trial.time_ns) else None
     told = {**trial.metadata, **{name: value for name, value in result.items() if name not in SAID}}
     page.facts({**{name: _cell(value) for name, value in labels.shown(told).items()}, **_counted(trial),
-                "recorded time (s)": seconds})
+                "recorded time": quantity(seconds, "s")})
     rest = labels.folded(told)
     if rest:
         page.attachment("commit, digests and homing", "".join(f"{name}: {_cell(one)}\n" for name, one in rest.items()))
     missing = unknown(trial)
     if missing:
-        page.text(f"Not in this trial: {', '.join(missing)}.", "note")
+        page.text(f"Not in this trial: {', '.join(dict.fromkeys(map(words, missing)))}.", "note")
 
 
 def _counted(trial: Trial) -> dict[str, Cell]:
@@ -126,7 +127,8 @@ def _cell(value: object) -> Cell:
 def _figures(page: Page, trial: Trial, judged: TrialSetting, published: Mapping[str, str]) -> None:
     lacking = [name for name in NEEDED if known(trial, name) is None]
     if lacking or judged.peak_n is None or judged.rate_hz is None or not judged.cycles:
-        page.text(f"No figures of force: {', '.join(lacking) or 'peak, rate or gait cycles'} not known.", "note")
+        unknown_names = ", ".join(map(words, lacking)) or "peak, rate or gait cycles"
+        page.text(f"No figures of force: {unknown_names} not known.", "note")
         return
     found = metrics.figures(trial.columns, peak_n=judged.peak_n, rate_hz=judged.rate_hz, cycles=judged.cycles,
                             settle=judged.settle)
@@ -147,7 +149,7 @@ def _events(page: Page, trial: Trial) -> None:
         page.text("No events were recorded.", "note")
         return
     first = int(trial.time_ns[0]) if len(trial.time_ns) else trial.events[0].time_ns
-    page.table(("time_s", "kind", "source", "text"), [
+    page.table(("time (s)", "kind", "source", "text"), [
         (f"{(event.time_ns - first) / 1e9:.6f}".replace("-", "−"), event.kind, event.source, event.text)
         for event in trial.events], tall=len(trial.events) > 15)
 
@@ -176,5 +178,5 @@ def _reading(page: Page, trial: Trial) -> None:
         thinning = f"Plots over time draw every one of the {rows} rows."
     page.text(f"{thinning} Against the phase, a gait cycle is drawn by least and greatest of up to "
               f"{force_section.PHASE_BINS} bins. Figures are computed from every row.", "note")
-    page.text(f"Signals have their names in /cycle and its units (SI, rad); {UNKNOWN} is unknown. Time counts from the "
+    page.text(f"A name's column in the file is in its tooltip, SI there; {UNKNOWN} is unknown. Time counts from the "
               "first control cycle, so bring-up is negative. A line breaks where rows are missing.", "note")

@@ -90,7 +90,8 @@ def trial(
         from bowden.models import logbook_entries
 
         with terminal.waiting("entering the trial in the logbook", shown=not json):
-            result["logbook"] = logbook_entries.entered(entered, output, logbook_entries.label(label, chosen), result)
+            result["logbook"] = logbook_entries.entered(
+                entered, Path(result["trial"]), logbook_entries.label(label, chosen), result)
     if json:
         terminal.emit(result)
     elif result["trial"] is None:
@@ -98,7 +99,7 @@ def trial(
     else:
         if "watch" in result:
             _show_watch(result["watch"])
-        _show(result, output, picture, chosen.told, dry_run=dry_run,
+        _show(result, Path(result["trial"]), picture, chosen.told, dry_run=dry_run,
               with_end=sections["network"].bench.measures_end)
         if "logbook" in result:
             print(f"Logbook: {entered}, trial {result['logbook']['trial']}, session {result['logbook']['session']}")
