@@ -83,7 +83,7 @@ class Page:
         self._sections.append((title, []))
 
     def text(self, text: str, kind: str = "") -> None:
-        """Add a paragraph; `kind` is empty, note (small) or warning."""
+        """Add a paragraph; `kind` is empty, lead (large), note (small) or warning."""
         self._add(f'<p class="{_kind(kind)}">{_text(text)}</p>')
 
     def heading(self, text: str) -> None:
@@ -223,7 +223,7 @@ def _floats(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _kind(word: str) -> str:
-    if word not in ("", "note", "warning", "good", "bad", "warn", "plain"):
+    if word not in ("", "lead", "note", "warning", "good", "bad", "warn", "plain"):
         raise ValueError(f"{word!r} is no kind of text or badge")
     return word
 
