@@ -89,11 +89,14 @@ def progress(text: str, *, shown: bool = True) -> Iterator[Callable[[float], Non
 
 @contextmanager
 def waiting(text: str, *, shown: bool = True) -> Iterator[None]:
-    """A spinner on stderr while something runs; silent unless `shown` and stderr is a terminal."""
+    """Show a spinner with the elapsed time on stderr; silent unless `shown` and stderr is a terminal."""
     if not (shown and sys.stderr.isatty()):
         yield
         return
     from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    with Console(stderr=True).status(text):
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        bar.add_task(text, total=None)
         yield

@@ -70,7 +70,7 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "", *, badge: tuple[str, str] | None = None) -> None:
         """`badge` is a word beside the title and its kind: good, bad, warn or plain."""
-        self.title = title
+        self.title, self.prefix = title, ""
         word = "" if badge is None else f'<span class="badge {_kind(badge[1])}">{_text(badge[0])}</span>'
         below = f'<p class="subtitle">{_text(subtitle)}</p>' if subtitle else ""
         self._head = f"<h1>{_text(title)}{word}</h1>{below}"
@@ -79,8 +79,8 @@ class Page:
         self._plots: list[dict[str, Any]] = []
 
     def section(self, title: str) -> None:
-        """Begin a section; the page's navigation lists it."""
-        self._sections.append((title, []))
+        """Begin a section, `prefix` before its title; the page's navigation lists it."""
+        self._sections.append((f"{self.prefix}{title}", []))
 
     def text(self, text: str, kind: str = "") -> None:
         """Add a paragraph; `kind` is empty, lead (large), note (small) or warning."""
@@ -211,7 +211,7 @@ def _cell(value: Cell) -> str:
         return value
     if isinstance(value, bool | int):
         return str(value)
-    return number(value)
+    return number(value, 3)
 
 
 def _long(value: Cell) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from trial import metrics
+from trial import metrics, paths
 from trial.read import Trial
 from trial.report import bus_section, force_section, labels
 from trial.report.bus_section import FrameBits
@@ -31,7 +31,7 @@ def write(
     trial: Trial, path: str | Path, frame_bits: FrameBits, *, published: Mapping[str, str] | None = None,
     bound_percent: float | None = None, overwrite: bool = False, progress: Callable[[float], None] = lambda share: None,
 ) -> int:
-    """Write the report of `trial` as one HTML file; returns its bytes. Raises `InputError`.
+    """Write the report of `trial`, of all its force paths, as one HTML file; returns its bytes. Raises `InputError`.
 
     `published` are published figures by name, shown for comparison; `bound_percent` is the bus load computed
     beforehand; `progress` receives the share done, 0 … 1.
@@ -48,10 +48,7 @@ def build(
     judged = setting(trial)
     page = _head(trial)
     parts: tuple[Callable[[], None], ...] = (
-        lambda: _summary(page, trial, judged, published),
-        lambda: force_section.force(page, trial, judged),
-        lambda: force_section.motion(page, trial),
-        lambda: force_section.others(page, trial),
+        *_signals(page, trial, published),
         lambda: bus_section.timing(page, trial, judged, on_bus=bool(len(trial.frames))),
         lambda: bus_section.load(page, trial, frame_bits, bound_percent),
         lambda: _events(page, trial),
@@ -62,6 +59,28 @@ def build(
         part()
         progress(done / len(parts))
     return page
+
+
+def _signals(page: Page, trial: Trial, published: Mapping[str, str]) -> list[Callable[[], None]]:
+    """Return what adds summary, force, motion and other signals; of several force paths for each of them."""
+    names = paths.names(trial)
+    parts: list[Callable[[], None]] = []
+    for name in names or ("",):
+        parts += _of_path(page, paths.one_path(trial, name) if name else trial, f"{name}: " if name else "", published)
+    return parts
+
+
+def _of_path(page: Page, one: Trial, prefix: str, published: Mapping[str, str]) -> list[Callable[[], None]]:
+    judged = setting(one)
+
+    def begin() -> None:
+        page.prefix = prefix
+
+    def end() -> None:
+        page.prefix = ""
+
+    return [begin, lambda: _summary(page, one, judged, published), lambda: force_section.force(page, one, judged),
+            lambda: force_section.motion(page, one), lambda: force_section.others(page, one), end]
 
 
 def _head(trial: Trial) -> Page:
