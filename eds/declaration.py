@@ -72,8 +72,9 @@ ROPE_DRIVE: Final = DeviceType(
 JOINT_DRIVE: Final = DeviceType(
     "joint_drive", "knee_drive", KneeMapping, ("statusword", "position"), ("target", "controlword"),
     ((0x6007, cia402.AbortConnection.QUICK_STOP), (0x605A, cia402.Stop.QUICK_STOP_RAMP_HOLD),
-     (0x605E, cia402.Stop.QUICK_STOP_RAMP)))
-"""Drive of a joint, in rad. It holds the joint after a stop."""
+     (0x605E, cia402.Stop.DISABLE)))
+"""Drive of a joint, in rad. It holds the joint after a stop, and gives no torque after a fault of its own: a ramp would
+brake by the feedback that may have failed."""
 LOAD_CELL: Final = DeviceType("load_cell", "tension_sensor", SensorMapping, ("value",))
 """Tension sensor, in N."""
 JOINT_ENCODER: Final = DeviceType("joint_encoder", "joint_encoder", EncoderMapping, ("position",))

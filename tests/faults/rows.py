@@ -186,6 +186,7 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
     return tuple(replace(row, action=action) for row in rows)
 
 
+CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
 GAIN, OFFSET = (lambda k: lambda value, t: k * value), (lambda b: lambda value, t: value + b)
 ROWS: tuple[Row, ...] = (
     *of(
@@ -252,13 +253,16 @@ ROWS: tuple[Row, ...] = (
     ),
     *of(
         argument.LYING_KNEE,
-        Row("knee encoder frozen", frozen("knee_motor_rad"), (names.KNEE_OFF,), slow=True),
+        Row("knee encoder frozen", frozen("knee_motor_rad"), (names.KNEE_OFF,)),
         Row("knee encoder sign flipped", sensed(knee_motor_rad=GAIN(-1.0), knee_motor_rad_s=GAIN(-1.0)),
-            (names.emergency("knee", 0x7305),),
-            slow=True),
-        Row("knee encoder + 10°", sensed(knee_motor_rad=OFFSET(0.1745)), (names.emergency("knee", 0x7305),), slow=True),
+            (names.emergency("knee", 0x7305),)),
+        Row("knee's velocity feedback reversed", sensed(knee_motor_rad_s=GAIN(-1.0)),
+            (names.emergency("knee", 0x7305),)),
+        Row("knee's velocity feedback + 5 rad/s", sensed(knee_motor_rad_s=OFFSET(5.0)),
+            (names.emergency("knee", 0x7305),)),
+        Row("knee encoder + 10°", sensed(knee_motor_rad=OFFSET(0.1745)), (names.emergency("knee", 0x7305),)),
         Row("knee encoder creeps by 20°/s", sensed(knee_motor_rad=lambda value, t: value + 0.35 * t),
-            (names.emergency("knee", 0x7305),), ("peak",), slow=True),
+            (names.emergency("knee", 0x7305),), ("peak",)),
     ),
     *of(
         argument.STAGE,
@@ -266,18 +270,18 @@ ROWS: tuple[Row, ...] = (
         Row("servo stage reversed", staged(plants.reversed_servo), (names.TORQUE_OR_START,)),
         Row("servo stage at a quarter", staged(plants.weak), (names.TORQUE_OR_START,), ("ramp", "peak"),
             silent="the drive's loop makes up for a weak stage as long as its bound allows"),
-        Row("servo stage shorted at 4 N·m", staged(plants.shorted), (names.TORQUE_OR_START,), needs_sto=True),
+        Row("servo stage shorted at 4 N·m", staged(plants.shorted), (names.TORQUE_OR_START,), unstoppable=CONDUCTS),
     ),
     *of(
         argument.KNEE_STAGE,
-        Row("knee stage dead", staged(plants.knee_dead), (names.KNEE_OFF,), slow=True),
-        Row("knee stage reversed", staged(plants.knee_reversed), (names.KNEE_OFF,), slow=True),
-        Row("knee stage runs away", staged(plants.knee_runaway), (names.KNEE_OFF,), slow=True),
+        Row("knee stage dead", staged(plants.knee_dead), (names.KNEE_OFF,)),
+        Row("knee stage reversed", staged(plants.knee_reversed), (names.KNEE_OFF,)),
+        Row("knee stage runs away", staged(plants.knee_runaway), (names.KNEE_OFF,)),
     ),
     *of(
         argument.STOP,
         Row("servo's STO pressed", wire("emergency_stop", node=SERVO), (names.emergency("servo", 0x5441),)),
-        Row("knee's STO pressed", wire("emergency_stop", node=KNEE), (names.emergency("knee", 0x5441),), slow=True),
+        Row("knee's STO pressed", wire("emergency_stop", node=KNEE), (names.emergency("knee", 0x5441),)),
     ),
     *of(
         argument.PATH,
@@ -299,16 +303,16 @@ ROWS: tuple[Row, ...] = (
     *of(
         argument.NO_INPUT,
         Row("servo's PDO lost", wire("drop", cob_id=0x181), (names.old("servo"),)),
-        Row("knee cut off", wire("cut", node=KNEE), (names.old("knee"),), slow=True),
-        Row("knee without supply", wire("power_off", node=KNEE), (names.old("knee"),), slow=True),
+        Row("knee cut off", wire("cut", node=KNEE), (names.old("knee"),)),
+        Row("knee without supply", wire("power_off", node=KNEE), (names.old("knee"),)),
     ),
     *of(
         argument.TARGETS,
-        Row("knee hears no targets", wire("deaf", node=KNEE, cob_id=0x201), (names.KNEE_OFF,), slow=True),
+        Row("knee hears no targets", wire("deaf", node=KNEE, cob_id=0x201), (names.KNEE_OFF,)),
     ),
     *of(
         argument.NO_INPUT,
-        Row("knee's PDO lost", wire("drop", cob_id=0x182), (names.old("knee"),), slow=True),
+        Row("knee's PDO lost", wire("drop", cob_id=0x182), (names.old("knee"),)),
     ),
     *of(
         argument.TARGETS,
@@ -326,7 +330,7 @@ ROWS: tuple[Row, ...] = (
         Row("targets late by 3 ms", wire("delay", cob_id=0x201, delay_us=3000.0), (), ("ramp",),
             silent="3 ms of delay let END lag by less than its bound; the misses are counted"),
         Row("master's heartbeat lost", wire("drop", cob_id=0x77F), (names.emergency("servo", 0x8130),),
-            ("peak", "idle"), slow=True),
+            ("peak", "idle")),
     ),
     *of(
         argument.NO_INPUT,
@@ -442,7 +446,7 @@ ROWS: tuple[Row, ...] = (
         Row("START's heartbeat says STOPPED", repeated(50 * MS, 0x703, lambda n: b"\4"),
             ("node left OPERATIONAL: start",), ("peak", "idle")),
         Row("knee's heartbeat says PRE-OPERATIONAL", repeated(50 * MS, 0x702, lambda n: b"\x7f"),
-            ("node left OPERATIONAL: knee",), ("peak",), slow=True),
+            ("node left OPERATIONAL: knee",), ("peak",)),
     ),
     *of(
         argument.ALTERED,

@@ -201,7 +201,7 @@ LEG = ("the knee's angle has one sensor; the rope shows a departure of the leg o
 
 def _row(name: str, act: Act, named: tuple[str, ...], moments: tuple[str, ...] = SLOW, **more: Any) -> Row:
     action = argument.SLOW_KNEE if name.startswith("knee") else argument.SLOW_LIE
-    return Row(name, act, named, moments, walks=WALKS, gradual=True, slow=True, action=action, **more)
+    return Row(name, act, named, moments, walks=WALKS, gradual=True, action=action, **more)
 
 
 ROWS: tuple[Row, ...] = (
