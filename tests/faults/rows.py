@@ -187,12 +187,17 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
 
 
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
+ROTOR = "the rotor still winds in when the fault is shown, and its momentum adds to what END had then"
+UNSTABLE = "a reversed stage makes the drive's loop unstable: the leg has its speed before two cycles show it"
+UNLIMITED = "a reversed stage has all of the drive's torque while it is enabled: its torque limit (0x6072) bounds it"
+BUSY = "the bus is taken: the drives act by the watchdog of the master's heartbeat alone, after 250 ms"
 GAIN, OFFSET = (lambda k: lambda value, t: k * value), (lambda b: lambda value, t: value + b)
 ROWS: tuple[Row, ...] = (
     *of(
         argument.LYING_TENSION,
         Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), (names.START_ALONE, names.START_OR_PATH)),
-        Row("START stuck at its value", frozen("start_n"), (names.START_ALONE, names.START_OR_PATH)),
+        Row("START stuck at its value", frozen("start_n"), (names.START_ALONE, names.START_OR_PATH),
+            unstoppable=ROTOR),
         Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE,)),
         Row("START × 2", sensed(start_n=GAIN(2.0)), (names.START_ALONE, names.START_OR_PATH)),
         Row("START × −1", sensed(start_n=GAIN(-1.0)), (names.emergency("start", 0xF001), names.START_OR_PATH)),
@@ -275,8 +280,8 @@ ROWS: tuple[Row, ...] = (
     *of(
         argument.KNEE_STAGE,
         Row("knee stage dead", staged(plants.knee_dead), (names.KNEE_OFF,)),
-        Row("knee stage reversed", staged(plants.knee_reversed), (names.KNEE_OFF,)),
-        Row("knee stage runs away", staged(plants.knee_runaway), (names.KNEE_OFF,)),
+        Row("knee stage reversed", staged(plants.knee_reversed), (names.KNEE_OFF,), unstoppable=UNSTABLE),
+        Row("knee stage runs away", staged(plants.knee_runaway), (names.KNEE_OFF,), unstoppable=CONDUCTS),
     ),
     *of(
         argument.STOP,
@@ -386,7 +391,7 @@ ROWS: tuple[Row, ...] = (
         Row("babbler of NMT", wire("babble", cob_id=0x000, size=2),
             (names.foreign("NMT 55h to node 85 from another master"),)),
         Row("babbler of targets", wire("babble", cob_id=0x201, size=8), (names.foreign("targets"),),
-            ("peak", "idle")),
+            ("peak", "idle"), unstoppable=BUSY),
     ),
     *of(
         argument.ALTERED,
@@ -432,8 +437,9 @@ ROWS: tuple[Row, ...] = (
             ("start",)),
         Row("servo stage dead from power-on", staged(plants.dead), (names.SERVO_OFF,), ("start",)),
         Row("servo stage reversed from power-on", staged(plants.reversed_servo), ("motion not as commanded: servo",),
-            ("start",)),
-        Row("knee stage reversed from power-on", staged(plants.knee_reversed), (names.KNEE_OFF,), ("start",)),
+            ("start",), unstoppable=UNLIMITED),
+        Row("knee stage reversed from power-on", staged(plants.knee_reversed), (names.KNEE_OFF,), ("start",),
+            unstoppable=UNSTABLE),
         Row("rope snapped before the start", broken(0), ("refused: servo: # mm of rope and START",), ("start",)),
         Row("another master from the start", repeated(50 * MS, 0x77F, lambda n: b"\5"), ("refused: another master",),
             ("start",)),
