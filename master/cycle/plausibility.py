@@ -414,8 +414,9 @@ class Plausibility:
         seen, expected = float(s[READINGS + 2 * relation]), float(s[READINGS + 2 * relation + 1])
         swing, bent = float(g[SWING_K]), float(s[OLD_KNEE] - g[KNEE_HOME])
         fits = swing + (seen - expected) / bent if relation in (BY_START, BY_END) and abs(bent) > 0.1 else swing
+        frozen = bool(s[SAME_SERVO] >= FROZEN and abs(s[PREDICTED] - s[LED_SERVO]) > FROZEN_M)
         return Implausibility(relation, seen, expected, tuple(float(value) for value in s[RATIOS:RATIOS + RELATIONS]),
-                              swing, fits, bool(s[SAME_SERVO] >= FROZEN and abs(s[PREDICTED] - s[LED_SERVO]) > FROZEN_M))
+                              swing, fits, frozen)
 
     def learn(self, quadratic: float, linear: float) -> Learned:
         """Take over what homing showed; `quadratic`, `linear`: the calibration's (10), the rope's own with it."""

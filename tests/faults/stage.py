@@ -214,6 +214,7 @@ class _Stage:
         self.numbers = itertools.count()
         self.me: tuple[Row, str, int, Path] | None = None
         self.scene: Scene | None = None
+        self.by_hand = False
 
     def run(self) -> Told:
         """The unharmed trial, from bring-up to its end; in a child: that row's."""
@@ -236,6 +237,7 @@ class _Stage:
         with plants.in_place():
             bus = BowdenBus(channel, **options)
         tap = BowdenBus(channel)
+        self.by_hand = not motion.network.bench.joints[0].driven_by
         sink = Sink(self.walk, motion.at)
         self.scene = Scene(bus.bench, plants.made[before], bus, tap, sink)
         sink.moment = self._moment
@@ -303,6 +305,8 @@ class _Stage:
         for plant, path in zip(made, paths, strict=True):
             if plant.led:  # an antagonist's joint is that of the path before it
                 path[:, 3] = np.interp(path[:, 0], paths[0][:, 0], paths[0][:, 3])
+            if self.by_hand:
+                path[:, 5] = 0.0
         return Told(row, moment, fault_ns, reason, sink.events, paths, len(times), whole, ended_ns, crashed)
 
     def collected(self) -> list[Told]:
