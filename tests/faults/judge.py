@@ -26,6 +26,30 @@ SPEED_MS = 5
 """Time over which a speed of the leg is taken, ms."""
 
 
+class Measure(NamedTuple):
+    """Measure of a stop to standstill: in words, its unit and its bound."""
+
+    words: str
+    unit: str
+    bound: float
+    meaning: str
+
+
+STOP = {
+    "off_deg": Measure(
+        "leg off its course", "degrees", OFF_DEG, "distance of the leg from the angles that the twin passes from the "
+        f"fault to {TORQUE_MS:.0f} ms after the stop, and those from there to a leg that hangs"),
+    "over_deg_s": Measure("leg above its own speed", "degrees/s", OVER_DEG_S,
+                          "greatest speed of the leg beyond the twin's greatest in that time"),
+    "stop_end_n": Measure("END in the stop", "N", STOP_END_N, "greatest true END tension from the stop to standstill; "
+                          "what END had when the stop began is no breach"),
+    "slack_ms": Measure("rope taut", "ms", SLACK_MS,
+                        f"from the stop until both true tensions stay below {SLACK_N:g} N"),
+    "torque_ms": Measure("torque", "ms", TORQUE_MS, "from the stop until neither drive gives torque"),
+}
+"""Measures of a stop by the column of a `Verdict`."""
+
+
 class Verdict(NamedTuple):
     """One row at one moment, times in ms, tensions in N; `faults` lists the bounds that it does not keep."""
 
@@ -158,14 +182,11 @@ def _leg(told: Told, twin: Told, until_ns: int) -> tuple[float, float]:
     return float(apart.max(initial=0.0)), float(np.sum(apart > LEG_DEG))
 
 
-def beyond_stop(verdict: Verdict) -> list[str]:
-    """Return the bounds of a stop that a row does not keep, with what it did."""
-    return [f"{what} {value:.0f} {unit}" for what, value, bound, unit in (
-        ("leg off its course by", verdict.off_deg, OFF_DEG, "degrees"),
-        ("leg faster than its own by", verdict.over_deg_s, OVER_DEG_S, "degrees/s"),
-        ("END in the stop", verdict.stop_end_n, max(STOP_END_N, verdict.said_end_n), "N"),
-        ("rope taut for", verdict.slack_ms, SLACK_MS, "ms"),
-        ("torque for", verdict.torque_ms, TORQUE_MS, "ms")) if value > bound]
+def beyond_stop(verdict: Verdict, excused: Sequence[str] = ()) -> list[str]:
+    """Return the bounds of a stop that a row does not keep, but for the excused ones, with what it did."""
+    bounds = {**STOP, "stop_end_n": STOP["stop_end_n"]._replace(bound=max(STOP_END_N, verdict.said_end_n))}
+    return [f"{of.words} {getattr(verdict, name):.0f} {of.unit}" for name, of in bounds.items()
+            if name not in excused and getattr(verdict, name) > of.bound]
 
 
 def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
@@ -175,7 +196,7 @@ def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
     said = np.isfinite(verdict.detected_ms)
     if said and not verdict.named and row.named:
         found.append("named otherwise")
-    if not said and not row.silent and not row.gradual:
+    if not said and not (row.silent or row.gradual or row.quiet):
         found.append("not said")
     if verdict.unsaid_n > UNSAID_N and not (row.silent or row.beyond):
         found.append(f"END off by {verdict.unsaid_n:.1f} N for {UNSAID_MS} ms unsaid")
@@ -183,10 +204,11 @@ def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
         found.append(f"END off by {verdict.apart_n:.1f} N unsaid")
     if row.gradual and verdict.leg_deg > LEG_DEG and not row.beyond:
         found.append(f"leg off by {verdict.leg_deg:.1f}° unsaid")
-    if not row.unstoppable:
-        if verdict.peak_start_n > OVER * START_LIMIT_N or verdict.peak_end_n > OVER * END_LIMIT_N:
-            found.append(f"true tension {verdict.peak_start_n:.0f}/{verdict.peak_end_n:.0f} N")
-        found += beyond_stop(verdict)
+    excused = row.excused or STOP if row.unstoppable else ()
+    found += beyond_stop(verdict, excused)
+    high = verdict.peak_start_n > OVER * START_LIMIT_N or verdict.peak_end_n > OVER * END_LIMIT_N
+    if high and (row.excused or not row.unstoppable):
+        found.append(f"true tension {verdict.peak_start_n:.0f}/{verdict.peak_end_n:.0f} N")
     if not verdict.whole:
         found.append("log torn")
     return found

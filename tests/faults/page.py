@@ -17,28 +17,16 @@ from tests.faults.argument import ACTIONS, HAZARDS
 from tests.faults.judge import (
     LEG_DEG,
     MOMENT_N,
-    OFF_DEG,
-    OVER_DEG_S,
     SLACK_MS,
-    SLACK_N,
-    STOP_END_N,
-    TORQUE_MS,
+    STOP,
     UNSAID_MS,
     UNSAID_N,
     Verdict,
     beyond_stop,
 )
-from tests.faults.stage import PEAK_N, SEED, STAND_S
+from tests.faults.stage import PEAK_N, SEED
 
-BOUNDS = (
-    ("off_deg", "leg off its course", "degrees", OFF_DEG,
-     f"distance of the leg from the angles that the twin passes from the fault to {TORQUE_MS:.0f} ms after the stop, and those from there to a leg that hangs"),
-    ("over_deg_s", "leg above its own speed", "degrees/s", OVER_DEG_S, "greatest speed of the leg beyond the twin's greatest in that time"),
-    ("stop_end_n", "END in the stop", "N", STOP_END_N, f"greatest true END tension from the stop to standstill ({STAND_S:g} s after the program's end)"),
-    ("slack_ms", "rope taut", "ms", SLACK_MS, f"from the stop until both true tensions stay below {SLACK_N:g} N"),
-    ("torque_ms", "torque", "ms", TORQUE_MS, "from the stop until neither drive gives torque"),
-)
-"""Measures of a stop: column, words, unit, bound, meaning."""
+BOUNDS = tuple((name, *of) for name, of in STOP.items())
 WORST = 5
 UNSAID = "<!-- search -->"
 HEAD = f"""# What happens when something breaks

@@ -181,9 +181,15 @@ def nothing(scene: Scene) -> None:
     """The fault is in what was asked for."""
 
 
+KNEE_LET_GO = (argument.LYING_KNEE, argument.KNEE_STAGE)
+COASTS = ("a leg in swing coasts on when its drive lets go, drags the free drum with some 5 N, and nothing else that is "
+          "trusted can brake it")
+
+
 def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
     """Rows whose fault makes this control action unsafe."""
-    return tuple(replace(row, action=action) for row in rows)
+    coasts = {"unstoppable": COASTS, "excused": ("off_deg", "slack_ms")} if action in KNEE_LET_GO else {}
+    return tuple(replace(row, action=action, **({} if row.unstoppable else coasts)) for row in rows)
 
 
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"

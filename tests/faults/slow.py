@@ -208,9 +208,8 @@ TWO_LIE = ("two sensors and the stage that lie by the same share are one witness
            "the stretch at true tension shows, ± 1.2 mm of it in a trial's second cycle")
 LEG = ("the knee's angle has one sensor; the rope shows a departure of the leg only while it is taut, by 0.7 mm for "
        "each degree: in swing the leg departs by as much as the scale does")
-
-TWO_CREEP = ("two encoders in agreement are one witness: 20° of the leg change START and END by 1 N, less than a healthy "
-             "gait cycle; a second knee angle, as the safety monitor has it, shows it")
+TWO_CREEP = ("two encoders in agreement are one witness: 20° of the leg change START and END by 1 N, less than a "
+             "healthy gait cycle; a second knee angle, as the safety monitor has it, shows it")
 
 
 def _row(name: str, act: Act, named: tuple[str, ...], moments: tuple[str, ...] = SLOW, **more: Any) -> Row:

@@ -124,7 +124,8 @@ class Row:
 
     `named`: the names (`names.name_of`) that are right in the stop's reason or, with `event`, in an event.
     `silent`: why no signal could show it, where it is allowed to go unsaid.  `unstoppable`: the physical reason why no
-    stop of the master keeps the bounds.  `gradual`: it may go unsaid as long as END and the leg keep their
+    stop of the master keeps the bounds, or those of the measures `excused` alone.  `quiet`: it may go unsaid where it
+    does no harm.  `gradual`: it may go unsaid as long as END and the leg keep their
     bounds; `beyond`: why they cannot keep them.  `action`: what the fault makes unsafe.  `experiment` alters what is
     run, for rows that begin at the start.
     """
@@ -136,6 +137,8 @@ class Row:
     event: bool = False
     silent: str = ""
     unstoppable: str = ""
+    excused: tuple[str, ...] = ()
+    quiet: bool = False
     experiment: Callable[[trials.ExperimentSetup], trials.ExperimentSetup] = field(default=lambda given: given)
     run: dict[str, Any] = field(default_factory=dict)
     walks: tuple[Walk, ...] = (WALK,)
