@@ -50,7 +50,8 @@ faults: $(VENV)/.installed-test
 	$(BIN)/python -m tests.faults.run --cover --stealth --page docs/faults.md
 
 healthy: $(VENV)/.installed-test
-	$(BIN)/python -m benchmarks.supervision --cost --healthy 500
+	$(BIN)/python -m benchmarks.supervision --cost --healthy 500 --table docs/healthy.csv
+	$(BIN)/python -m benchmarks.checks --page
 
 fuzz: $(VENV)/.installed-test
 	$(BIN)/python -m tests.fuzz.run

@@ -182,8 +182,8 @@ def nothing(scene: Scene) -> None:
 
 
 KNEE_LET_GO = (argument.LYING_KNEE, argument.KNEE_STAGE)
-COASTS = ("a leg in swing coasts on when its drive lets go and drags the free drum with some 5 N, and nothing else that "
-          "is trusted can brake it")
+COASTS = ("a leg in swing coasts on when its drive lets go and drags the free drum with some 5 N; nothing else that is "
+          "trusted can brake it")
 
 
 def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
