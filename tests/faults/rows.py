@@ -177,6 +177,12 @@ def calibrated(**factors: float) -> Callable[[Any], Any]:
     return alter
 
 
+def halved(scene: Scene) -> None:
+    """START, END and the servo's torque read half of what there is."""
+    sensed(start_n=GAIN(0.5), end_n=GAIN(0.5))(scene)
+    scene.plant.stage = lambda _now_ns, servo, knee: (2.0 * servo, knee)
+
+
 def nothing(scene: Scene) -> None:
     """The fault is in what was asked for."""
 
@@ -192,6 +198,7 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
     return tuple(replace(row, action=action, **({} if row.unstoppable else coasts)) for row in rows)
 
 
+SET_UP = "it is there in homing and in every gait cycle alike; a set-up check against a known weight or angle shows it"
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
 ROTOR = "the rotor still winds in when the fault is shown, and its momentum adds to what END had then"
 UNSTABLE = "a reversed stage makes the drive's loop unstable: the leg has its speed before two cycles show it"
@@ -446,6 +453,13 @@ ROWS: tuple[Row, ...] = (
             ("start",), unstoppable=UNLIMITED),
         Row("knee stage reversed from power-on", staged(plants.knee_reversed), (names.KNEE_OFF,), ("start",),
             unstoppable=UNSTABLE),
+        Row("power_on_start_gain: START − 20 %", sensed(start_n=GAIN(0.8)), (), ("start",), silent=SET_UP),
+        Row("power_on_start_end_gain: START and END − 20 % alike", sensed(start_n=GAIN(0.8), end_n=GAIN(0.8)), (),
+            ("start",), silent=SET_UP),
+        Row("power_on_force_gain: START, END and torque − 50 %", halved, (), ("start",), silent=SET_UP),
+        Row("power_on_knee_zero: knee − 10°", sensed(knee_motor_rad=OFFSET(-0.1745)), (), ("start",), silent=SET_UP),
+        Row("power_on_knee_scale: knee + 15 %", sensed(knee_motor_rad=GAIN(1.15), knee_motor_rad_s=GAIN(1.15)), (),
+            ("start",), silent=SET_UP),
         Row("rope snapped before the start", broken(0), ("refused: servo: # mm of rope and START",), ("start",)),
         Row("another master from the start", repeated(50 * MS, 0x77F, lambda n: b"\5"), ("refused: another master",),
             ("start",)),

@@ -96,6 +96,14 @@ def test_a_knee_whose_feedback_fails_is_let_go_and_the_leg_keeps_its_bounds(tmp_
     assert max(row["torque_ms"] for row in told) < 5.0
 
 
+@pytest.mark.parametrize("fault", ["Ctrl-C", "END cut off", "servo stage reversed"])
+def test_a_leg_in_swing_is_braked_before_it_is_let_go(tmp_path: Path, fault: str) -> None:
+    """It coasted on to 22 degrees of extension."""
+    told = matrix(tmp_path, "--gait", "paper", "1.1", "--rows", f"^{fault}$", "--moments", "85 %", "90 %")
+    assert len(told) == 2
+    assert max(row["off_deg"] for row in told) < 5.0
+
+
 @pytest.mark.faults
 def test_every_stop_of_the_covering_sample_keeps_its_bounds(tmp_path: Path) -> None:
     """One run in seven; `make faults` runs all of them."""
