@@ -19,8 +19,8 @@ CONTROLLERS, PERIODS = ("paper", "extended", "none", "friction", "impedance"), (
 GAITS = tuple(Walk(period_s, controller, 1, shape=SHAPES[(place + 2 * other) % len(SHAPES)])
               for place, controller in enumerate(CONTROLLERS) for other, period_s in enumerate(PERIODS))
 """Gaits of the sample: every controller with every period, every bench with three controllers and every period."""
-MOTIONS = tuple(Walk(motion=motion, shape=shape) for motion in ("home", "jog", "identify") for shape in SHAPES
-                if motion == "identify" or shape in ("bench", "bench_start_only"))
+MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for shape in ("bench", "bench_start_only")),
+           *(Walk(motion="identify", shape=shape) for shape in ("bench", "bench_two_legs")))
 """Other motions; `home` and `jog` run one force path with a driven knee."""
 ON_ONE_BENCH = (argument.FOREIGN, argument.TARGETS, argument.ALTERED, argument.OTHER_BENCH)
 """Actions whose rows name frames of the paper's bench."""

@@ -188,13 +188,12 @@ def nothing(scene: Scene) -> None:
 
 
 KNEE_LET_GO = (argument.LYING_KNEE, argument.KNEE_STAGE)
-COASTS = ("a leg in swing coasts on when its drive lets go and drags the free drum with some 5 N; nothing else that is "
-          "trusted can brake it")
+COASTS = "a leg in swing coasts on when its drive lets go, and nothing else that is trusted can brake it"
 
 
 def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
     """Rows whose fault makes this control action unsafe."""
-    coasts = {"unstoppable": COASTS, "excused": ("off_deg", "slack_ms")} if action in KNEE_LET_GO else {}
+    coasts = {"unstoppable": COASTS, "excused": ("off_deg",)} if action in KNEE_LET_GO else {}
     return tuple(replace(row, action=action, **({} if row.unstoppable else coasts)) for row in rows)
 
 

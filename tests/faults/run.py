@@ -92,6 +92,8 @@ def main() -> int:
         for verdict in ran(cover.thinned(sampled, given.every), given.jobs):
             print(line(verdict), flush=True)
             found.append(verdict)
+            if given.json:
+                given.json.write_text(json.dumps([one._asdict() for one in found]), encoding="utf-8")
     broken = [verdict for verdict in found if verdict.faults]
     rows = len({verdict.name for verdict in found})
     print(f"{rows} faults, {len(found)} rows with their moments, {len(broken)} beyond a bound.")

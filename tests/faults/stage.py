@@ -115,7 +115,9 @@ class Scene(NamedTuple):
         elif kind in OF_A_NODE | {"babble"}:
             outages.arrange(bench.kernel, lambda: bench.medium, (bench.host, *bench.nodes.values()), [fault],
                             bench.wire.bit_ns)
-            outages.wired(bench.kernel, [fault], bench.machine.trouble)  # type: ignore[attr-defined, union-attr]
+            for machine in getattr(bench.machine, "machines", (bench.machine,)):
+                if fault.node in machine.felt:
+                    outages.wired(bench.kernel, [fault], machine.trouble)
 
 
 @dataclass
