@@ -21,7 +21,6 @@ from master.network.link import LinkError
 _START_BIT = 1 << START
 _SERVO_BIT = 1 << SERVO
 _END_BIT = 1 << END
-QUICK_STOP_NS = 80_000_000
 DISABLE_NS = 120_000_000
 SLACK_NS = 100_000_000
 GRACE_NS = 50_000_000
@@ -71,7 +70,6 @@ def _unwind(exchange: Running) -> bool:
         return False
     for path in exchange.paths:
         drives.quick_stop(path)
-    together(exchange, [_stopping(path) for path in exchange.paths])
     return True
 
 
@@ -107,25 +105,14 @@ def _not_unwound(exchange: Exchange, why: str) -> bool:
     return False
 
 
-def _stopping(exchange: Exchange) -> Work[None]:
-    """Wait until the servo has stopped and left OPERATION ENABLED by itself (0x605A = 2)."""
-    deadline = exchange.inputs.sync_ns + QUICK_STOP_NS
-    while exchange.inputs.sync_ns < deadline:
-        yield Answer(*exchange.targets)
-        inputs = exchange.inputs
-        silent = inputs.missing & _SERVO_BIT
-        if not silent and state_of(inputs.servo_status) not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
-            return
-
-
 def _settling(exchange: Exchange, held: bool) -> Work[None]:
-    """Wait until the rope is slack and a `held` knee stands; a stage that does not let go needs the operator's hand.
+    """Wait until the servo is off, the rope slack and a `held` knee at rest: let go in mid-swing, it would coast on.
 
-    A knee that is let go in the middle of its swing would coast on.
+    A stage that does not let go needs the operator's hand.
     """
     inputs, knee = exchange.inputs, math.nan
     deadline, still = inputs.sync_ns + SLACK_NS, AT_REST_RAD_S * exchange.wire.period_ns * 1e-9
-    while (taut := inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N) or (
+    while (taut := inputs.start_n >= SLACK_N or inputs.end_n >= SLACK_N) or _powered(inputs) or (
             held and exchange.knee_driven and not abs(inputs.knee_angle_rad - knee) < still):
         if inputs.sync_ns >= deadline:
             if taut:
@@ -135,6 +122,12 @@ def _settling(exchange: Exchange, held: bool) -> Work[None]:
         knee = inputs.knee_angle_rad
         yield Answer(*exchange.targets)
         inputs = exchange.inputs
+
+
+def _powered(inputs: Inputs) -> bool:
+    """Return whether the servo reports torque; it ends a quick stop by itself (0x605A = 2)."""
+    return not inputs.missing & _SERVO_BIT and state_of(inputs.servo_status) in (
+        State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
 
 
 def _readings(inputs: Inputs) -> str:
