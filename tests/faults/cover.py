@@ -54,7 +54,9 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
                 for walk in fit if whole else [fit[(STEP * place + number) % len(fit)]]:
                     turns.setdefault(walk, []).append(moment)
             for walk, at in turns.items():
-                found.setdefault(walk, []).append(replace(row, moments=tuple(at), walks=(walk,), named=(), quiet=True))
+                errors = tuple(name for name in row.named if name.startswith("program failed"))
+                found.setdefault(walk, []).append(
+                    replace(row, moments=tuple(at), walks=(walk,), named=errors, quiet=True))
     return found
 
 

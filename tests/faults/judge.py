@@ -196,7 +196,7 @@ def _faults(row: Row, verdict: Verdict, told: Told) -> Sequence[str]:
     if told.crashed:
         found.append(f"crashed: {told.crashed}")
     said = np.isfinite(verdict.detected_ms)
-    if said and not verdict.named and row.named:
+    if said and not verdict.named and (row.named or verdict.said.startswith("program failed")):
         found.append("named otherwise")
     if not said and not (row.silent or row.gradual or row.quiet):
         found.append("not said")
