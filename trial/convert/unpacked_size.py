@@ -22,6 +22,9 @@ CELL: Final = 8
 DEPTH: Final = 32
 """Structures within structures that a MATLAB file may have; scipy reads each level on the C stack."""
 
+_ZIPPED: Final = struct.Struct("<4s4xQQ2sBxIQQ")
+"""Head of a zipped block of MDF 4 (ASAM MDF 4.1, DZ block): name, length, links, type, method, columns, unpacked bytes,
+packed bytes."""
 _MATRIX, _COMPRESSED, _INT32 = 14, 15, 5  # data types of MAT-file level 5, MathWorks' "MAT-File Format", table 1-1
 _HEADER = 128
 
@@ -114,6 +117,34 @@ def check_hdf(path: Path, file: Any) -> None:
                     raise outside(path, name)
                 size += max(CELL, item.dtype.itemsize) * math.prod(item.shape or ())
                 refuse_above(path, size)
+
+
+def check_mdf_blocks(path: Path) -> None:
+    """Raise `InputError` if the zipped blocks of an MDF file unpack to too many bytes, or to more than they declare."""
+    raw, limit, size = path.read_bytes(), unpacked_limit(path), 0
+    at = raw.find(b"##DZ")
+    while at >= 0 and at + _ZIPPED.size <= len(raw):
+        _, _, _, _, _, _, declared, packed = _ZIPPED.unpack_from(raw, at)
+        if at % 8 == 0:  # every block begins at a multiple of 8; other places are data
+            refuse_above(path, size + declared)
+            body = raw[at + _ZIPPED.size:at + _ZIPPED.size + packed]
+            try:
+                size += len(zlib.decompressobj().decompress(body, limit - size + 1))
+            except zlib.error:
+                size += 0  # whoever reads it says what is wrong
+            refuse_above(path, size)
+        at = raw.find(b"##DZ", at + 1)
+
+
+def check_mdf(path: Path, file: Any) -> None:
+    """Raise `InputError` if the signals of an MDF file are too large on the clock of its longest group.
+
+    `file` is asammdf's.
+    """
+    groups = [(group.channel_group.cycles_nr, group.channel_group.samples_byte_nr, len(group.channels))
+              for group in file.groups]
+    longest = max((rows for rows, _, _ in groups), default=0)
+    refuse_above(path, sum(rows * (width + CELL * count) + CELL * count * longest for rows, width, count in groups))
 
 
 def outside(path: Path, name: str) -> InputError:
