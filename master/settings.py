@@ -117,6 +117,8 @@ class Record:
     """Description of a trial for later readers; `bowden init` asks for it once."""
 
     specimen: str = parameter("", "", "who or what wears the knee", source="said by the operator")
+    limb: str = parameter("", "", "person whose limb the bench moves, by a code; empty: a leg model. A trial then "
+                          "needs a set-up check (bowden check bench)", source="said by the operator")
     rope: str = parameter("", "", "rope and sheath: kind, batch, days in use", source="said by the operator")
     operator: str = parameter("", "", "who runs the bench", source="said by the operator")
     notes: str = parameter("", "", "whatever else matters", source="said by the operator")
