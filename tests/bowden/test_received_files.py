@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bowden.bench import configuration
 from bowden.trials import recorded
 from parameters import InputError
 from trial.read import open as opened
@@ -54,7 +55,61 @@ def _trial(path: Path) -> None:
     _ = trial.frames, trial.events, trial.columns
 
 
-READERS: dict[str, Callable[[Path], None]] = {"yml": _bus_yml, "import": _imported, "mcap": _trial}
+def _eds(path: Path) -> None:
+    from eds import dictionary
+
+    dictionary.read(path, 1)
+
+
+def _configuration(path: Path) -> None:
+    configuration.read(path)
+
+
+READERS: dict[str, Callable[[Path], None]] = {
+    "yml": _bus_yml, "import": _imported, "mcap": _trial, "eds": _eds, "toml": _configuration}
+EXPORTED = ("csv.gz", "xlsx", "parquet", "mat", "tdms", "mf4", "log", "blf", "asc", "trc")
+"""Formats of `bowden export`, whose files `bowden import` reads."""
+INPUTS = 20
+"""Damaged files of one format."""
+
+
+def seed_of(ending: str, folder: Path) -> tuple[str, bytes]:
+    """Return the reader of a format and the bytes of a small file of it."""
+    from eds.dictionary import packaged
+    from tests.fuzz.surfaces import _seed_trial
+    from trial.convert.export import export_file
+
+    if ending == "mcap":
+        return "mcap", _seed_trial()
+    if ending == "yml":
+        return "yml", ("master: {node_id: 1}\n" + nested(3)).encode()
+    if ending == "eds":
+        return "eds", packaged("knee_drive").read_bytes()[:20_000]
+    if ending == "toml":
+        return "toml", configuration.as_text(configuration.read(None)).encode()
+    whole = folder / "seed.mcap"
+    whole.write_bytes(_seed_trial())
+    export_file(whole, folder / f"seed.{ending}")
+    return "import", (folder / f"seed.{ending}").read_bytes()
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("ending", ["mcap", "yml", "eds", "toml", *EXPORTED])
+def test_damaged_files_of_each_format_are_read_or_refused_within_bounds(tmp_path: Path, ending: str) -> None:
+    from tests.fuzz.surfaces import chance_of, mutated
+
+    reader, seed = seed_of(ending, tmp_path)
+    files = [tmp_path / f"{number}.{ending}" for number in range(INPUTS)]
+    files[0].write_bytes(seed)
+    for number, file in enumerate(files[1:], 1):
+        file.write_bytes(mutated(chance_of(f"bounds {ending}", number), seed))
+    run = subprocess.run([sys.executable, "-c", IN_BOUNDS, reader, *map(str, files)], cwd=ROOT, capture_output=True,
+                         text=True, check=False, timeout=400)
+    assert run.returncode == 0, run.stderr[-2000:]
+    for line in run.stdout.splitlines()[1:]:
+        grown, cpu_s = line.split()
+        assert int(grown) < MEMORY
+        assert float(cpu_s) < SECONDS
 
 
 def within_bounds(reader: str, harmless: Path, hostile: Path) -> str:

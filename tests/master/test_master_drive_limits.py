@@ -153,3 +153,10 @@ def test_the_trials_file_has_the_table(tmp_path: Path) -> None:
     assert command_line(["trial", "--cycles", "1", "--settle", "0", "--period", "1.1", "-o", str(path)]) == 0
     table = opened(path).attachments["safety_functions.csv"].decode()
     assert 'START tension,leg,"drive, master",0x2012 90 N; 0x2013 110 N,120 N,' in table
+
+
+def test_the_page_has_the_table_of_the_packaged_bench() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
+    table = page.split("<!-- safety functions: begin -->\n")[1].split("<!-- safety functions: end -->")[0]
+    rows = holders(wire(Network()), Limits())
+    assert table.splitlines()[2:] == [f"| {' | '.join(cell or '–' for cell in row.cells)} |" for row in rows]

@@ -66,6 +66,11 @@ class CheckingHand:
         self._share = 1.0 - math.exp(-DRIVE_TICK_NS * 1e-9 / CHECK_LAG_S)
         self._state, self._gains = loop_state(), KNEE_GAINS.vector()
 
+    @property
+    def leads(self) -> bool:
+        """Whether it holds the leg at an angle."""
+        return self._angle_rad is not None
+
     def push(self, angle_rad: float, speed_rad_s: float) -> float:
         """Return the torque at the joint, N·m; called once in `DRIVE_TICK_NS`."""
         if self._angle_rad is None:

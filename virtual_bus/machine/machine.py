@@ -218,7 +218,8 @@ class Machine:
         self._servo_nm = drive.tick(now_ns, servo_m, servo_m_s) if station.on else 0.0
         station.settle(now_ns)
         if isinstance(self._knee, Hand):
-            self._knee_nm = self._knee.push(knee_rad, knee_rad_s)
+            led = self._hand is not None and self._hand.leads
+            self._knee_nm = 0.0 if led else self._knee.push(knee_rad, knee_rad_s)
         elif isinstance(self._knee, MountedDrive):
             station, drive = self._knee
             scale, zero_rad = self._encoder
