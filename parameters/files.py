@@ -10,6 +10,7 @@ import gzip
 import os
 import stat
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -57,7 +58,7 @@ def content(path: Path, what: str, *, limit: int = READ_LIMIT, lines: bool = Fal
         return raw
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of {what}.") from None
-    except (OSError, EOFError) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read ({error}); give {what}.") from None
     except MemoryError:
         raise InputError(f"{path}: is too large for this computer's memory; cut it.") from None

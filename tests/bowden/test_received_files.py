@@ -77,7 +77,7 @@ def seed_of(ending: str, folder: Path) -> tuple[str, bytes]:
     """Return the reader of a format and the bytes of a small file of it."""
     from eds.dictionary import packaged
     from tests.fuzz.surfaces import _seed_trial
-    from trial.convert.export import export_file
+    from trial.convert.export import export
 
     if ending == "mcap":
         return "mcap", _seed_trial()
@@ -89,7 +89,7 @@ def seed_of(ending: str, folder: Path) -> tuple[str, bytes]:
         return "toml", configuration.as_text(configuration.read(None)).encode()
     whole = folder / "seed.mcap"
     whole.write_bytes(_seed_trial())
-    export_file(whole, folder / f"seed.{ending}")
+    export(opened(whole), folder / f"seed.{ending}")
     return "import", (folder / f"seed.{ending}").read_bytes()
 
 

@@ -27,6 +27,9 @@ _ZIPPED: Final = struct.Struct("<4s4xQQ2sBxIQQ")
 packed bytes."""
 _MATRIX, _COMPRESSED, _INT32 = 14, 15, 5  # data types of MAT-file level 5, MathWorks' "MAT-File Format", table 1-1
 _HEADER = 128
+_DATA_TYPES: Final = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18))
+"""Data types of elements within an array (the same table): scipy reads beyond its table of types at another one, and the
+process ends."""
 
 
 def refuse_above(path: Path, size: int) -> None:
@@ -85,6 +88,8 @@ def _declared(path: Path, raw: bytes, order: str) -> int:
             first, after = at + 8, at + 8 + length + -length % 8
             if kind >> 16:  # a small element: its length and up to four bytes in the tag
                 kind, length, first, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+            if kind not in _DATA_TYPES:
+                raise InputError(f"{path}: cannot be read (data type {kind} in an array); give a whole .mat file.")
             if kind == _MATRIX:
                 waiting.append((first, min(first + length, end), depth + 1))
             elif kind == _INT32 and place == 1 and depth:
