@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from parameters import InputError
+from parameters import InputError, read_toml
 
 if TYPE_CHECKING:
     from master.limit_holders import HeldLimit
@@ -21,7 +22,20 @@ def table(sections: Mapping[str, Any]) -> list[HeldLimit]:
     from eds.bench.bench_network import wire
     from master.limit_holders import holders
 
-    return holders(wire(sections["network"]), sections["limits"])
+    network = sections["network"]
+    return holders(wire(network), sections["limits"], _monitored(getattr(network, "monitor", "")))
+
+
+def _monitored(person: str) -> dict[str, str]:
+    """Return the bounds that the safety monitor of a person's file holds, by function; none without a file."""
+    if not person:
+        return {}
+    bounds = read_toml(Path(person))
+    held = {
+        "START tension": "{start_n} N", "START tension without the master": "{start_n} N", "END tension": "{end_n} N",
+        "knee angle": "{knee_low_deg}° … {knee_high_deg}°", "knee speed": "{knee_deg_s} °/s",
+        "master lost": "{heartbeat_ms} ms"}
+    return {function: text.format_map(bounds) for function, text in held.items()}
 
 
 def as_csv(rows: list[HeldLimit]) -> bytes:

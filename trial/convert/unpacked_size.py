@@ -28,8 +28,8 @@ packed bytes."""
 _MATRIX, _COMPRESSED, _INT32 = 14, 15, 5  # data types of MAT-file level 5, MathWorks' "MAT-File Format", table 1-1
 _HEADER = 128
 _DATA_TYPES: Final = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18))
-"""Data types of elements within an array (the same table): scipy reads beyond its table of types at another one, and the
-process ends."""
+"""Data types of elements within an array (the same table): at another one scipy reads beyond its table of types, which
+ends the process."""
 
 
 def refuse_above(path: Path, size: int) -> None:
