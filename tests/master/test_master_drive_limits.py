@@ -160,3 +160,10 @@ def test_the_page_has_the_table_of_the_packaged_bench() -> None:
     table = page.split("<!-- safety functions: begin -->\n")[1].split("<!-- safety functions: end -->")[0]
     rows = holders(wire(Network()), Limits())
     assert table.splitlines()[2:] == [f"| {' | '.join(cell or '–' for cell in row.cells)} |" for row in rows]
+
+
+def test_doctor_shows_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    command_line(["doctor", "--for", "0.1", "--json"])
+    told = json.loads(capsys.readouterr().out)["safety_functions"]
+    assert told[0] == {"function": "START tension", "of": "leg", "drive": "0x2012 90 N; 0x2013 110 N",
+                       "master": "120 N", "monitor": "", "held_by": "drive, master"}
