@@ -75,6 +75,13 @@ class ForwardModel(ABC):
     def simulated_states(self, q: Array, trial: Any) -> Array:
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
 
+    @abstractmethod
+    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array | None]:
+        """Return position, m, speed, m/s, tension or load, N, and joint angle, rad, on the time grid at `q`.
+
+        The load is simulated at coordinates `q` where the model predicts it; the joint angle is None if there is none.
+        """
+
     def motion(self, trial: Any) -> Array:
         """Return the signals whose range in the reference trials a trial should not exceed, shape (signals, bins)."""
         return np.zeros((0, 1))
