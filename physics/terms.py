@@ -24,8 +24,6 @@ SPEED_M_S: Final = 5e-3
 """Speed, m/s, at which the direction of motion counts as 0.76; the friction of a rope has turned over by then."""
 TENSION_N: Final = 30.0
 """Tension, N, in whose units modulations by load are stated: the middle of a 40 to 60 N gait."""
-PHASE_WIDTH: Final = 0.02
-"""Standard deviation of a bump over the gait's phase, in gait cycles: a pulse of 40 ms in a 2 s gait."""
 
 
 class Course(NamedTuple):
@@ -122,8 +120,9 @@ MODULATIONS: Final[Mapping[str, Modulation]] = MappingProxyType({
     "position_bump": _M({"at_m": "m", "width_m": "m"}, lambda c, p: [_bump(c.position_m - p["at_m"], p["width_m"])],
                         " about the rope position {at_m} (± {width_m})", "position_m",
                         "pull the rope slowly through the place under constant load"),
-    "phase_bump": _M({"phase": ""}, lambda c, p: [_bump(_around(c, p), PHASE_WIDTH)], " about the gait phase {phase}",
-                     "phase", "the same gait at another cadence: a pulse of the gait moves with it"),
+    "phase_bump": _M({"phase": "", "width": ""}, lambda c, p: [_bump(_around(c, p), p["width"])],
+                     " about the gait phase {phase} (± {width})", "phase",
+                     "the same gait at another cadence: a pulse of the gait moves with it"),
     "time_sine": _M({"hz": "Hz"}, lambda c, p: _turns(2.0 * np.pi * p["hz"] * c.time_s), " · sin(2π·{hz}·t + phase)",
                     "time_s", "stand still under constant load: a vibration goes on", 2),
 })
@@ -195,7 +194,7 @@ class Term:
             name: quantity(value, MODULATIONS[self.modulation].parameters[name])
             for name, value in self.parameters.items()})
         if self.phase_rad is not None:
-            shape = shape.replace("phase)", f"{self.phase_rad:.2g})")
+            shape = shape.replace("phase)", f"{self.phase_rad:.2g})".replace("-", "−")).replace("+ −", "− ")
         low, high = self.interval
         said = f"{quantity(self.size, self.unit)}{shape}"
         bounds = f"{quantity(low, self.unit)} … {quantity(high, self.unit)}"

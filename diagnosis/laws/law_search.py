@@ -79,11 +79,11 @@ class LawSearch:
 
     def __post_init__(self) -> None:
         """Fit the session without terms, and lay out the library on the courses of its trials."""
-        starts: list[Array | None] = [None, *self.reference.starts()] if self.start is None else [self.start]
+        starts = [self.start] if self.start is not None else [self.prior.mean, *self.reference.starts()]
         self.base = max((mode(self.observed, self.prior, self.kept, at) for at in starts),
                         key=lambda m: m.log_evidence)
         model = self.observed.model
-        phases = self.phases or [None] * len(self.observed.trials)
+        phases: Sequence[Array | None] = self.phases or [None] * len(self.observed.trials)
         self.modulated = [Modulated(course_of(model, self.base.q, trial, phase), trial)
                           for trial, phase in zip(self.observed.trials, phases, strict=True)]
         self.carriers = carriers_of(model, self.observed.outputs)

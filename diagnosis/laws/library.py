@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from estimation.forward_model import ForwardModel
 from estimation.likelihood_data import GRID_S, Recording
@@ -115,7 +116,7 @@ def candidates(course: Course, hz: tuple[float, float] = (3.0, 25.0)) -> Candida
         grids["knee_bump"] = [{"at_rad": least + share * span, "width_rad": span / 25.0}
                               for share in np.arange(0.04, 1.0, 0.04)]
     if course.phase is not None:
-        grids["phase_bump"] = [{"phase": float(phase)} for phase in np.arange(0.0, 1.0, 0.03)]
+        grids["phase_bump"] = [{"phase": float(phase), "width": 0.02} for phase in np.arange(0.0, 1.0, 0.03)]
     grids["time_sine"] = [{"hz": float(f)} for f in np.arange(hz[0], hz[1], 0.5 / length)]
     return Candidates(grids)
 
@@ -127,8 +128,11 @@ class Modulated(NamedTuple):
     trial: Recording
 
     def bins(self, name: str, parameters: Mapping[str, float]) -> list[Array]:
-        """Return the components of a modulation, averaged over bins, each of shape (bins,)."""
-        return [self.trial.binned(np.asarray(part)) for part in MODULATIONS[name].function(self.course, parameters)]
+        """Return the components of a modulation, low-passed and averaged over bins as the data, each of shape (bins,).
+        """
+        low = butter(2, self.trial.lowpass_hz, fs=1.0 / GRID_S, output="sos")
+        return [self.trial.binned(np.asarray(sosfiltfilt(low, part)))
+                for part in MODULATIONS[name].function(self.course, parameters)]
 
 
 def course_of(model: ForwardModel, q: Array, trial: Recording, phase: Array | None) -> Course:
