@@ -93,8 +93,10 @@ class Finder:
         with threadpool_limits(1, user_api="blas"):
             return replace(self._diagnosed(trials, holdout), lowpass_hz=self.lowpass)
 
-    def discover(self, trials: Sequence[Given]) -> Laws:
-        """Return the terms that extend the model of the reference condition in `trials`, of one session.
+    def discover(self, trials: Sequence[Given]) -> tuple[Laws, BenchModel | None]:
+        """Return the terms that extend the model of the reference condition in `trials`, and that model.
+
+        `trials`: of one session.  The model is None for a rig of another kind.
 
         Raises `InputError` for unusable files, and without reference trials: a law departs from them.
         """
@@ -113,7 +115,7 @@ class Finder:
             raise InputError(refused)
         with threadpool_limits(1, user_api="blas"):
             reference, observed = core.observed(tables)
-            return discover(reference, observed, tables)
+            return discover(reference, observed, tables), self._model(core, tables)
 
     def _known(self, trials: Sequence[Table]) -> Mapping[str, Any] | None:
         return self.calibration if self.calibration is not None else trials[0].calibration
