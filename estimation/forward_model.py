@@ -76,10 +76,11 @@ class ForwardModel(ABC):
         """Return the states that the discrepancy depends on, shape (states, bins), simulated at coordinates `q`."""
 
     @abstractmethod
-    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array | None]:
-        """Return position, m, speed, m/s, tension or load, N, and joint angle, rad, on the time grid at `q`.
+    def course(self, q: Array, trial: Any) -> tuple[Array, Array, Array, Array, Array | None]:
+        """Return position, m, speed, m/s, load at START and at END, N, and joint angle, rad, on the time grid at `q`.
 
-        The load is simulated at coordinates `q` where the model predicts it; the joint angle is None if there is none.
+        The loads are simulated at coordinates `q` where the model predicts them; the joint angle is None if there is
+        none.
         """
 
     def motion(self, trial: Any) -> Array:

@@ -21,6 +21,10 @@ from physics.terms import MODULATIONS, Term
 
 NEARLY: Final = 0.5
 """Least evidence of a runner-up, relative to the first term's: the share of a diagnosis' ambiguity set."""
+CLOSE_CALL: Final = 0.8
+"""Evidence, relative to the best candidate's, from which held-out cycles decide: it is linear, and off by as much."""
+TRIED: Final = 3
+"""Candidates for one term that are fitted and tested on held-out cycles; each costs about a second."""
 DRAWS: Final = 400
 """Bootstrap samples of whole cycles for the interval of a gain; its ends then repeat to about a tenth of its width."""
 
@@ -123,21 +127,28 @@ class _Selected(NamedTuple):
 
 
 def _selected(search: LawSearch) -> _Selected:
-    """Add terms one after the other while evidence and held-out cycles confirm each."""
+    """Add terms one after the other while evidence and held-out cycles confirm each.
+
+    Held-out cycles decide between candidates of nearly the same evidence, which is linear and of all cycles.
+    """
     chosen: list[Candidate] = []
     at, session, fault = search.base, search.held_out(), ""
     residual, runners = session, list[Candidate]()
     while len(chosen) < MOST_TERMS and not (chosen and _small(search, residual)):
-        more, offers = search.further(chosen, at)
-        if len(more) == len(chosen):
+        offers = search.further(chosen, at)
+        tried: list[tuple[float, int, list[Candidate], PosteriorMode, Array]] = []
+        for offer in [c for c in offers if c.nats >= CLOSE_CALL * offers[0].nats][:TRIED]:
+            more = search.swapped([*chosen, offer]) if chosen else [offer]
+            there = search.fitted(more)
+            then = search.predicted(more, there)
+            fault = _fault(search, residual, then, further=bool(chosen))
+            if not fault:
+                tried.append((float(_weighed(search, then).sum()), len(tried), more, there, then))
+        if not tried:
             break
-        there = search.fitted(more)
-        then = search.predicted(more, there)
-        fault = _fault(search, residual, then, further=bool(chosen))
-        if fault:
-            break
-        runners = runners or [c for c in offers if c != more[0] and c.nats > NEARLY * more[0].nats]
-        chosen, at, residual = more, there, then
+        _, _, more, there, residual = min(tried)
+        runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > NEARLY * offers[0].nats]
+        chosen, at, fault = more, there, ""
     return _Selected(chosen, at, HeldOutErrors(session, residual), runners, fault)
 
 
@@ -230,7 +241,7 @@ def _picture(search: LawSearch, chosen: Sequence[Candidate], at: PosteriorMode, 
     laws, left = (search.observed.model.errors(trial, rows) for rows in (first, rest))
     name = max((n for n in search.observed.model.judged if n in laws), key=lambda n: float(np.std(laws[n])))
     depends = MODULATIONS[chosen[k].modulation].depends
-    values = getattr(search.modulated[0].course, depends if depends != "nothing" else "time_s")
+    values = getattr(search.modulated[0].of(chosen[k].carrier), depends if depends != "nothing" else "time_s")
     return Picture(depends if depends != "nothing" else "time_s", name, search.observed.model.signals[name],
                    trial.binned(values), left[name], laws[name])
 

@@ -21,7 +21,7 @@ from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from diagnosis.evidence.decision import NAMED_NATS
-from diagnosis.laws.library import VIBRATING, Candidates, Modulated, candidates, carriers_of, course_of, in_units
+from diagnosis.laws.library import VIBRATING, Candidates, Modulated, candidates, carriers_of, in_units, modulated
 from estimation.posterior import Gaussian, Observed, PosteriorMode, mode
 from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
@@ -84,7 +84,7 @@ class LawSearch:
                         key=lambda m: m.log_evidence)
         model = self.observed.model
         phases: Sequence[Array | None] = self.phases or [None] * len(self.observed.trials)
-        self.modulated = [Modulated(course_of(model, self.base.q, trial, phase), trial)
+        self.modulated = [modulated(model, self.base.q, trial, phase)
                           for trial, phase in zip(self.observed.trials, phases, strict=True)]
         self.carriers = carriers_of(model, self.observed.outputs)
         self.library = candidates(self.modulated[0].course)
@@ -105,17 +105,18 @@ class LawSearch:
         _, slopes = self.observed.jacobian(q, rows)
         return {name: slopes[:, k] * in_units(table, q, name, self.carriers[name]) for k, name in enumerate(names)}
 
-    def shapes(self, name: str, parameters: Mapping[str, float]) -> Array:
-        """Return the components of a modulation over all data, shape (data, components)."""
+    def shapes(self, carrier: str, name: str, parameters: Mapping[str, float]) -> Array:
+        """Return the components of a modulation of a carrier over all data, shape (data, components)."""
         parts = []
-        for modulated in self.modulated:
-            rows = np.stack(modulated.bins(name, parameters), axis=1)
+        for trial in self.modulated:
+            rows = np.stack(trial.bins(carrier, name, parameters), axis=1)
             parts.append(np.tile(rows, (len(self.observed.outputs), 1)))
         return np.concatenate(parts)
 
     def columns(self, slopes: Mapping[str, Array], chosen: Sequence[Candidate]) -> tuple[Array, Array]:
         """Return the columns of terms, shape (data, components), and their prior 1σ, shape (components,)."""
-        parts = [slopes[c.carrier][:, None] * self.shapes(c.modulation, c.parameters) for c in chosen]
+        parts = [slopes[c.carrier][:, None] * self.shapes(c.carrier, c.modulation, c.parameters)
+                 for c in chosen]
         sds = [np.full(part.shape[1], self.carriers[c.carrier].sd) for c, part in zip(chosen, parts, strict=True)]
         empty = np.zeros((self.observed.data.size, 0))
         return np.concatenate([empty, *parts], axis=1), np.concatenate([np.zeros(0), *sds])
@@ -148,11 +149,14 @@ class LawSearch:
         for name, grid in self.library.grids.items():
             count = MODULATIONS[name].components
             for part in _chunks(grid):
-                shapes = np.concatenate([self.shapes(name, parameters) for parameters in part], axis=1)
+                shapes = {}
                 for carrier, slope in slopes.items():
                     if name == "time_sine" and carrier not in VIBRATING:
                         continue
-                    nats = metric.evidence(slope[:, None] * shapes, self.carriers[carrier].sd, count)
+                    end = carrier.startswith("end_") and MODULATIONS[name].depends == "tension_n"
+                    if end not in shapes:
+                        shapes[end] = np.concatenate([self.shapes(carrier, name, p) for p in part], axis=1)
+                    nats = metric.evidence(slope[:, None] * shapes[end], self.carriers[carrier].sd, count)
                     rated += [Candidate(float(n), carrier, name, p) for n, p in zip(nats, part, strict=True)]
         return sorted(rated, key=lambda c: -c.nats)
 
@@ -170,7 +174,8 @@ class LawSearch:
             parameters = dict(zip(names, (first + move * scale).tolist(), strict=True))
             if any(value <= 0.0 and name not in ("at_m", "at_rad", "phase") for name, value in parameters.items()):
                 return 1e9
-            columns = slopes[candidate.carrier][:, None] * self.shapes(candidate.modulation, parameters)
+            columns = slopes[candidate.carrier][:, None] * self.shapes(
+                candidate.carrier, candidate.modulation, parameters)
             return -float(metric.evidence(columns, self.carriers[candidate.carrier].sd, count)[0])
 
         simplex = np.concatenate([np.zeros((1, scale.size)), np.eye(scale.size)])
@@ -199,19 +204,11 @@ class LawSearch:
 
     # -- selection -----------------------------------------------------------------------------------------------------
 
-    def further(self, chosen: Sequence[Candidate], at: PosteriorMode) -> tuple[list[Candidate], list[Candidate]]:
-        """Return `chosen` with one more term, and the foremost candidates for it; no term if none has the evidence.
+    def further(self, chosen: Sequence[Candidate], at: PosteriorMode) -> list[Candidate]:
+        """Return the candidates for one more term whose evidence exceeds `NAMED_NATS` and the cost of the library."""
+        return [c for c in self.best_of(at, chosen) if c.nats >= NAMED_NATS + math.log(self.size)]
 
-        The evidence must exceed `NAMED_NATS` after the cost of the library.  The earlier terms are then tested once
-        more: the first one is replaced if another candidate has more evidence beside the others.
-        """
-        offers = self.best_of(at, chosen)
-        if not offers or offers[0].nats < NAMED_NATS + math.log(self.size):
-            return list(chosen), offers
-        more = [*chosen, offers[0]]
-        return (self._swapped(more) if chosen else more), offers
-
-    def _swapped(self, chosen: list[Candidate], least: float = 2.0) -> list[Candidate]:
+    def swapped(self, chosen: list[Candidate], least: float = 2.0) -> list[Candidate]:
         """Return the terms after replacing the first one if a candidate beside the others exceeds it by `least` nats.
         """
         others = chosen[1:]

@@ -122,25 +122,32 @@ def candidates(course: Course, hz: tuple[float, float] = (3.0, 25.0)) -> Candida
 
 
 class Modulated(NamedTuple):
-    """Course of one trial on its simulation grid with the functions that average it over the bins of the data."""
+    """Course of one trial on its simulation grid, averaged over the bins of the data; `end_n`: the model's END tension.
+    """
 
     course: Course
+    end_n: Array
     trial: Recording
 
-    def bins(self, name: str, parameters: Mapping[str, float]) -> list[Array]:
+    def of(self, carrier: str) -> Course:
+        """Return the course with the tension that a carrier feels: END's if it is a constant of END."""
+        return self.course._replace(tension_n=self.end_n) if carrier.startswith("end_") else self.course
+
+    def bins(self, carrier: str, name: str, parameters: Mapping[str, float]) -> list[Array]:
         """Return the components of a modulation, low-passed and averaged over bins as the data, each of shape (bins,).
         """
         low = butter(2, self.trial.lowpass_hz, fs=1.0 / GRID_S, output="sos")
         return [self.trial.binned(np.asarray(sosfiltfilt(low, part)))
-                for part in MODULATIONS[name].function(self.course, parameters)]
+                for part in MODULATIONS[name].function(self.of(carrier), parameters)]
 
 
-def course_of(model: ForwardModel, q: Array, trial: Recording, phase: Array | None) -> Course:
-    """Return the signals of a trial that modulations depend on; the tension is the model's at coordinates `q`.
+def modulated(model: ForwardModel, q: Array, trial: Recording, phase: Array | None) -> Modulated:
+    """Return the signals of a trial that modulations depend on; the tensions are the model's at coordinates `q`.
 
     `phase`: gait phase of each bin, 0 … 1, or None; held within a bin.
     """
     time = np.asarray(GRID_S * np.arange(trial.time_s.size))
     whole = None if phase is None else np.asarray(
         np.interp(time, trial.binned(time), np.unwrap(2.0 * np.pi * phase)) / (2.0 * np.pi) % 1.0)
-    return Course(time, *model.course(q, trial), whole)
+    position, speed, start, end, joint = model.course(q, trial)
+    return Modulated(Course(time, position, speed, start, joint, whole), end, trial)

@@ -16,7 +16,7 @@ from numba import njit
 
 from parameters import InputError
 from physics.laws import Array
-from physics.plant.state_layout import CABLE_NODES, ELEMENTS, MODULATIONS_MOST, SLOT, TERM_WIDTH
+from physics.plant.state_layout import CABLE_NODES, ELEMENTS, MODULATIONS_MOST, NODES, SLOT, TERM_WIDTH
 from physics.terms import SPEED_M_S, TENSION_N, Term
 
 (CONSTANT, TENSION, TENSION_SQUARED, SATURATION, KNEE, KNEE_SQUARED, KNEE_BUMP, DIRECTION, POSITION_SINE, POSITION_BUMP,
@@ -80,7 +80,9 @@ def _rows(term: Term, m: Array, where: str) -> list[Array]:
 def factor(m: Any, first: int, seconds: float, dt: float) -> float:
     """Return a·m of the term whose row begins at `first`, in the unit of its coefficient."""
     code, p0, p1, a, b = m[first + 2], m[first + 5], m[first + 6], m[first + 7], m[first + 8]
-    tension, knee, position = m[SLOT.tension], m[SLOT.leg_q], m[SLOT.servo_x] + m[SLOT.encoder_zero_m]
+    at_end = m[first + 1] == END_GAIN or m[first + 1] == END_OFFSET
+    tension = m[SLOT.tension + NODES] if at_end else m[SLOT.tension]
+    knee, position = m[SLOT.leg_q], m[SLOT.servo_x] + m[SLOT.encoder_zero_m]
     value = float(a)
     if code == TENSION:
         value = a * (tension / TENSION_N - 1.0)
