@@ -1,4 +1,4 @@
-"""Terms: modulated constants of a bench's model, for changes that no effect of the catalogue describes.
+"""Modulated constants of a bench's model, for changes that no effect of the catalogue describes.
 
     value(t) = value·(1 + a·m(t))     of a constant with a relative coefficient
     value(t) = value + a·m(t)         of any other constant

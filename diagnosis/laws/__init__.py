@@ -1,4 +1,6 @@
-"""Laws: terms that extend the forward model where no effect of the catalogue explains a trial.
+"""Terms that extend the forward model where no effect of the catalogue explains a trial.
+
+The model, with y the measured data of a trial:
 
     y = f(q + δ; m) + Φ(m)·(c + d) + Σ aⱼ·∂f/∂qⱼ·mⱼ(t) + ε
 
@@ -7,5 +9,5 @@ a part of the bench.  Modules, lowest first:
 
     library      candidate terms of a trial: carriers × modulations
     law_search   selection by evidence, refinement of the nonlinear parameters, held-out errors
-    law_findings the result: terms, three errors, runners-up
+    law_findings result: terms, three errors, runners-up
 """

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.evidence.held_out import blocks_of
 from diagnosis.laws.law_search import EXPLAINED, MOST_TERMS, WORSE, Candidate, LawSearch
 from estimation.data.table import Table
@@ -19,14 +20,10 @@ from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from physics.terms import MODULATIONS, Term
 
-NEARLY: Final = 0.5
-"""Least evidence of a runner-up, relative to the first term's: the share of a diagnosis' ambiguity set."""
 CLOSE_CALL: Final = 0.8
 """Evidence, relative to the best candidate's, from which held-out cycles decide: it is linear, and off by as much."""
 TRIED: Final = 3
 """Candidates for one term that are fitted and tested on held-out cycles; each costs about a second."""
-DRAWS: Final = 400
-"""Bootstrap samples of whole cycles for the interval of a gain; its ends then repeat to about a tenth of its width."""
 
 
 class HeldOutErrors(NamedTuple):
@@ -147,7 +144,7 @@ def _selected(search: LawSearch) -> _Selected:
         if not tried:
             break
         _, _, more, there, residual = min(tried)
-        runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > NEARLY * offers[0].nats]
+        runners = runners or [c for c in offers if c.shape != more[0].shape and c.nats > SET_SHARE * offers[0].nats]
         chosen, at, fault = more, there, ""
     return _Selected(chosen, at, HeldOutErrors(session, residual), runners, fault)
 
@@ -170,7 +167,7 @@ def _fault(search: LawSearch, before: Array, after: Array, *, further: bool) -> 
     """Return why a term is not kept, by the residuals on held-out cycles `before` and `after` it; "" if it is.
 
     A first term must explain a share `EXPLAINED` of a judged signal's error.  A `further` one must lower a squared
-    error by that between reference trials: what is less than they miss of each other makes no model better.
+    error by that between reference trials.
     """
     sides = {name: [_rms(_squares(search, r, name)) for r in (before, after)] for name in search.observed.outputs}
     worse = [name for name, (first, last) in sides.items() if last > WORSE * first]
@@ -209,9 +206,9 @@ def _squares(search: LawSearch, residual: Array, name: str) -> Array:
     return np.array(rows)
 
 
-def _gain_interval(before: Array, after: Array) -> tuple[float, float]:
-    """Return the 95 % interval of the gain, percent, by a bootstrap of whole cycles."""
-    draw = np.random.default_rng(0).integers(0, len(before), (DRAWS, len(before)))
+def _gain_interval(before: Array, after: Array, draws: int = 400) -> tuple[float, float]:
+    """Return the 95 % interval of the gain, percent, by a bootstrap of whole cycles with so many `draws`."""
+    draw = np.random.default_rng(0).integers(0, len(before), (draws, len(before)))
     gains = 100.0 * (1.0 - np.sqrt(after[draw, 0].sum(axis=1) / before[draw, 0].sum(axis=1)))
     low, high = np.percentile(gains, [2.5, 97.5])
     return float(low), float(high)

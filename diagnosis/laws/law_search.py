@@ -1,6 +1,6 @@
-"""Selection of terms by evidence: screen of the library, refinement, joint refit, swaps, and errors on held-out cycles.
+"""Selection of terms by evidence: screen of the library, refinement, joint refit, swaps, held-out errors.
 
-With e the residual of the fit, C the covariance of the data under it, and X the columns of a term, σ their prior 1σ,
+Symbols: e residual of the fit; C covariance of the data under it; X columns of a term; σ prior 1σ of its coefficients.
 
     ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X                   (linear evidence)
     C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW,   A = HL                                                   (Woodbury's identity)
