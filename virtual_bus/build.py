@@ -29,7 +29,7 @@ from parameters import InputError, from_table, parameter
 from parameters.plugins import load
 from physics.converter import Converter, SensorParameters
 from physics.drive_loops import SERVO_GAINS
-from physics.plant.bench_plant import Plant, PlantParameters
+from physics.plant.bench_plant import BowdenPlant, Plant, PlantParameters
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
 from virtual_bus.machine import plant_model
@@ -155,6 +155,11 @@ def _made(options: Options, wire: eds.WireLayout, number: int) -> SimulatedPath:
         tables["plant"]["start_knee_rad"] = mirrored_rad(path, tables["plant"]["start_knee_rad"])
     seed = options.seed + own
     plant = made_plant(options.plant, tables["plant"], seed)
+    if model.terms:
+        if not isinstance(plant, BowdenPlant):
+            raise InputError(f"plant {options.plant}: {model.where} has terms, which a plug-in's plant cannot follow; "
+                             "remove [[terms]], or leave out the plant.")
+        plant.extend(model.terms, model.where)
     return SimulatedPath(path, tables, model.faults, wire.paths[number], plant, seed)
 
 

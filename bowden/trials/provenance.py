@@ -29,10 +29,11 @@ PACKAGES = ("bowden-bench", "canopen", "mcap", "numba", "numpy", "python-can", "
 def metadata(experiment: ExperimentSetup, script: str = "") -> dict[str, str]:
     """Return the identity of the trial, as text; `script` names the experiment run in place of the gait."""
     gait = experiment.gait
+    compensated = [*experiment.known, *(f"{term.carrier} × {term.modulation}" for term in experiment.terms)]
     return {
         "experiment": script or "gait",
         "controller": gait.controller,
-        **({"controller_model": ", ".join(experiment.known)} if experiment.known else {}),
+        **({"controller_model": ", ".join(compensated)} if compensated else {}),
         "calibration": Path(experiment.calibration.label).name,
         "peak_n": repr(gait.peak_n),
         "period_s": repr(gait.period_s),
