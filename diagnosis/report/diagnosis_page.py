@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Final
 
 from diagnosis.findings import Findings
-from diagnosis.report import bench_drawing, figure_tables, plots, residual_picture, tracking
+from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.residuals import where
 from estimation.data.table import Table
 from physics.effects.catalogue import CATALOGUE
+from trial.report import bench_drawing
 from trial.report.page import Page, Tile, number
 
 VERDICTS: Final = ("Changed:", "The trial agrees", "The data depart")
@@ -83,7 +84,8 @@ def _first(page: Page, found: Findings, trials: Sequence[Table]) -> None:
     if found.verdict != "refused":
         sites = {cause["site"] for cause in found.causes} or {CATALOGUE[name].site for name in found.rivals}
         page.drawing("The rig by its columns" if found.of_rig else "The bench by its columns",
-                     bench_drawing.svg(trials, sites, of_rig=found.of_rig))
+                     bench_drawing.svg({name for trial in trials for name in trial.columns}, sites,
+                                       of_rig=found.of_rig))
         if not found.candidates:
             residual_picture.loop_section(page, found, trials[0].turning)
     figure_tables.errors(page, found)

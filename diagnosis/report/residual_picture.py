@@ -26,7 +26,6 @@ ALONG: Final = (("gait_percent", "%", "gait phase"), ("servo_position_m", "m", "
 FORCES: Final = ("tension_start_n", "servo_force_n", "tension_end_n")
 """Outputs whose loop is drawn, the first one that was compared."""
 REFERENCE, NAMED = "simulated: reference condition", "simulated: with what is named"
-MOST_POINTS: Final = 1500
 
 
 class MeanResidual(NamedTuple):
@@ -101,13 +100,13 @@ def _walks(parts: Sequence[Compared]) -> bool:
     return bool(np.isfinite(phase).all()) and float(np.ptp(phase)) > 0.0
 
 
-def _cycle(parts: Sequence[Compared], over: str) -> tuple[Array, Array, Array, Array]:
+def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> tuple[Array, Array, Array, Array]:
     """Return a signal, and the measured output and both simulated ones along it, in the order of time.
 
-    They are means over the gait phase, closed; without a gait, the samples of the first trial.
+    They are means over the gait phase, closed; without a gait, the first `most` samples of the first trial.
     """
     if not _walks(parts):
-        first, end = parts[0], min(MOST_POINTS, parts[0].measured.size)
+        first, end = parts[0], min(most, parts[0].measured.size)
         return (first.along(over)[:end], first.measured[:end], (first.measured - first.before)[:end],
                 (first.measured - first.after)[:end])
     phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))

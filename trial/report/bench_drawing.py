@@ -10,14 +10,12 @@ from collections.abc import Collection, Sequence
 from html import escape
 from typing import Final, NamedTuple
 
-from estimation.data.table import Table
-
 WIDTH, TOP, BOX_HEIGHT, GAP = 900, 34, 58, 18
 INK, SOFT, PAPER, CHANGED = "#1d2430", "#5b6675", "#ffffff", "#b3261e"
 
 
 class Part(NamedTuple):
-    """One part: its name, what it measures in words, and the columns of which one shows that it is recorded.
+    """One part: name, measured quantity in words, and the columns of which one shows that it is recorded.
 
     `sites`: sites of the effect catalogue that are this part.  `columns` empty: a part without a signal.
     """
@@ -53,11 +51,10 @@ ALWAYS: Final = frozenset({"drive", "axis", "transmission"})
 """Parts that every rig has."""
 
 
-def svg(trials: Sequence[Table], sites: Collection[str], *, of_rig: bool) -> str:
-    """Return the drawing of the rig or bench that `trials` measure, with the parts at `sites` marked."""
-    recorded = frozenset(name for table in trials for name in table.columns)
+def svg(recorded: Collection[str], sites: Collection[str], *, of_rig: bool) -> str:
+    """Return the drawing of the rig or bench whose columns `recorded` exist, with the parts at `sites` marked."""
     parts = [part for part in (RIG if of_rig else BENCH)
-             if not of_rig or part.name in ALWAYS or recorded & {*part.columns}]
+             if not of_rig or part.name in ALWAYS or {*recorded} & {*part.columns}]
     width = (WIDTH - GAP * (len(parts) - 1) - 4) / len(parts)
     height = TOP + BOX_HEIGHT + 46
     title = escape(_told(parts, sites))
