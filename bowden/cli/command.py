@@ -48,7 +48,7 @@ PANELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "Run": ("trial", "replay", "sweep", "verify", "bench"),
     "Data": ("report", "diagnose", "import", "export", "info", "compare", "cut", "merge", "recover", "live", "watch"),
     "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "identify"),
-    "Model": ("fit", "simulate", "plan"),
+    "Model": ("fit", "simulate", "plan", "discover"),
     "CAN": ("node", "lss", "monitor", "record"),
     "Months": ("logbook",),
 })

@@ -14,7 +14,7 @@ WIDTH, TOP, BOX_HEIGHT, GAP = 900, 34, 58, 18
 INK, SOFT, PAPER, CHANGED = "#1d2430", "#5b6675", "#ffffff", "#b3261e"
 
 
-class Part(NamedTuple):
+class DrawnPart(NamedTuple):
     """One part: name, measured quantity in words, and the columns of which one shows that it is recorded.
 
     `sites`: sites of the effect catalogue that are this part.  `columns` empty: a part without a signal.
@@ -26,8 +26,8 @@ class Part(NamedTuple):
     sites: frozenset[str]
 
 
-def _part(name: str, measures: str, columns: str, sites: str) -> Part:
-    return Part(name, measures, tuple(columns.split()), frozenset(sites.split(", ")))
+def _part(name: str, measures: str, columns: str, sites: str) -> DrawnPart:
+    return DrawnPart(name, measures, tuple(columns.split()), frozenset(sites.split(", ")))
 
 
 BENCH: Final = (
@@ -67,12 +67,12 @@ def svg(recorded: Collection[str], sites: Collection[str], *, of_rig: bool) -> s
     return "".join([*drawn, "</svg>"])
 
 
-def _told(parts: Sequence[Part], sites: Collection[str]) -> str:
+def _told(parts: Sequence[DrawnPart], sites: Collection[str]) -> str:
     changed = [part.name for part in parts if part.sites & {*sites}]
     return f"{', '.join(part.name for part in parts)}; changed: {', '.join(changed) or 'none'}"
 
 
-def _box(part: Part, x: float, width: float, recorded: Collection[str], *, changed: bool) -> list[str]:
+def _box(part: DrawnPart, x: float, width: float, recorded: Collection[str], *, changed: bool) -> list[str]:
     seen = not part.columns or bool({*part.columns} & {*recorded})
     colour, middle = CHANGED if changed else INK if seen else SOFT, x + width / 2
     dash = "" if seen else ' stroke-dasharray="5 4"'
