@@ -1,7 +1,7 @@
 """The first day of five users, typed: `python -m benchmarks.walk [--user data|controller|can|months|bench …]`.
 
-Prints for each user the time to the first success, and for each command its time, exit status and messages.  Ends with 1
-if a command meets a traceback or another exit status than the walk expects.
+Prints for each user the time to the first success, and for each command its time, exit status and messages.  Ends
+with 1 if a command meets a traceback or another exit status than the walk expects.
 """
 
 from __future__ import annotations
@@ -50,9 +50,10 @@ def _table() -> None:
     rows = ["Zeit [s];Seilweg [mm];Kraft vorne [g];Kraft hinten [g];Knie [deg];Bemerkung"]
     for k in range(1200):
         end = 12.0 + 10.0 * math.sin(math.pi * k / 100)
-        start = end * (1.3 + 0.2 * math.tanh(3.0 * math.cos(math.pi * k / 100)))
+        turn = math.cos(math.pi * k / 100)
+        start = end * (1.3 + 0.2 * math.tanh(3.0 * turn))
         slow = f"{20 + 0.3 * end:.4f}" if k % 10 == 0 else ""
-        rows.append(f"{k / 100:.2f};{slow};{102 * start:.3f};{102 * end:.3f};{20 + 5 * math.cos(math.pi * k / 100):.3f};x"
+        rows.append(f"{k / 100:.2f};{slow};{102 * start:.3f};{102 * end:.3f};{20 + 5 * turn:.3f};x"
                     .replace(".", ","))
     Path("lab.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
 
@@ -68,8 +69,8 @@ USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
     "controller": (_controller, (
         Typed(f"trial --controller own.py:Own {SHORT} -o own.mcap", success=True),
         Typed(f"trial --controller own.py:Own --set share=9 {SHORT} -o b.mcap", 2),
-        Typed("sweep --grid controller=own.py:Own,none --grid controller.share=0.95,1.05 --grid cycles=1 --grid settle=0 "
-              "--workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"))),
+        Typed("sweep --grid controller=own.py:Own,none --grid controller.share=0.95,1.05 --grid cycles=1 "
+              "--grid settle=0 --workers 1 -o sweep.csv"), Typed("compare sweep.csv --controllers"))),
     "can": (lambda: None, (
         Typed("node scan", success=True), Typed("node read 1 0x1018:1"), Typed("node scna", 2),
         Typed(f"trial {SHORT} -o bus.mcap"), Typed("export bus.mcap -o bus.log"), Typed("info bus.log"))),
@@ -98,7 +99,8 @@ def walk(name: str) -> bool:
         good &= expected
         if one.success and expected and first is None:
             first = time.monotonic() - began
-        print(f"  {'' if expected else 'NOT EXPECTED '}{time.monotonic() - at:5.1f} s, {told.returncode}: bowden {one.words}")
+        print(f"  {'' if expected else 'NOT EXPECTED '}{time.monotonic() - at:5.1f} s, {told.returncode}: "
+              f"bowden {one.words}")
         print("".join(f"           {line}\n" for line in messages), end="", flush=True)
     print(f"{name}: first success after {'no time: none' if first is None else f'{first:.1f} s'}\n", flush=True)
     return good and first is not None
