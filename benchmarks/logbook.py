@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from logbook.change_search import ALARM_NATS, candidates, search_changes
+from logbook.session_model import CONSTANTS, SessionData, fit_sessions, measured_sd, sessions_of
 from scipy.stats import binomtest
 
 from diagnosis.evidence.detection_limits import least_size
 from logbook import bench_page, database
 from logbook.bench_state import NEWEST, state_of
-from logbook.change_search import ALARM_NATS, candidates, search_changes
 from logbook.database import Estimate, NewTrial, open_logbook
-from logbook.session_model import CONSTANTS, SessionData, fit_sessions, measured_sd, sessions_of
 from physics.path_constants import BENCH_SD, FREE, SESSION_SD, TABLE
 
 TRIALS, PER_SESSION = 100_000, 10

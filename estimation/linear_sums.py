@@ -1,6 +1,6 @@
 """Sums of a linearised recording over its data: of the constants, the discrepancy and every effect of the catalogue.
 
-    e ≈ H·x + E·s + ε,  H = [∂f/∂q, Φ]        x departure of a session from the reference posterior's mean, s effect sizes
+    e ≈ H·x + E·s + ε,  H = [∂f/∂q, Φ]        x departure from the reference posterior's mean, s sizes of effects
     square = TᵀWT,  pull = TᵀWe,  T = [H, E]
 
 Sums of recordings of one session add up.  A watch adds gait cycles, a logbook sessions.
@@ -153,6 +153,11 @@ class SessionSums(NamedTuple):
     sums: Sums
     growth: Array
     rmse_n: float
+
+    def joined(self, other: SessionSums) -> SessionSums:
+        """Return the sums of both, of trials of one session."""
+        return SessionSums(self.sums + other.sums, np.maximum(self.growth, other.growth),
+                           float(np.hypot(self.rmse_n, other.rmse_n) / np.sqrt(2.0)))
 
 
 def session_sums(fit: ReferenceFit, columns: Sequence[EffectColumns], recordings: Sequence[Recording]) -> SessionSums:

@@ -2,10 +2,11 @@
 
 With s a session, x_s its departure from the posterior's mean and a the sizes of an effect, all with a Gaussian prior:
 
-    e_s = H_s x_s + w_s E_s a + ε_s        x_s = b + R_s r + δ_s,  δ_s ~ N(0, D),  a ~ N(0, 1)
+    e_s = H_s x_s + E_s (a₀ + w_s a) + ε_s        x_s = b + R_s r + δ_s,  δ_s ~ N(0, D),  a₀, a ~ N(0, 1)
     b ~ N(0, population)                   r: offset of constants that maintenance reset, R_s = 1 after it
 
-w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  δ_s is
+w_s: 0 before the change; from its first session on 1 (step), or rising to 1 at the newest session (ramp).  a₀ is the
+size of the effect in all sessions: what the model's equations miss in each of them alike is no change.  δ_s is
 integrated out of the sums T of a session (`linear_sums`) with K = (D⁻¹ + A)⁻¹, A = HᵀWH:
 
     S = T − T_H K T_Hᵀ,  g = t − T_H K HᵀWe        information about (b + R r, w a), and its pull
@@ -22,6 +23,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 from scipy.stats import chi2
@@ -169,7 +171,7 @@ class SessionSequence:
     # -- changes -----------------------------------------------------------------------------------------------------
 
     @property
-    def begins(self) -> Array:
+    def begins(self) -> NDArray[np.intp]:
         """Rows of the sessions in which a change can begin."""
         return np.arange(max(self.references, 1), self.count)
 
@@ -241,8 +243,10 @@ class SessionSequence:
         across = np.einsum("ws,sab->wab", w, square) - np.einsum(
             "wpa,pb->wab", carried, covariance @ always, optimize=True)
         inner = eye + np.einsum("ws,sab->wab", w**2, square) - np.einsum(
-            "wpa,pq,wqb->wab", carried, covariance, carried, optimize=True) - across @ before @ across.transpose(0, 2, 1)
-        g = w @ pull - np.einsum("wpa,p->wa", carried, mean) - across @ before @ (pull.sum(axis=0) - always.T @ mean)
+            "wpa,pq,wqb->wab", carried, covariance, carried, optimize=True)
+        inner -= across @ before @ across.transpose(0, 2, 1)
+        g = w @ pull - np.einsum("wpa,p->wa", carried, mean)
+        g -= across @ before @ (pull.sum(axis=0) - always.T @ mean)
         sizes = np.linalg.solve(inner, g[:, :, None])[:, :, 0]
         nats = 0.5 * np.einsum("wa,wa->w", g, sizes) - 0.5 * np.linalg.slogdet(inner)[1]
         total = float(logsumexp(nats))
@@ -293,7 +297,7 @@ class SessionSequence:
         prior = last @ covariance @ last.T + np.diag(self._growth(session.growth) * self._deviation(variance))
         square = sums.square[:self.size, :self.size]
         residual = sums.pull[:self.size] - square @ bench
-        departure = np.linalg.solve(np.linalg.inv(prior) + square, residual)
+        departure: Array = np.asarray(np.linalg.solve(np.linalg.inv(prior) + square, residual), np.float64)
         lengths, axes = np.linalg.eigh(square + square @ prior @ square)
         kept = lengths > 1e-9 * lengths[-1]
         squared = float(np.sum((axes[:, kept].T @ residual) ** 2 / lengths[kept]))
@@ -307,7 +311,7 @@ def _solved(designs: Sequence[Array], sessions: _Integrated) -> tuple[Array, Arr
     precision, pull = np.eye(designs[0].shape[1]), np.zeros(designs[0].shape[1])
     for u, square, g in zip(designs, sessions.square, sessions.pull, strict=True):
         precision, pull = precision + u.T @ square @ u, pull + u.T @ g
-    covariance = np.linalg.inv(precision)
+    covariance: Array = np.asarray(np.linalg.inv(precision), np.float64)
     return covariance, covariance @ pull
 
 

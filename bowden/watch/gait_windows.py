@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bowden.watch.running_evidence import LEAD_S, MOTION_COLUMNS
+from estimation.running_evidence import LEAD_S, MOTION_COLUMNS
 from physics.laws import Array
 
 
