@@ -30,14 +30,6 @@ from physics.laws import Array
 from physics.path_constants import CONSTANTS, FREE, INDEX
 
 Flags = NDArray[np.bool_]
-LEAD_S: Final = 2.5
-"""Time simulated before a cycle, s, so that friction states are known at its start."""
-MOST_CYCLES: Final = 64
-"""Latest cycles in which an effect can begin; earlier ones count as its presence before the trial."""
-FOREMOST: Final = 6
-"""Variants by the whole trial, and as many by the latest cycle, for which beginnings are compared."""
-LARGEST_SIZE: Final = 2.5
-"""Most σ of an effect at which its END force is simulated, as at the start of a fit."""
 MOTION_COLUMNS: Final = ("time_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n",
                          "servo_force_n", "desired_force_n")
 
@@ -103,7 +95,7 @@ class RunningEvidence:
     def add(self, cycle: int, window: Mapping[str, Array], begins_s: float) -> WatchVerdict | None:
         """Add the gait cycle `cycle` and return the suspicion; None for a cycle too short to give data.
 
-        `window`: columns from up to `LEAD_S` before the cycle, whose data begin at `begins_s`.
+        `window`: columns from up to `gait_windows.LEAD_S` before the cycle, whose data begin at `begins_s`.
         """
         recording = _recording(window, self.reference.outputs)
         first_s = float(window["time_s"][0])
@@ -114,8 +106,11 @@ class RunningEvidence:
         self._take(recording, np.tile(inside, len(recording.outputs)))
         return self._verdict(cycle, window, recording, inside)
 
-    def _take(self, recording: PathRecording, inside: Flags) -> None:
-        """Linearise one cycle at the present null mode and add its sums."""
+    def _take(self, recording: PathRecording, inside: Flags, most: int = 64) -> None:
+        """Linearise one cycle at the present null mode and add its sums.
+
+        An effect can begin in the latest `most` cycles; an earlier beginning counts as one before the trial.
+        """
         observed = self.reference.observe(recording)
         if observed.beyond > self._beyond:
             self._beyond, self._least = observed.beyond, self.naming.threshold(observed)
@@ -132,7 +127,7 @@ class RunningEvidence:
         self._pull += heavy @ error
         self._cycles.append(CycleSums(heavy @ columns, (columns.T * weight) @ columns, columns.T @ (weight * error)))
         self._whole = _added(self._whole, self._cycles[-1])
-        if len(self._cycles) > MOST_CYCLES:
+        if len(self._cycles) > most:
             self._cycles[:2] = [_added(*self._cycles[:2])]
             self._earlier += 1
 
@@ -164,14 +159,14 @@ class RunningEvidence:
         cost = np.sqrt(max(error**2 - self.reference_n**2, 0.0)) / peak if peak > 0.0 else 0.0
         return WatchVerdict(cycle, suspected, best, nats, since and since + self._earlier, error, 100.0 * float(cost))
 
-    def _foremost(self, inner: Any) -> list[EffectColumns]:
-        """Return the variants with the most evidence by the whole trial and by the latest cycle."""
+    def _foremost(self, inner: Any, most: int = 6) -> list[EffectColumns]:
+        """Return the `most` variants with the most evidence by the whole trial, and as many by the latest cycle."""
         chosen: dict[int, EffectColumns] = {}
         for sums in (self._whole, self._cycles[-1]):
             carried = cho_solve(inner, sums.cross)
             square, pull = sums.square - sums.cross.T @ carried, sums.pull - carried.T @ self._pull
             gains = [_evidence(square[p.at, p.at], pull[p.at])[0] for p in self._variants]
-            chosen |= {int(k): self._variants[k] for k in np.argsort(gains)[::-1][:FOREMOST]}
+            chosen |= {int(k): self._variants[k] for k in np.argsort(gains)[::-1][:most]}
         return list(chosen.values())
 
     def _beginnings(self, inner: Any, part: EffectColumns) -> tuple[float, int, Array]:
@@ -190,8 +185,10 @@ class RunningEvidence:
         return float(logsumexp(nats + prior)), since, found[since][1]
 
     def _end_error(self, window: Mapping[str, Array], recording: PathRecording, inside: Flags,
-                   part: EffectColumns | None, sizes: Array) -> tuple[float, float]:
+                   part: EffectColumns | None, sizes: Array, largest: float = 2.5) -> tuple[float, float]:
         """Return the RMS error of END in the latest cycle as it is simulated, N, and the peak of the undisturbed END.
+
+        `largest`: most σ of an effect that is simulated, as at the start of a fit.
         """
         q = self._coordinates(self._x)
         reference = q.copy()
@@ -200,7 +197,7 @@ class RunningEvidence:
                 q[INDEX[name]] = CONSTANTS.coordinate(name, value)
             for direction, size in zip(part.variant.directions, sizes, strict=True):
                 for name, share in direction.along.items():
-                    q[INDEX[name]] += float(np.clip(size, -LARGEST_SIZE, LARGEST_SIZE)) * direction.sd * share
+                    q[INDEX[name]] += float(np.clip(size, -largest, largest)) * direction.sd * share
         _, path, row = predict(np.stack([q, reference], axis=1), recording)
         end, desired = (recording.binned(path.end[k])[inside] for k in row)
         if "desired_force_n" in window:

@@ -29,22 +29,11 @@ from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from estimation.linear_sums import EffectColumns, SessionSums, Sums
+from estimation.posterior import SURROGATE
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
 
 COURSES: Final = ("step", "ramp")
-SCATTER_SESSIONS: Final = 10.0
-"""Weight of the published scatter between sessions, in sessions.
-
-If it is too small, a scatter that it enlarged can explain a change; if it is too large, benches that scatter more than
-published alarm."""
-ROUNDS: Final = 12
-"""Steps of expectation maximisation: the deviations change by less than 2 % afterwards."""
-
-LEAST_INFORMATION: Final = 0.5
-"""Least information about a direction of the discrepancy, over that of its prior, with which it is followed.
-
-A direction with less changes no evidence by more than 0.2 nats; its omission makes a search six times as fast."""
 
 
 class Change(NamedTuple):
@@ -88,7 +77,13 @@ class SessionSequence:
     """
 
     def __init__(self, fit: ReferenceFit, columns: Sequence[EffectColumns], sessions: Sequence[SessionSums],
-                 references: int, resets: Sequence[Reset] = ()) -> None:
+                 references: int, resets: Sequence[Reset] = (), scatter_sessions: float = 10.0) -> None:
+        """Store the sessions; `scatter_sessions`: weight of the published scatter between sessions, in sessions.
+
+        If it is too small, an enlarged scatter explains a change; if it is too large, benches that scatter more than
+        published alarm.
+        """
+        self.scatter_sessions = scatter_sessions
         self.fit, self.columns, self.resets, self.references = fit, columns, tuple(resets), references
         table = fit.model.constants
         self.free, self.count = len(table.free), len(sessions)
@@ -130,7 +125,7 @@ class SessionSequence:
             inners.append(inner)
             constant += 0.5 * float(sums.pull[:size] @ inner @ sums.pull[:size])
             constant -= float(np.log(np.diag(factor[0])).sum())
-        prior = -0.5 * SCATTER_SESSIONS * float(np.sum(np.log(variance / self.published) + self.published / variance))
+        prior = -0.5 * self.scatter_sessions * float(np.sum(np.log(variance / self.published) + self.published / variance))
         return _Integrated(np.array(squares), np.array(pulls), np.array(inners), constant + prior)
 
     def _deviation(self, variance: Array) -> Array:
@@ -150,13 +145,16 @@ class SessionSequence:
                 [np.eye(sizes), weight * np.eye(sizes)], axis=1)
         return out
 
-    def scatter(self, change: Change | None = None) -> Array:
-        """Return the variance of each free constant between sessions, by expectation maximisation given a change."""
+    def scatter(self, change: Change | None = None, rounds: int = 12) -> Array:
+        """Return the variance of each free constant between sessions, by expectation maximisation given a change.
+
+        The deviations change by less than 2 % after so many `rounds`.
+        """
         variance = self.published.copy()
         free = self.free
         designs = [self.design(k) if change is None else self.design(k, change.part, w)
                    for k, w in enumerate(np.zeros(self.count) if change is None else self.weights_of(change))]
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             sessions = self.integrated(variance)
             covariance, mean = _solved(designs, sessions)
             total = np.zeros(free)
@@ -164,8 +162,8 @@ class SessionSequence:
                 carried = inner[:free] @ (sums.square[:self.size] @ u)
                 deviation = inner[:free] @ sums.pull[:self.size] - carried @ mean
                 total += deviation**2 + np.diag(inner)[:free] + np.sum((carried @ covariance) * carried, axis=1)
-            variance = (SCATTER_SESSIONS * self.published + total * self.population) / (
-                SCATTER_SESSIONS + self.count)
+            variance = (self.scatter_sessions * self.published + total * self.population) / (
+                self.scatter_sessions + self.count)
         return variance
 
     # -- changes -----------------------------------------------------------------------------------------------------
@@ -222,19 +220,33 @@ class SessionSequence:
 
     def _searched(self, sessions: _Integrated, none: float) -> list[Change]:
         """Return the best variant of each effect; `none`: log evidence of no change, nats."""
-        covariance, mean, designs = self._base(sessions)
         more = self._null(sessions) - none
-        cross = np.stack([u.T @ square[:, self.size:] for u, square in zip(designs, sessions.square, strict=True)])
+        base = self._base(sessions)
+        free = {self.fit.model.constants.names[i] for i in self.fit.model.constants.free}
         best: dict[str, Change] = {}
         for part in self.columns:
-            change = self._evidence(sessions, covariance, mean, cross, part)
+            if part.variant.at or not {n for d in part.variant.directions for n in d.along} <= free:
+                own = self._scattered(sessions, part)
+                change = self._evidence(own, *self._base(own), part)
+            else:
+                change = self._evidence(sessions, *base, part)
             if part.effect not in best or change.nats > best[part.effect].nats:
                 best[part.effect] = change
         return [change._replace(nats=change.nats + more) for change in best.values()]
 
-    def _evidence(self, sessions: _Integrated, covariance: Array, mean: Array, cross: Array, part: EffectColumns
-                  ) -> Change:
+    def _scattered(self, sessions: _Integrated, part: EffectColumns) -> _Integrated:
+        """Return the sessions with a scatter between them of an effect that no constant of the bench has."""
+        own = slice(self.size + part.at.start, self.size + part.at.stop)
+        across = sessions.square[:, :, own]
+        solved = across @ np.linalg.inv(sessions.square[:, own, own] + np.eye(own.stop - own.start) / SURROGATE**2)
+        return _Integrated(sessions.square - solved @ across.transpose(0, 2, 1),
+                           sessions.pull - np.einsum("sia,sa->si", solved, sessions.pull[:, own]), sessions.inner,
+                           sessions.constant)
+
+    def _evidence(self, sessions: _Integrated, covariance: Array, mean: Array, designs: Sequence[Array],
+                  part: EffectColumns) -> Change:
         """Return the evidence of one variant, averaged over course and begin, with the likeliest of both."""
+        cross = np.stack([u.T @ square[:, self.size:] for u, square in zip(designs, sessions.square, strict=True)])
         own = slice(self.size + part.at.start, self.size + part.at.stop)
         square, pull, between = sessions.square[:, own, own], sessions.pull[:, own], cross[:, :, part.at]
         w, eye = np.concatenate(list(self.weights().values())), np.eye(square.shape[1])
@@ -315,13 +327,14 @@ def _solved(designs: Sequence[Array], sessions: _Integrated) -> tuple[Array, Arr
     return covariance, covariance @ pull
 
 
-def _basis(squares: Sequence[Array], free: int, size: int) -> Array:
+def _basis(squares: Sequence[Array], free: int, size: int, least: float = 0.5) -> Array:
     """Return the basis of constants, of the discrepancy as far as the reference sessions determine it, and of effects.
 
-    A direction of the discrepancy about which they have less than `LEAST_INFORMATION` stays at its mean.
+    A direction of the discrepancy about which they have less than `least` of the prior's information stays at its mean:
+    it changes no evidence by more than 0.2 nats, and without it a search is six times as fast.
     """
     lengths, axes = np.linalg.eigh(np.sum(squares, axis=0)[free:size, free:size])
-    kept = axes[:, lengths >= LEAST_INFORMATION]
+    kept = axes[:, lengths >= least]
     total = squares[0].shape[0]
     out = np.zeros((total, free + kept.shape[1] + total - size))
     out[:free, :free] = np.eye(free)

@@ -26,7 +26,7 @@ NEWEST: Final = 60
 """Newest sessions that changes are searched in, besides the reference sessions: bounds the cost of a long logbook."""
 LEAST_REFERENCES: Final = 3
 """Reference sessions before anything is stated: two do not show how far sessions of a bench scatter."""
-ALARM_NATS: Final = 6.0
+ALARM_NATS: Final = 10.0
 """Log Bayes factor from which a change is stated: `python -m benchmarks.logbook --recorded` prints the rates.
 
 If it is too small, benches without a change alarm; if it is too large, small changes are stated some sessions later."""
