@@ -125,7 +125,8 @@ class SessionSequence:
             inners.append(inner)
             constant += 0.5 * float(sums.pull[:size] @ inner @ sums.pull[:size])
             constant -= float(np.log(np.diag(factor[0])).sum())
-        prior = -0.5 * self.scatter_sessions * float(np.sum(np.log(variance / self.published) + self.published / variance))
+        share = variance / self.published
+        prior = -0.5 * self.scatter_sessions * float(np.sum(np.log(share) + 1.0 / share))
         return _Integrated(np.array(squares), np.array(pulls), np.array(inners), constant + prior)
 
     def _deviation(self, variance: Array) -> Array:
