@@ -6,8 +6,8 @@ Commands:
     python -m benchmarks.logbook --recorded DIR [--serials 0,1] [--healthy 20] [--sessions 8] [--changes NAMES]
                                             benches recorded into DIR: alarms without a change, changes dated and named
 
-Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait cycles
-(`benchmarks.recorded_sessions`); sessions are entered through the command line's own function, in the order given by
+Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
+cycles (`benchmarks.recorded_sessions`); sessions are entered through the command line's own function, in the order given by
 `--order`.
 """
 

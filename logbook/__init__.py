@@ -1,6 +1,13 @@
 """Logbook of one bench: trials, sessions, bench constants per session, changes with their dates, maintenance.
 
-Modules, lowest first: `database` (one SQLite file), `change_cause` (trials to diagnose for a change, kept diagnosis),
-`maintenance` (parts and what a note resets), `bench_state` (state by the estimator's sequence of sessions),
-`bench_page` (one HTML page), `logbook_tables`.  The room does not read trials: its callers do, and fit them.
+Modules, lowest first:
+
+    database         one SQLite file
+    change_cause     trials to diagnose for a change, and the diagnosis that is kept
+    bench_state      state of the bench by the estimator's sequence of sessions
+    maintenance      parts, and constants that a note resets
+    bench_page       one HTML page
+    logbook_tables   CSV and Parquet
+
+Callers read and fit the trials.
 """

@@ -91,7 +91,7 @@ class BenchState:
 
     @property
     def verdict(self) -> str:
-        """Return "changed", "unchanged" or "cannot tell yet"."""
+        """Return the verdict on the bench: `CHANGED`, `UNCHANGED` or `CANNOT`."""
         if self.alarms:
             return CHANGED
         return UNCHANGED if len(self.sessions) > self.needed else CANNOT
@@ -147,7 +147,7 @@ class BenchState:
             c.effect for c in self.alarms)
 
     def caused(self) -> dict[str, Any]:
-        """Return the diagnosis of the alarm; `verdict` null and the reason in `remark` if there is none."""
+        """Return the diagnosis of the alarm; without one `verdict` is null and `remark` the reason."""
         cause = self.cause or Cause(None, remark="not diagnosed yet.")
         named = self.named()
         return {"effects": list(named), "verdict": cause.verdict, "among": list(cause.among),

@@ -1,4 +1,4 @@
-"""Seam of logbook and diagnosis: sessions entered in two orders give one answer, whose name is that of `bowden diagnose`.
+"""Seam of logbook and diagnosis: sessions entered in two orders give one answer, which `bowden diagnose` names alike.
 """
 
 from __future__ import annotations
