@@ -7,8 +7,8 @@ Commands:
                                             benches recorded into DIR: alarms without a change, changes dated and named
 
 Serials with serial % 3 == 2 are set aside: nothing is tuned on them (`tests.plants.draws`).  A session is six gait
-cycles (`benchmarks.recorded_sessions`); sessions are entered through the command line's own function, in the order given by
-`--order`.
+cycles (`benchmarks.recorded_sessions`); sessions are entered as `bowden logbook add` does, in the order that
+`--order` states.
 """
 
 from __future__ import annotations
