@@ -248,7 +248,7 @@ def perform(
     compile_laws(simulated=simulated, progress=progress)
     planned = prepared.planned()
     with ExitStack() as after, opened(prepared.chosen, network, truth=truth) as bus:
-        recorder = Recorder(output, metadata={"bus": prepared.chosen.told,
+        recorder = Recorder(output, metadata={"bus": prepared.chosen.told, **_session_of(prepared),
                                               **provenance.metadata(prepared.experiment, prepared.script),
                                               **_metadata(prepared)},
                             attachments={**provenance.attachments(prepared.experiment.calibration, prepared.sections),
@@ -301,6 +301,11 @@ def set_aside(output: Path, truth: Path | None) -> tuple[Path, Path | None]:
         if path is not None and new is not None and path.exists():
             path.replace(new)
     return failed, aside
+
+
+def _session_of(prepared: Prepared) -> dict[str, str]:
+    """Return the simulated day, by which a logbook orders sessions; nothing on hardware, whose times are dates."""
+    return {"day": str(prepared.chosen.arguments["day"])} if prepared.chosen.simulated else {}
 
 
 def _metadata(prepared: Prepared) -> dict[str, str]:

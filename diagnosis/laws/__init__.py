@@ -2,10 +2,10 @@
 
 The model, with y the measured data of a trial:
 
-    y = f(q + δ; m) + Φ(m)·(c + d) + Σ aⱼ·∂f/∂qⱼ·mⱼ(t) + ε
+    y = f(q + δ; m) + Φ(m)·(c + d) + Σ aⱼ·∂f/∂qⱼ·mⱼ(t) + ε.
 
 A term is a sensitivity of the fitted model ∂f/∂q times a modulation m(t) (`physics.terms`), so that it keeps a unit and
-a part of the bench.  Modules, lowest first:
+a part of the bench.  Modules, lowest first.
 
     library      candidate terms of a trial: carriers × modulations
     law_search   selection by evidence, refinement of the nonlinear parameters, held-out errors

@@ -1,9 +1,10 @@
 """Selection of terms by evidence: screen of the library, refinement, joint refit, swaps, held-out errors.
 
-Symbols: e residual of the fit; C covariance of the data under it; X columns of a term; σ prior 1σ of its coefficients.
+    ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X.
 
-    ln B = ½ gᵀ(σ⁻²I + G)⁻¹g − ½ ln det(I + σ²G),   g = XᵀC⁻¹e,  G = XᵀC⁻¹X                   (linear evidence)
-    C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW,   A = HL                                                   (Woodbury's identity)
+e: residual of the fit.  C: covariance of the data under it.  X: columns of a term.  σ: prior 1σ of its coefficients.
+
+    C⁻¹ = W − W A(I + AᵀWA)⁻¹AᵀW,   A = HL    (Woodbury's identity).
 
 A term is a candidate of a library of N; its prior probability is 1/N, which costs ln N nats.
 """
