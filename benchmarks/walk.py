@@ -65,7 +65,7 @@ def _controller() -> None:
 USERS: Final[dict[str, tuple[Callable[[], None], tuple[Typed, ...]]]] = {
     "data": (_table, (Typed("info lab.csv"), Typed("diagnose lab.csv", 2), Typed("import lab.csv --guess -o map.toml"),
                       Typed("import lab.csv --map map.toml -o lab.mcap"),
-                      Typed("report lab.mcap -o lab.html", success=True), Typed("fit lab.mcap -o model.toml"))),
+                      Typed("report lab.mcap -o lab.html", success=True))),
     "controller": (_controller, (
         Typed(f"trial --controller own.py:Own {SHORT} -o own.mcap", success=True),
         Typed(f"trial --controller own.py:Own --set share=9 {SHORT} -o b.mcap", 2),

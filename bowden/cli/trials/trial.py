@@ -55,10 +55,11 @@ def trial(
     Example: bowden trial --peak 40 --cycles 3 -o trial.mcap
     """
     from bowden import output_files
-    from bowden.bench import configuration
+    from bowden.bench import configuration, light_can
     from bowden.cli import ending
     from bowden.trials import provenance, session, setup_checks
 
+    light_can.load()
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
     inputs = [knee, desired, calibration, controller_model, config, simulated.plant_model]
