@@ -23,7 +23,7 @@ from bowden.controllers import Controller, ControllerOutput, Trace, parameter
 
 @dataclass(frozen=True)
 class Gains:
-    share: float = parameter(1.0, "1", "share of the stretch fed forward", low=0.5, high=1.5, source="tuned")
+    share: float = parameter(1.0, "", "share of the stretch fed forward", low=0.5, high=1.5, source="tuned")
 
 class Own(Controller[None]):
     parameters = Gains

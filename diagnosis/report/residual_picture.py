@@ -112,7 +112,7 @@ def _cycle(parts: Sequence[Compared], over: str, most: int = 1500) -> tuple[Arra
     phase, x = (np.concatenate([p.along(name) for p in parts]) for name in ("gait_percent", over))
     measured, before, after = (np.concatenate([getattr(p, which) for p in parts]) for which in (
         "measured", "before", "after"))
-    bins = bins_of(phase.size, 200)
+    bins = max(1, min(200, phase.size // 3))
     place = np.clip((phase / 100.0 * bins).astype(np.intp), 0, bins - 1)
     count = np.bincount(place, minlength=bins)
     full = count > 0
