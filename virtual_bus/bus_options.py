@@ -57,6 +57,12 @@ class Options:
     hand_lag_ms: int = parameter(
         20, "ms", "lag of the hand behind the asked angle, on a bench without a knee drive", low=0, high=1000,
         source="assumed: a machine that is told the angle; an operator at a display has 100 ms and more")
+    monitor: str | None = parameter(
+        None, "", "file with the bounds of one person; a safety monitor is then on the bench, None is none",
+        source="docs/safety.md")
+    sto_us: int = parameter(5_000, "µs", "time from the opened enable line (STO) until the drives give no torque",
+                            low=0, high=100_000, source="assumed: 5 ms at most of item BL 1-04/C (its manual, "
+                            "response time); HIWIN D1-N has 6 to 10 ms, Engel HFI 20 ms")
     tx_queue: int = parameter(64, "frame", "frames that wait for the wire in the computer", low=1, high=100_000,
                               source="ip link set can0 txqueuelen 64")
     restart_ms: int = parameter(100, "ms", "time after bus-off until the computer's controller restarts", low=0,

@@ -18,6 +18,7 @@ class PluggedPlant:
         self._name, self._plant = name, plant
         self._held: Outputs | None = None
         self._failed = False
+        self._enabled = True
 
     def reset(self, time_ns: int) -> Outputs:
         """Return to the state at power-on; raises `InputError` if the plug-in raises."""
@@ -31,12 +32,30 @@ class PluggedPlant:
         """Return the outputs at `until_ns`; raises `InputError` once if the plug-in raises, and holds them then."""
         if self._failed and self._held is not None:
             return self._held
+        if not self._enabled:
+            servo_torque_nm = knee_torque_nm = 0.0
         try:
             self._held = self._plant.advance(until_ns, servo_torque_nm, knee_torque_nm)
         except Exception as error:  # a plug-in may raise anything
             self._failed = True
             raise plant_raised(self._name, error, f"at {until_ns / 1e9:.6g} s") from None
         return self._held
+
+    def enable(self, closed: bool) -> None:
+        """Close or open the enable line (STO): open, the plug-in receives no torque, and is informed if it can be."""
+        self._enabled = closed
+        inform = getattr(self._plant, "enable", None)
+        if inform is not None:
+            inform(closed)
+
+    def second_sensors(self) -> tuple[float, float, float]:
+        """Return the plug-in's second set of sensors, see `BowdenPlant`; raises `InputError` if it has none."""
+        measure = getattr(self._plant, "second_sensors", None)
+        if measure is None:
+            raise InputError(f"plant {self._name!r}: has no method second_sensors, which a safety monitor measures "
+                             "with; add it (docs/plants.md), or leave the monitor out.")
+        start_n, end_n, knee_rad = measure()
+        return float(start_n), float(end_n), float(knee_rad)
 
     def truth(self) -> Mapping[str, float]:
         """Return the plug-in's true signals."""
