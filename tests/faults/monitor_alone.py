@@ -168,7 +168,7 @@ def chosen(pattern: str, moments: Sequence[str], every: int) -> dict[Walk, list[
 
 
 def person_of(peak_n: float, period_s: float, folder: Path) -> Path:
-    """Write a person's file for another peak and gait than the packaged one: forces by the peak, speed by the period."""
+    """Write a person's file for another peak and gait than the packaged: forces by the peak, speed by the period."""
     by = peak_n / 40.0
     text = safety_monitor.packaged().read_text(encoding="utf-8")
     for key, factor in {"start_n": by, "end_n": by, "force_rate_n_s": max(1.0, by) * max(1.0, 1.1 / period_s),
@@ -248,9 +248,9 @@ def main() -> int:
     for drive, guard in itertools.product(given.drive, given.guards):
         for row in ran(rows, guard, drive, given.person, given.jobs):
             found.append(row)
-            print(("      " if row.within else "BEYOND") + f" {row.drive:6} {row.guard:6} {row.fault:42} {row.moment:7} "
-                  f"{row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  {row.stopped_by}",
-                  flush=True)
+            print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
+                  f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
+                  f"{row.stopped_by}", flush=True)
     if given.csv:
         with given.csv.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file)
