@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import suppress
 from pathlib import Path
@@ -13,11 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bowden.bench import monitor_program
 from eds.bench.bench_network import KNEE, MASTER, MONITOR, SERVO
 from eds.cia301 import Emcy, Frame
 from parameters import InputError
 from physics.plant.state_layout import SIZE, SLOT
-from safety_monitor import CHECKS, MonitorState, PathInputs, packaged, read, step
+from safety_monitor import CHECKS, MonitorNode, MonitorState, PathInputs, packaged, read, step
 from safety_monitor.checks import STEP_NS, WINDOW
 from safety_monitor.person import RANGES, PersonError
 from virtual_bus.bus import BowdenBus
@@ -209,3 +211,51 @@ def test_a_monitor_without_supply_opens_the_line_and_power_on_does_not_release_t
         heard(bus, 0.15)
         assert machine.plant.enabled
         assert all(axis.drive.awaits_release for axis in machine.axes)
+
+
+# ---- as a program on a bus ----
+
+
+class ScriptedBoard:
+    """Sensors that follow a script by the number of the step; remembers every state of the line."""
+
+    def __init__(self, values: list[PathInputs]) -> None:
+        self.values, self.states = values, []
+
+    def sensors(self, now_ns: int) -> list[PathInputs]:
+        """Return the next value; the last one for ever."""
+        return [self.values.pop(0) if len(self.values) > 1 else self.values[0]]
+
+    def line(self, closed: bool) -> None:
+        """Remember the state."""
+        self.states.append(closed)
+
+
+def test_the_program_opens_the_line_on_a_bound_and_at_its_end() -> None:
+    board = ScriptedBoard([REST] * 20 + [REST._replace(end_n=70.0)] + [REST])
+    with BowdenBus("program") as bus, BowdenBus("program") as other:
+        node = MonitorNode(MONITOR, BOUNDS, MASTER, (SERVO, KNEE), board.sensors, board.line)
+        found = monitor_program.run(bus, node, bus.time_ns, lambda: bus.time_ns() > 300_000_000)
+        codes = []
+        while (message := other.recv(0)) is not None:
+            if message.arbitration_id == 0x080 + MONITOR:
+                codes.append(int.from_bytes(message.data[:2], "little"))
+    assert board.states == [True, False, False]
+    assert (found.cause, codes) == ("END 70 N, bound 55 N", [Emcy.MONITOR_END])
+
+
+def test_a_bus_that_fails_costs_heartbeats_alone() -> None:
+    """Every call of the bus raises: the monitor goes on with its own sensors."""
+    class Gone:
+        def recv(self, timeout: float) -> None:
+            raise can.CanOperationError("network is down")
+
+        send = recv
+
+    board = ScriptedBoard([REST] * 5 + [REST._replace(start_n=90.0)])
+    times = itertools.count(0, STEP_NS)
+    node = MonitorNode(MONITOR, BOUNDS, MASTER, (SERVO, KNEE), board.sensors, board.line)
+    found = monitor_program.run(Gone(), node, lambda: next(times), lambda: not node.state.enabled)
+    assert found.cause == "START 90 N, bound 65 N"
+    assert found.lost >= 1
+    assert board.states[-1] is False
