@@ -47,7 +47,7 @@ hidden: $(VENV)/.installed-test
 
 faults: $(VENV)/.installed-test
 	$(BIN)/python -m tests.faults.run --stealth --page docs/faults.md
-	$(BIN)/python -m tests.faults.monitor_alone --drive own bought --every 6 --csv docs/monitor.csv --page docs/safety.md
+	$(BIN)/python -m tests.faults.monitor_alone --drive own bought --every 6 --csv docs/monitor.csv --page docs/safety_monitor.md
 
 healthy: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.supervision --cost --healthy 500
