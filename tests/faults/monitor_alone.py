@@ -1,8 +1,9 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
 [--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`.
 
-Three supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the
-product has no such switch), the master without a monitor, and both. `--drive bought`: a drive that protects nothing
+Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
+has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at END, the master without a
+monitor, and both. `--drive bought`: a drive that protects nothing
 by itself. The bounds are those of the issue "Safe through the stop"; the exit status is 1 if one is broken.
 """
 
@@ -17,7 +18,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 from unittest.mock import patch
@@ -31,12 +32,17 @@ from master.cycle.safety import StopError
 from nodes.drives import axis_law
 from nodes.drives.drive import Drive
 from nodes.drives.servo import ServoDrive
+from physics.plant.state_layout import NODES
+from tests.faults import plants
 from tests.faults.rows import ROWS
 from tests.faults.stage import Row, Told, Walk, trial
 
 BOUND_START_N, BOUND_END_N, BEYOND_DEG = 120.0, 80.0, 5.0
 """Bounds of a single fault under the monitor alone: true tensions, and the leg beyond the person's range."""
-GUARDS: Final = ("alone", "master", "both")
+GUARDS: Final = ("alone", "link", "master", "both")
+WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor", "both": "both"}
+LINK_N: Final = 70.0
+"""Tension at END at which the weak link parts: above the person's 55 N, below the 80 N that END may have."""
 BY: Final = {int(code): code.text.partition(": ")[2] for code in Emcy if code.name.startswith("MONITOR_")}
 BEGIN, END = "<!-- monitor: begin -->", "<!-- monitor: end -->"
 WORST: Final = 12
@@ -98,6 +104,19 @@ def _concluding_nothing(check: Any) -> Any:
     return checked
 
 
+def weak_link() -> Any:
+    """Part the rope at END where its tension passes `LINK_N`, while this context lasts."""
+    advance = plants.Breakable.advance
+
+    def parting(plant: Any, until_ns: int, servo_nm: float, knee_nm: float) -> Any:
+        felt = advance(plant, until_ns, servo_nm, knee_nm)
+        if plant.second_sensors()[1] > LINK_N:
+            plant.snap(NODES)
+        return felt
+
+    return patch.object(plants.Breakable, "advance", parting)
+
+
 class _Bought:
     """While it lasts, drives have no tension limit, no comparison of velocity and position and no step limit."""
 
@@ -137,10 +156,15 @@ def bench(guard: str, person: Path, bounds: safety_monitor.Bounds) -> dict[str, 
 def ran(rows: Mapping[Walk, Sequence[Row]], guard: str, drive: str, person: Path, jobs: int) -> Iterator[Supervised]:
     """Run the rows of each walk under one supervision."""
     bounds = safety_monitor.read(person)
-    checks = unchecked() if guard == "alone" else patch.object(Guard, "check", Guard.check)
     for walk, mine in rows.items():
         by_name = {row.name: row for row in mine}
-        with checks, _Bought() if drive == "bought" else patch.object(Drive, "number", Drive.number):
+        with ExitStack() as switched:
+            if guard in ("alone", "link"):
+                switched.enter_context(unchecked())
+            if guard == "link":
+                switched.enter_context(weak_link())
+            if drive == "bought":
+                switched.enter_context(_Bought())
             found, twin = trial(mine, jobs, walk, **bench(guard, person, bounds))
         if twin.reason is not None or _stopped_by(twin) != "nobody":
             raise SystemExit(f"the twin stopped ({walk}, {guard}): {_stopped_by(twin)}")
@@ -162,6 +186,15 @@ def chosen(pattern: str, moments: Sequence[str], every: int) -> dict[Walk, list[
         if at and re.search(pattern, row.name):
             found.setdefault(walk, []).append(dataclasses.replace(row, moments=at, walks=(walk,)))
     return found
+
+
+def beyond(rows: Mapping[Walk, Sequence[Row]], found: Sequence[Supervised], drive: str) -> dict[Walk, list[Row]]:
+    """Return the rows, with those of their moments, that the monitor alone did not keep within the bounds."""
+    broken = {(row.fault, row.moment) for row in found
+              if row.drive == drive and row.guard == "alone" and not row.within}
+    return {walk: kept for walk, mine in rows.items() if (kept := [
+        dataclasses.replace(row, moments=at) for row in mine
+        if (at := tuple(moment for moment in row.moments if (row.name, moment) in broken))])}
 
 
 # ---- healthy trials ----
@@ -204,19 +237,18 @@ def table(found: Sequence[Supervised]) -> list[str]:
     """Return the page's section: how many runs of each supervision keep the bounds, and the worst of them."""
     lines = ["| drive | supervision | runs | within the bounds | START (N) | END (N) | leg (degrees) |",
              "|---|---|---|---|---|---|---|"]
-    words = {"alone": "monitor alone", "master": "master, no monitor", "both": "both"}
     for (drive, guard), rows in _grouped(found):
-        lines.append(f"| {drive} | {words[guard]} | {len(rows)} | {sum(row.within for row in rows)} | "
+        lines.append(f"| {drive} | {WORDS[guard]} | {len(rows)} | {sum(row.within for row in rows)} | "
                      f"{max(row.start_n for row in rows):.0f} | {max(row.end_n for row in rows):.0f} | "
                      f"{min(row.low_deg for row in rows):.0f} … {max(row.high_deg for row in rows):.0f} |")
     lines += ["", "| drive | supervision | beyond a bound | at | START / END (N) | leg (degrees) | stopped by |",
               "|---|---|---|---|---|---|---|"]
     for (drive, guard), rows in _grouped(found):
         beyond = sorted((row for row in rows if not row.within), key=lambda row: -row.start_n)
-        lines += [f"| {drive} | {words[guard]} | {row.fault} | {row.moment} | {row.start_n:.0f} / {row.end_n:.0f} | "
+        lines += [f"| {drive} | {WORDS[guard]} | {row.fault} | {row.moment} | {row.start_n:.0f} / {row.end_n:.0f} | "
                   f"{row.low_deg:.0f} … {row.high_deg:.0f} | {row.stopped_by} |" for row in beyond[:WORST]]
         if len(beyond) > WORST:
-            lines.append(f"| {drive} | {words[guard]} | {len(beyond) - WORST} more in monitor.csv | | | | |")
+            lines.append(f"| {drive} | {WORDS[guard]} | {len(beyond) - WORST} more in monitor.csv | | | | |")
     return lines
 
 
@@ -246,7 +278,7 @@ def main() -> int:
     found = []
     rows = chosen(given.rows, given.moments, given.every)
     for drive, guard in itertools.product(given.drive, given.guards):
-        for row in ran(rows, guard, drive, given.person, given.jobs):
+        for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
             found.append(row)
             print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
                   f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
