@@ -40,7 +40,8 @@ from tests.faults.stage import Row, Told, Walk, trial
 BOUND_START_N, BOUND_END_N, BEYOND_DEG = 120.0, 80.0, 5.0
 """Bounds of a single fault under the monitor alone: true tensions, and the leg beyond the person's range."""
 GUARDS: Final = ("alone", "link", "master", "both")
-WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor", "both": "both"}
+WORDS: Final = {"alone": "monitor alone", "link": "monitor and weak link", "master": "master, no monitor",
+                "both": "both"}
 LINK_N: Final = 70.0
 """Tension at END at which the weak link parts: above the person's 55 N, below the 80 N that END may have."""
 BY: Final = {int(code): code.text.partition(": ")[2] for code in Emcy if code.name.startswith("MONITOR_")}
