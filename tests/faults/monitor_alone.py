@@ -1,5 +1,6 @@
 """The matrix with the safety monitor: `python -m tests.faults.monitor_alone [--guards alone master both] [--drive …]
-[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`.
+[--rows PATTERN] [--moments …] [--every N] [--csv FILE] [--page FILE] [--healthy N]`. A run replaces its own drives and
+supervisions in the CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
 has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at END, the master without a
@@ -260,6 +261,15 @@ def _grouped(found: Iterable[Supervised]) -> list[tuple[tuple[str, str], list[Su
     return list(groups.items())
 
 
+def kept(path: Path | None) -> list[Supervised]:
+    """Return the rows of a CSV that an earlier run wrote; none where there is no file."""
+    if path is None or not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return [Supervised(*row[:5], *map(float, row[5:9]), row[9], row[10] == "True")  # type: ignore[misc, arg-type]
+                for row in itertools.islice(csv.reader(file), 1, None)]
+
+
 def main() -> int:
     """Run, print, write."""
     asked = argparse.ArgumentParser(description=__doc__)
@@ -276,17 +286,19 @@ def main() -> int:
     given = asked.parse_args()
     if given.healthy:
         return int(bool(healthy(given.healthy)))
-    found = []
+    turns = list(itertools.product(given.drive, given.guards))
+    found = [row for row in kept(given.csv) if (row.drive, row.guard) not in turns]
     rows = chosen(given.rows, given.moments, given.every)
-    for drive, guard in itertools.product(given.drive, given.guards):
+    for drive, guard in turns:
         for row in ran(beyond(rows, found, drive) if guard == "link" else rows, guard, drive, given.person, given.jobs):
             found.append(row)
             print(f"{'      ' if row.within else 'BEYOND'} {row.drive:6} {row.guard:6} {row.fault:42} "
                   f"{row.moment:7} {row.start_n:6.1f}/{row.end_n:6.1f} N {row.low_deg:6.1f}…{row.high_deg:5.1f}°  "
                   f"{row.stopped_by}", flush=True)
+    found.sort(key=lambda row: (row.drive != "own", GUARDS.index(row.guard)))
     if given.csv:
         with given.csv.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
+            writer = csv.writer(file, lineterminator="\n")
             writer.writerow(Supervised._fields)
             writer.writerows(found)
     lines = table(found)
