@@ -17,7 +17,8 @@ from safety_monitor.person import Bounds
 BEAT_NS: Final = 100 * MS
 """Period of the monitor's heartbeat; CiA 301, 7.2.8.2.2."""
 REPORT_NS: Final = 1000 * MS
-"""Period of the digest's frame, and of the EMCY after the line has opened, so that a late listener has it."""
+"""Period of the digest's frame while no drive is OPERATIONAL (it would delay the inputs of a control cycle), and of the
+EMCY after the line has opened, so that a late listener has it."""
 DIGEST_BYTES: Final = 8
 PENDING: Final = 64
 """Heartbeats kept between two steps; more come in 1 ms only from a babbler, and the newest count."""
@@ -96,8 +97,8 @@ class MonitorNode:
         self._report_ns = now_ns + REPORT_NS
         cause = self.state.cause
         digest = bytes.fromhex(self.bounds.sha256)[:DIGEST_BYTES]
-        if cause is None:
+        if cause is None and self.state.working_ns < 0:
             self.outbox.append(Frame(TPDO_BASE + self.node_id, digest))
-        else:
+        elif cause is not None:
             self.outbox.append(Frame(EMCY_BASE + self.node_id, int(cause).to_bytes(2, "little")
                                      + bytes([cause.register]) + digest[:5]))

@@ -196,9 +196,8 @@ def _streams(wire: WireLayout) -> Iterator[Stream]:
 
 
 def _of_monitor() -> Iterator[Stream]:
-    """Yield the frames of the safety monitor: heartbeat, digest, and its EMCY once the line is open."""
+    """Yield the frames of the safety monitor in a control cycle; its digest is sent while no drive is OPERATIONAL."""
     yield Stream("heartbeat safety monitor", cia301.HEARTBEAT_BASE + MONITOR, 1, 100_000_000, Kind.HEARTBEAT)
-    yield Stream("digest safety monitor", cia301.TPDO_BASE + MONITOR, 8, 1_000_000_000, Kind.HEARTBEAT)
     yield Stream("EMCY safety monitor", cia301.EMCY_BASE + MONITOR, EMCY_SIZE, 1_000_000_000, Kind.EMCY)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bowden.bench import monitor_program
-from eds.bench.bench_network import KNEE, MASTER, MONITOR, SERVO
+import bowden
+from bowden.bench import configuration, monitor_program
+from eds.bench.bench_network import KNEE, MASTER, MONITOR, SERVO, wire
+from eds.bench.bus_load import LOAD_GOAL_PERCENT, load_percent
 from eds.cia301 import Emcy, Frame
 from parameters import InputError
 from physics.plant.state_layout import SIZE, SLOT
@@ -259,3 +262,38 @@ def test_a_bus_that_fails_costs_heartbeats_alone() -> None:
     assert found.cause == "START 90 N, bound 65 N"
     assert found.lost >= 1
     assert board.states[-1] is False
+
+
+# ---- in a trial ----
+
+
+def test_a_monitored_bench_gives_the_same_frames_twice() -> None:
+    def frames(channel: str) -> list[tuple[int, int, bytes]]:
+        with BowdenBus(channel, monitor=str(packaged()), seed=4) as bus:
+            return [(frame.time_ns, frame.arbitration_id, bytes(frame.data)) for frame in heard(bus, 0.3)]
+
+    first = frames("once")
+    assert first == frames("again")
+    assert any(can_id == 0x700 + MONITOR for _time, can_id, _data in first)
+
+
+def test_the_file_and_its_digest_stand_in_the_trial_and_the_bus_load_counts_the_monitor(tmp_path: Path) -> None:
+    (tmp_path / "person.toml").write_bytes(packaged().read_bytes().replace(b'"packaged"', b'"P-017"'))
+    config = tmp_path / "bench.toml"
+    config.write_text('[monitor]\nfile = "person.toml"\n', encoding="utf-8")
+    trial = bowden.run(bowden.Experiment(configuration=config, period_s=1.1, cycles=1, settle=0, dry_run=True))
+    recorded = trial.recorded
+    assert trial.outcome == "completed"
+    assert recorded.metadata["monitor_person"] == "P-017"
+    assert recorded.metadata["monitor_sha256"] == read(tmp_path / "person.toml").sha256
+    assert recorded.attachments["person.toml"] == (tmp_path / "person.toml").read_bytes()
+    network = configuration.read(config)["network"]
+    bare = replace(network, monitor="")
+    assert load_percent(wire(bare)) + 0.07 < load_percent(wire(network)) <= LOAD_GOAL_PERCENT
+
+
+def test_a_missing_person_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    config = tmp_path / "bench.toml"
+    config.write_text('[monitor]\nfile = "nobody.toml"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r"nobody\.toml: cannot be read"):
+        configuration.read(config)
