@@ -49,13 +49,19 @@ class PluggedPlant:
             inform(closed)
 
     def second_sensors(self) -> tuple[float, float, float]:
-        """Return the plug-in's second set of sensors, see `BowdenPlant`; raises `InputError` if it has none."""
+        """Return the plug-in's second set of sensors, see `BowdenPlant`; without one, its true tensions and leg.
+
+        Raises `InputError` if the plug-in has neither.
+        """
         measure = getattr(self._plant, "second_sensors", None)
-        if measure is None:
-            raise InputError(f"plant {self._name!r}: has no method second_sensors, which a safety monitor measures "
-                             "with; add it (docs/plants.md), or leave the monitor out.")
-        start_n, end_n, knee_rad = measure()
-        return float(start_n), float(end_n), float(knee_rad)
+        if measure is not None:
+            start_n, end_n, knee_rad = measure()
+            return float(start_n), float(end_n), float(knee_rad)
+        true = self._plant.truth()
+        if self._held is None or not {"true_start_n", "true_end_n"} <= set(true):
+            raise InputError(f"plant {self._name!r}: has neither second_sensors() nor true_start_n and true_end_n in "
+                             "truth(), one of which a safety monitor measures with; see docs/plants.md.")
+        return float(true["true_start_n"]), float(true["true_end_n"]), self._held.knee_angle_rad
 
     def truth(self) -> Mapping[str, float]:
         """Return the plug-in's true signals."""
