@@ -10,11 +10,15 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
+from eds.bench.bench_network import MONITOR
+from eds.cia301 import TPDO_BASE
 from parameters import InputError
 from parameters.plugins import load
-from safety_monitor import MonitorNode, PathInputs
+from safety_monitor import MonitorNode, PathInputs, read
+from safety_monitor.node import DIGEST_BYTES
 
 BOARDS = "bowden.monitor_boards"
 """Entry-point group of boards."""
@@ -30,6 +34,28 @@ class Board(Protocol):
 
     def line(self, closed: bool) -> None:
         """Close or open the enable line; a board whose program has died must open it by itself (watchdog)."""
+
+
+REPORT_S = 1.5
+"""Time within which a monitor at rest reports its digest, s: one and a half of its periods."""
+
+
+def refuse_other(bus: Any, clock: Callable[[], int], file: str) -> None:
+    """Raise `InputError` unless the safety monitor on the bus reports the digest of this person's file, if any."""
+    if not file:
+        return
+    expected = bytes.fromhex(read(Path(file)).sha256)[:DIGEST_BYTES]
+    until_ns = clock() + round(REPORT_S * 1e9)
+    while (left_ns := until_ns - clock()) > 0:
+        message = bus.recv(left_ns * 1e-9)
+        if message is None or message.arbitration_id != TPDO_BASE + MONITOR:
+            continue
+        if bytes(message.data) != expected:
+            raise InputError(f"monitor {file}: begins with SHA-256 {expected.hex()}, and the monitor on the bus "
+                             f"reports {bytes(message.data).hex()}; give both the same file.")
+        return
+    raise InputError(f"monitor {file}: no safety monitor (node {MONITOR}) reports its digest; switch it on, or off and "
+                     "on where its line is open.")
 
 
 @dataclass(frozen=True)

@@ -292,6 +292,19 @@ def test_the_file_and_its_digest_stand_in_the_trial_and_the_bus_load_counts_the_
     assert load_percent(wire(bare)) + 0.07 < load_percent(wire(network)) <= LOAD_GOAL_PERCENT
 
 
+def test_a_trial_is_refused_where_the_monitor_on_the_bus_has_another_file_or_is_missing(tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_bytes(packaged().read_bytes() + b"\n")
+    with BowdenBus("has another", monitor=str(packaged())) as bus:
+        monitor_program.refuse_other(bus, bus.time_ns, str(packaged()))
+        with pytest.raises(InputError, match="give both the same file"):
+            monitor_program.refuse_other(bus, bus.time_ns, str(other))
+    with BowdenBus("has none") as bus:
+        monitor_program.refuse_other(bus, bus.time_ns, "")
+        with pytest.raises(InputError, match="no safety monitor"):
+            monitor_program.refuse_other(bus, bus.time_ns, str(other))
+
+
 def test_a_missing_person_is_refused_in_one_sentence(tmp_path: Path) -> None:
     config = tmp_path / "bench.toml"
     config.write_text('[monitor]\nfile = "nobody.toml"\n', encoding="utf-8")
