@@ -15,9 +15,9 @@ from safety_monitor.person import Bounds
 MS: Final = 1_000_000
 STEP_NS: Final = 1 * MS
 """Time between two steps. Longer: a stage that conducts pulls for longer before it is noticed."""
-WINDOW: Final = 5
+WINDOW: Final = 3
 """Steps over which force rate and knee speed are taken. Fewer: the quantisation of the sensors counts as speed
-(0.022 degrees in 1 ms are 22 degrees/s). More: a rise is noticed later."""
+(0.022 degrees in 3 ms are 7 degrees/s). More: a stage that conducts is noticed later."""
 LOOK_AHEAD_S: Final = 0.03
 """Time by which the knee's angle is extrapolated at its speed, s: six times the STO delay that is assumed. Shorter:
 the leg is faster where it meets its end stop. Longer: a gait that nears the end of its range trips."""
