@@ -4,7 +4,8 @@ supervisions in the CSV and keeps the others.
 
 Supervisions of one fault: the monitor alone (the master's checks are switched off here, in this process; the product
 has no such switch), for its faults beyond a bound the monitor and a weak link in the rope at the drum, the master
-without a monitor, and both. `--drive bought`: a drive that protects nothing by itself. The bounds are those of the issue "Safe through the stop"; the exit status is 1 if one is broken.
+without a monitor, and both. `--drive bought`: a drive that protects nothing by itself. The bounds are those of the
+issue "Safe through the stop"; the exit status is 1 if one is broken.
 """
 
 from __future__ import annotations
