@@ -16,10 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bowden
+import eds
 from bowden.bench import configuration, monitor_program
 from eds.bench.bench_network import KNEE, MASTER, MONITOR, SERVO, wire
 from eds.bench.bus_load import LOAD_GOAL_PERCENT, load_percent
 from eds.cia301 import Emcy, Frame
+from eds.declaration import SHAPES, as_tables
 from parameters import InputError
 from physics.plant.state_layout import SIZE, SLOT
 from safety_monitor import CHECKS, MonitorNode, MonitorState, PathInputs, packaged, read, step
@@ -178,6 +180,22 @@ def test_the_monitor_boots_beats_and_reports_the_digest_of_its_file() -> None:
     assert [frame.data[0] for frame in own if frame.arbitration_id == 0x700 + MONITOR] == [0, 5, 5, 5, 5]
     (digest,) = [bytes(frame.data) for frame in own if frame.arbitration_id == 0x180 + MONITOR]
     assert digest == bytes.fromhex(BOUNDS.sha256)[:8]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_one_path_out_of_its_bounds_opens_the_line_of_every_drive_on_every_packaged_bench(shape: str) -> None:
+    declaration = as_tables(configuration.read(Path(eds.__file__).parent / f"{shape}.toml")["network"].bench)
+    with BowdenBus(f"shape {shape}", declaration=declaration, monitor=str(packaged()), rate_hz=500) as bus:
+        machine = bus.bench.machine
+        machines = getattr(machine, "machines", (machine,))
+        heard(bus, 0.2)
+        assert all(one.plant.enabled for one in machines)
+        memory = np.zeros(SIZE)
+        machines[-1].plant.adopt(memory)
+        memory[SLOT.free] = -0.1  # the rope is 100 mm shorter: taut at once
+        heard(bus, 0.1)
+        assert not any(one.plant.enabled for one in machines)
+        assert all(axis.drive.awaits_release for one in machines for axis in one.axes)
 
 
 def test_no_frame_disables_the_monitor_on_the_bus() -> None:

@@ -87,6 +87,7 @@ class MachineState(NamedTuple):
 BRIDGES = {"broken_wire": (0, 1), "overload": ((1 << 23) - 1, 0)}
 """Fault of a sensor's bridge → the converter's counts and status (bit 0: broken wire)."""
 
+
 class SwitchedPlant(Plant, Protocol):
     """Protocol of a plant with an enable line and a second set of sensors; `BowdenPlant` and `PluggedPlant` have it."""
 
@@ -255,11 +256,6 @@ class Machines:
         """Schedule the first tick of every machine."""
         for machine in self.machines:
             machine.start()
-
-    def enable(self, closed: bool) -> None:
-        """Close or open the enable line (STO) of every drive of every path."""
-        for machine in self.machines:
-            machine.enable(closed)
 
     def close(self) -> None:
         """Finish the truth file."""
