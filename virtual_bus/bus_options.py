@@ -63,6 +63,9 @@ class Options:
     sto_us: int = parameter(5_000, "µs", "time from the opened enable line (STO) until the drives give no torque",
                             low=0, high=100_000, source="assumed: 5 ms at most of item BL 1-04/C (its manual, "
                             "response time); HIWIN D1-N has 6 to 10 ms, Engel HFI 20 ms")
+    hand: Mapping[str, float] | None = parameter(
+        None, "", "what the hand of a set-up check does: weights start_n and end_n on the load cells, or the knee "
+        "at knee_rad by a goniometer", source="bowden check bench")
     tx_queue: int = parameter(64, "frame", "frames that wait for the wire in the computer", low=1, high=100_000,
                               source="ip link set can0 txqueuelen 64")
     restart_ms: int = parameter(100, "ms", "time after bus-off until the computer's controller restarts", low=0,

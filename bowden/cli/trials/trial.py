@@ -58,7 +58,7 @@ def trial(
     from bowden import output_files
     from bowden.bench import configuration
     from bowden.cli import ending
-    from bowden.trials import provenance, session
+    from bowden.trials import provenance, session, setup_checks
 
     output_files.refuse_ending(output, ".mcap", what="a trial")
     output_files.refuse_picture(picture)
@@ -66,6 +66,7 @@ def trial(
     output_files.refuse([output, picture], overwrite=overwrite, inputs=inputs)
     sections = reached.sections(config, rate)
     sections["network"] = configuration.with_monitor(sections["network"], monitor)
+    setup_checks.refuse_unchecked(sections, calibration)
     sections["homing"] = configuration.homing(sections["homing"], homing_n)
     entered = session.entered(sections, logbook, config)
     bench = watched.bench(entered, sections["network"])
@@ -74,7 +75,9 @@ def trial(
         peak_given=walk.peak is not None)
     chosen = reached.chosen(simulated)
     prepared = session.prepare(sections, reference, calibration, chosen, dry_run=dry_run, script=experiment,
-                               controller_model=controller_model, files=provenance.curves(knee=knee, desired=desired))
+                               controller_model=controller_model,
+                               files={**provenance.curves(knee=knee, desired=desired),
+                                      **setup_checks.attached(calibration)})
     for note in notes:
         terminal.remark(note)
     with _watch(bench, output, chosen, json) as watch, _page(web, output.name, sections["network"]) as page:
