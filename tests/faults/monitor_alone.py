@@ -70,7 +70,7 @@ class Supervised(NamedTuple):
 
 def supervised(row: Row, told: Told, guard: str, drive: str, walk: Walk, bounds: safety_monitor.Bounds) -> Supervised:
     """Return what a fault did to the limb, from its beginning to the end of the recording."""
-    paths = [true[true[:, 0] > told.fault_ns] for true in _paths(told)]
+    paths = [true[true[:, 0] > told.fault_ns] for true in told.paths]
     start_n, end_n = (max(float(true[:, place].max(initial=0.0)) for true in paths) for place in (1, 2))
     legs = np.degrees(np.concatenate([true[:, 3] for true in paths]))
     low, high = float(legs.min(initial=0.0)), float(legs.max(initial=-90.0))
@@ -78,11 +78,6 @@ def supervised(row: Row, told: Told, guard: str, drive: str, walk: Walk, bounds:
               and high <= bounds.knee_high_deg + BEYOND_DEG)
     return Supervised(drive, guard, row.name, told.moment, str(walk), round(start_n, 1), round(end_n, 1),
                       round(low, 1), round(high, 1), _stopped_by(told), within)
-
-
-def _paths(told: Any) -> list[Any]:
-    """Return each path's truth: time, ns, both tensions, N, and the leg's angle, rad."""
-    return getattr(told, "paths", None) or [np.column_stack([told.true, told.leg])]
 
 
 def _stopped_by(told: Told) -> str:
