@@ -99,7 +99,7 @@ class BowdenPlant:
         self.enabled = closed
 
     def second_sensors(self) -> tuple[float, float, float]:
-        """Return what a second set of sensors measures: tension at START and END, N, and the leg's angle, rad."""
+        """Return the readings of a second set of sensors: tension at START and END, N, and the leg's angle, rad."""
         memory = self._memory
         return float(memory[SLOT.tension]), float(memory[SLOT.tension + NODES]), float(memory[SLOT.leg_q])
 
