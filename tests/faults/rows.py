@@ -199,7 +199,6 @@ def of(action: argument.UnsafeAction, *rows: Row) -> tuple[Row, ...]:
 
 SET_UP = "it is there in homing and in every gait cycle alike; a set-up check against a known weight or angle shows it"
 CONDUCTS = "the stage conducts by itself: the wired emergency stop alone ends that"
-ROTOR = "the rotor still winds in when the fault is shown, and its momentum adds to what END had then"
 UNSTABLE = "a reversed stage makes the drive's loop unstable: the leg has its speed before two cycles show it"
 UNLIMITED = "a reversed stage has all of the drive's torque while it is enabled: its torque limit (0x6072) bounds it"
 BUSY = "the bus is taken: the drives act by the watchdog of the master's heartbeat alone, after 250 ms"
@@ -209,8 +208,8 @@ ROWS: tuple[Row, ...] = (
         argument.LYING_TENSION,
         Row("START stuck at 0", sensed(start_n=lambda value, t: 0.0), (names.START_ALONE, names.START_OR_PATH)),
         Row("START stuck at its value", frozen("start_n"), (names.START_ALONE, names.START_OR_PATH),
-            unstoppable=ROTOR),
-        Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE,)),
+            unstoppable=slow.ROTOR),
+        Row("START × 0.5", sensed(start_n=GAIN(0.5)), (names.START_ALONE, names.START_OR_PATH)),
         Row("START × 2", sensed(start_n=GAIN(2.0)), (names.START_ALONE, names.START_OR_PATH)),
         Row("START × −1", sensed(start_n=GAIN(-1.0)), (names.emergency("start", 0xF001), names.START_OR_PATH)),
         Row("START + 15 N", sensed(start_n=OFFSET(15.0)), (names.START_OR_PATH, names.BETWEEN)),
