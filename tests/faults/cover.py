@@ -20,6 +20,8 @@ CONTROLLERS, PERIODS = ("paper", "extended", "none", "friction", "impedance"), (
 GAITS = tuple(Walk(period_s, controller, 1, shape=SHAPES[(place + 2 * other) % len(SHAPES)])
               for place, controller in enumerate(CONTROLLERS) for other, period_s in enumerate(PERIODS))
 """Gaits of the sample: every controller with every period, every bench with three controllers and every period."""
+EVERY_GAIT = tuple(Walk(period_s, controller, 1, shape=shape)
+                   for controller in CONTROLLERS for period_s in PERIODS for shape in SHAPES)
 MOTIONS = (*(Walk(motion=motion, shape=shape) for motion in ("home", "jog") for shape in ("bench", "bench_start_only")),
            *(Walk(motion="identify", shape=shape) for shape in ("bench", "bench_two_legs")))
 """Other motions; `home` and `jog` run one force path with a driven knee."""
@@ -50,7 +52,7 @@ def sample(rows: Sequence[Row], *, whole: bool = False, motions: bool = True) ->
     """
     found: dict[Walk, list[Row]] = {}
     for place, row in enumerate(row for row in rows if row.moments != ("start",)):
-        kinds = [(GAITS, OF_GAIT)] + [(MOTIONS, OF_MOTION)] * motions
+        kinds = [(EVERY_GAIT if whole else GAITS, OF_GAIT)] + [(MOTIONS, OF_MOTION)] * motions
         for walks, moments in kinds:
             fit = [walk for walk in walks if applies(row, walk)]
             turns: dict[Walk, list[str]] = {}
