@@ -47,8 +47,8 @@ class ShortHelpCommand(TyperCommand):
 PANELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "Run": ("trial", "replay", "sweep", "verify", "bench"),
     "Data": ("report", "diagnose", "import", "export", "info", "compare", "cut", "merge", "recover", "live", "watch"),
-    "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "identify"),
-    "Model": ("fit", "simulate", "plan", "discover"),
+    "Bench": ("init", "check", "doctor", "home", "tare", "jog", "release", "acknowledge", "safety-monitor", "identify"),
+    "Model": ("fit", "simulate", "plan", "discover", "mend"),
     "CAN": ("node", "lss", "monitor", "record"),
     "Months": ("logbook",),
 })
