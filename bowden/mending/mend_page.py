@@ -10,10 +10,10 @@ import numpy as np
 from trial.report.page import Page, Series, Tile, number
 
 if TYPE_CHECKING:
-    from bowden.mending.supervisor import Mended
+    from bowden.mending.supervisor import MendedBench
 
 
-def write(result: Mended, path: Path) -> None:
+def write(result: MendedBench, path: Path) -> None:
     """Write the story of a run as one HTML page without network."""
     badge = ("mended", "good") if result.kept else ("not mended", "plain")
     page = Page("A bench repaired overnight", f"{result.ending}.", badge=badge)
@@ -36,7 +36,7 @@ def write(result: Mended, path: Path) -> None:
     page.write(path, overwrite=True)
 
 
-def _sentence(result: Mended) -> str:
+def _sentence(result: MendedBench) -> str:
     """Return what was named and what became of it, in one sentence."""
     cause = ", ".join(name.replace("_", " ") for name in result.names) or "; ".join(result.equations)
     if not cause:

@@ -44,7 +44,7 @@ INTERRUPTED: Final = "interrupted"
 
 
 @dataclass(frozen=True)
-class Mended:
+class MendedBench:
     """Outcome of a run: `ending` in words; `kept` if the extension gained; the extension's `equations` and names.
 
     `before`, `after`: END's relative RMSE, %, of the trials A and B.  `gain`: mean of their differences, in points of
@@ -92,7 +92,7 @@ class _EndedError(Exception):
 
 
 def mend(reference: Sequence[str | Path], folder: str | Path, *, bus: BusSettings | None = None, hours: float = 1.0,
-         cycles: int = 10, resume: bool = False, progress: Progress = SILENT) -> Mended:
+         cycles: int = 10, resume: bool = False, progress: Progress = SILENT) -> MendedBench:
     """Repair the model of a bench without anybody, within `hours` of bench time; returns the outcome.
 
     `reference`: trials of the bench in the reference condition, recorded by `bowden trial`; their peak force is the
@@ -120,9 +120,9 @@ class _Run:
         self.journal = Journal(folder / JOURNAL, {
             "reference": [str(path.resolve()) for path in reference], "hours": hours, "cycles": cycles}, resume=resume)
 
-    def run(self) -> Mended:
+    def run(self) -> MendedBench:
         """Run all steps, and write page and extension, however the run ends."""
-        result = Mended("", self.folder)
+        result = MendedBench("", self.folder)
         try:
             result = self._repaired()
         except _EndedError as ended:
@@ -135,7 +135,7 @@ class _Run:
         mend_page.write(result, self.folder / PAGE)
         return result
 
-    def _repaired(self) -> Mended:
+    def _repaired(self) -> MendedBench:
         trials = [self._trial("gait", self.gait)]
         finder = Diagnosis(self.plain).fit(self.reference)
         found = self._diagnosed("diagnosis", finder, trials)
@@ -161,10 +161,10 @@ class _Run:
         name = self.journal.step(f"plan {len(tried) + 1}", plan)["experiment"]
         return None if name in tried else name
 
-    def _proven(self, found: DiagnosisResult, trials: Sequence[Path]) -> Mended:
+    def _proven(self, found: DiagnosisResult, trials: Sequence[Path]) -> MendedBench:
         """Extend the model by what was found, or by a law, and return the outcome of trials without and with it."""
         names = [cause["effect"] for cause in found.causes]
-        outcome = Mended("", self.folder, found.verdict, names)
+        outcome = MendedBench("", self.folder, found.verdict, names)
         if found.verdict == "refused":
             raise _EndedError(f"the trials were refused: {found.warnings[0]}")
         extended = found.model if names else None

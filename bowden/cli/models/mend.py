@@ -14,7 +14,7 @@ from bowden.cli.command import NothingGivenError
 from bowden.cli.option_groups import Bus, SimulatedOptions, grouped
 
 if TYPE_CHECKING:
-    from bowden.mending.supervisor import Mended
+    from bowden.mending.supervisor import MendedBench
 
 Reference = Annotated[list[Path] | None, typer.Option(
     metavar="TRIAL", help="Trial of the bench in the reference condition, of bowden trial; repeatable.")]
@@ -57,7 +57,7 @@ def mend(
     return 1 if "stopped" in found.ending or "time is up" in found.ending else 0
 
 
-def _tell(found: Mended) -> None:
+def _tell(found: MendedBench) -> None:
     for equation in found.equations:
         print(textwrap.fill(f"Law: {equation}.", 80))
     if found.names:
