@@ -28,15 +28,23 @@ _REFUSALS: Final = {
 }
 
 
+_HIDDEN: Final = "further devices cannot be found beside it; give it a node id, then scan again."
+_MANY_ANSWERS: Final = "a device answers what it should not; scan with fewer devices on the bus."
+
+
 class LssRefusalError(Exception):
     """A device refused an LSS request or did not answer; the text gives request and reason."""
 
 
 class LssMaster:
-    """The LSS requests of a master on a link; `answer_ns` is how long an answer is awaited."""
+    """The LSS requests of a master on a link; `answer_ns` is how long an answer is awaited.
+
+    `scan_note` is the reason for which the last scan ended early, None for a complete one.
+    """
 
     def __init__(self, link: Link, answer_ns: int = ANSWER_NS) -> None:
         self.link = link
+        self.scan_note: str | None = None
         self._answer_ns = answer_ns
 
     # ---- who is configured ----
@@ -69,14 +77,39 @@ class LssMaster:
         return LssAddress(*numbers)
 
     def scan(self) -> list[LssAddress]:
-        """Find all unconfigured slaves; they stay unconfigured."""
-        found = []
+        """Find all unconfigured slaves; they stay unconfigured.
+
+        A slave confirms each identity by the inquiries 5Ah to 5Dh. An identity that comes again, that no slave
+        confirms, or a slave that answers every fastscan while it is in configuration ends the scan; `scan_note` is then
+        the reason.
+        """
+        found: list[LssAddress] = []
+        self.scan_note = None
         try:
-            while (address := self.fastscan()) is not None:
-                found.append(address)
+            while self.scan_note is None and (address := self.fastscan()) is not None:
+                if address in found or not self._confirmed(address):
+                    why = "came twice" if address in found else "is confirmed by no device"
+                    self.scan_note = f"the identity {address} {why}: {_MANY_ANSWERS}"
+                else:
+                    found.append(address)
+                    if self._answers_always(address):
+                        self.scan_note = f"{address} answers every fastscan while it is in configuration: {_HIDDEN}"
         finally:
             self.leave()
         return found
+
+    def _confirmed(self, address: LssAddress) -> bool:
+        """Return whether a slave in configuration has this identity; slaves found before answer the inquiries, too."""
+        for part, number in enumerate(address):
+            answer = bytes((LssCommand.INQUIRE_VENDOR + part,)) + number.to_bytes(4, "little")
+            if self._ask(LssCommand.INQUIRE_VENDOR + part, begins=answer) is None:
+                return False
+        return True
+
+    def _answers_always(self, address: LssAddress) -> bool:
+        """Return whether a slave in configuration says yes to a vendor that it is not."""
+        self._scanned(0, FASTSCAN_RESET, 0, 0)
+        return self._scanned(address.vendor ^ 0xFFFFFFFF, 0, 0, 0)
 
     def choose(self, node_id: int | None = None, address: LssAddress | None = None) -> LssAddress:
         """Switch one slave to configuration: that of `address`, of a node id, or the only unconfigured one.
@@ -90,6 +123,8 @@ class LssMaster:
                 raise InputError(f"no device of identity {address} answers LSS; give another (bowden lss scan).")
             return address
         found = self.scan()
+        if not found and self.scan_note is not None:
+            raise LssRefusalError(self.scan_note.rstrip("."))
         if len(found) != 1:
             several = f"{len(found)} devices are unconfigured ({', '.join(map(str, found))}); give one by --identity"
             raise InputError(f"{several}." if found else
@@ -162,14 +197,15 @@ class LssMaster:
     def _send(self, command: int, *data: int) -> None:
         self.link.send(LSS_REQUEST, bytes((command, *data)).ljust(8, b"\0"))
 
-    def _ask(self, command: int, *data: int, expected: int | None = None) -> bytes | None:
-        """Send a request and return the answer to it; None where none comes in time."""
+    def _ask(self, command: int, *data: int, expected: int | None = None, begins: bytes = b"") -> bytes | None:
+        """Send a request and return the answer to it that begins with given bytes; None where none comes in time."""
         self.link.wait(0)
         self._send(command, *data)
         deadline = self.link.clock() + self._answer_ns
         while (message := self.link.receive(deadline)) is not None:
             if message.arbitration_id == LSS_RESPONSE and len(message.data) == 8 \
-                    and message.data[0] == (command if expected is None else expected):
+                    and message.data[0] == (command if expected is None else expected) \
+                    and message.data.startswith(begins):
                 return bytes(message.data)
         return None
 

@@ -17,7 +17,7 @@ from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
-    from master.network.dcf import DescribedNode, ParameterDifference
+    from master.node_access.dcf import DescribedNode, ParameterDifference
     from master.network.link import Link
     from master.node_access.pdo_settings import PdoState
     from master.node_access.remote_node import NodeAccess
@@ -332,7 +332,7 @@ def nmt(
                                            show_default=False)],
     reached: Bus, force: Force = False, config: options.Config = None, json: options.Json = False,
 ) -> int:
-    """Command the NMT state of a node or of all nodes.
+    """Command the NMT state of a node or of all nodes; exit status 1 if a node does not show the new state.
 
     Example: bowden node nmt 3 start
     """
@@ -346,12 +346,14 @@ def nmt(
     node_id = 0 if name == "all" else _node_id(name, reached, config)
     with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
-        state = access.nmt(link, node_id, command)
+        answer = access.nmt(link, node_id, command)
     if json:
-        terminal.emit({"node": name, "command": command, "state": state})
+        terminal.emit({"node": name, "command": command, "state": answer.states.get(node_id), "obeyed": answer.obeyed,
+                       "states": {str(one): state for one, state in answer.states.items()}})
     else:
-        print(f"{name}: {command} sent" + ("." if not node_id else f"; {state}." if state else "; no heartbeat came."))
-    return 0
+        states = list(answer.states.values()) if node_id else [f"{one} {state}" for one, state in answer.states.items()]
+        print(f"{name}: {command} sent; {', '.join(states) or 'no node shows its state'}.")
+    return 0 if answer.obeyed else 1
 
 
 @node.command()
@@ -400,7 +402,7 @@ def backup(
     Example: bowden node backup servo -o servo.dcf
     """
     from bowden import output_files
-    from master.network import dcf
+    from master.node_access import dcf
     from parameters.files import write_whole
 
     output_files.refuse([output], overwrite=overwrite)
@@ -426,7 +428,7 @@ def compare(name: Name, file: File, reached: Bus, config: options.Config = None,
 
     Example: bowden node backup servo -o servo.dcf && bowden node compare servo servo.dcf
     """
-    from master.network import dcf
+    from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.compare)
     _tell(name, file, found, "differ", json=json)
@@ -443,7 +445,7 @@ def restore(
 
     Example: bowden node backup servo -o servo.dcf && bowden node restore servo servo.dcf
     """
-    from master.network import dcf
+    from master.node_access import dcf
 
     found = _against_a_dcf(name, file, reached, config, dcf.restore, force=force, acts=True)
     _tell(name, file, found, "restored", json=json)
@@ -454,7 +456,7 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
                    **guarded: bool) -> list[ParameterDifference]:
     """Return the result of `act` on a node and the node's DCF."""
     from eds.dictionary import read as read_dcf
-    from master.network import dcf
+    from master.node_access import dcf
 
     node_id = _node_id(name, reached, config)
     given = read_dcf(file, node_id)
@@ -469,7 +471,7 @@ def _described(name: str, reached: Bus, config: Path | None, eds: Path | None,
     """Return a link and the entry of a node that has a dictionary, in PRE-OPERATIONAL where nothing else is live."""
     from eds.bench.bench_network import wire
     from eds.cia301 import NmtCommand
-    from master.network.dcf import NamedNode
+    from master.node_access.dcf import NamedNode
     from parameters import InputError
 
     known = {entry.name: entry for entry in wire(reached.sections(config)["network"]).nodes.values()}
@@ -500,7 +502,7 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
 
 def refuse_other_master(link: Link, force: bool) -> None:
     """Raise `InputError` while another master is on the bus, unless `force`."""
-    from master.node_access.remote_node import other_master
+    from master.network.bus_survey import other_master
     from parameters import InputError
 
     if not force and (seen := other_master(link)):
