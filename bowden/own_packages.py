@@ -17,16 +17,19 @@ NAMES = ("diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physic
 def hidden() -> str | None:
     """Return one sentence that names what hides a package of this project and what to do; None where nothing does."""
     home = Path(__file__).resolve().parents[1]
+    behind_data = []
     for name in NAMES:
         place = _place(name)
-        if place is not None and _without_code(place) and (home / name / "__init__.py").exists():
-            _load(name, home / name)
-            continue
         if place is None:
             return f"the package {name} of bowden-bench is not installed beside bowden in {home}; install it again."
-        if place.resolve() not in (home / name, home / name / "__init__.py"):
+        if _without_code(place) and (home / name / "__init__.py").exists():
+            behind_data.append(name)
+        elif place.resolve() not in (home / name, home / name / "__init__.py"):
             return (f"{place} hides the package {name} of bowden-bench, which is in {home}; rename that file, leave "
                     "its folder (or take it out of PYTHONPATH), or give bowden-bench an environment of its own.")
+    for name in behind_data:
+        if name not in sys.modules:
+            _load(name, home / name)
     return None
 
 

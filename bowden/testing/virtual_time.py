@@ -2,7 +2,8 @@
 
 The rule of this file: only the thread that entered is concerned, and a wait runs the bus instead of blocking. The
 functions of `time`, `threading.Condition.wait` (under `Queue.get` and `Event.wait` too), the waits of asyncio's loops
-and `can.Notifier` are replaced while the context is open; names imported from them before (`from time import sleep`) are not.
+and `can.Notifier` are replaced while the context is open; names imported from them before (`from time import sleep`)
+are not.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ class VirtualTime:
         self._thread = threading.get_ident()
         self._notifiers: list[TurnNotifier] = []
         self._networks: list[Any] = []
+        self._tasks: set[Any] = set()
         self._readings, self._read_at_ns = 0, -1
 
     # ---- entering and leaving ----
@@ -67,7 +69,7 @@ class VirtualTime:
             setattr(module, name, time.monotonic)
         threading.Condition.wait = _wait  # type: ignore[assignment]
         for kind in _SELECTORS:
-            setattr(kind, "select", _select)
+            kind.select = _select
         can.Notifier = _notifier  # type: ignore[assignment,misc]
         canopen.Network.__init__ = _init  # type: ignore[assignment,method-assign]
 
@@ -78,7 +80,7 @@ class VirtualTime:
             setattr(module, name, _REAL["monotonic"])
         threading.Condition.wait = _real_wait  # type: ignore[method-assign]
         for kind, select in _SELECTORS.items():
-            setattr(kind, "select", select)
+            kind.select = select
         can.Notifier = _real_notifier  # type: ignore[misc]
         canopen.Network.__init__ = _real_init  # type: ignore[method-assign]
         VirtualTime.current = None
@@ -155,7 +157,9 @@ class VirtualTime:
         for listener in list(listeners):
             answer = listener(message)
             if asyncio.iscoroutine(answer):
-                asyncio.ensure_future(answer, loop=asyncio.get_running_loop())
+                task = asyncio.ensure_future(answer, loop=asyncio.get_running_loop())
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
         return True
 
 

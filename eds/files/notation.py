@@ -68,7 +68,7 @@ def text_of(data_type: DataType, held: Value) -> str | None:
         return repr(held)
     assert isinstance(held, bytes)
     if data_type is DataType.VISIBLE_STRING:
-        codings = "utf-8", "latin-1"
+        codings: tuple[str, ...] = ("utf-8", "latin-1")
     elif data_type is DataType.UNICODE_STRING:
         codings = ("utf-16-le",)
     else:

@@ -16,7 +16,6 @@ from master.network.link import Link
 ANSWER_NS: Final = 100_000_000
 """Time for the answer to a remote frame: many times the turnaround of a slow node, less than a usual guard time."""
 _STATE: Final = 0x7F
-_TOGGLE: Final = 0x80
 
 
 class GuardAnswer(NamedTuple):
@@ -43,12 +42,14 @@ class NodeGuard:
     """Guarding of one node: `poll` asks it every `period_ns`; `life` missed answers are a loss.
 
     `state` is the last state byte, None before the first answer; `lost` is True from a loss to the next answer.
+    `asked` and `unanswered` count remote frames; `asked_ns` is the time of the last one.
     """
 
     def __init__(self, link: Link, node_id: int, period_ns: int, life: int = 3) -> None:
         self.link, self.node_id, self.period_ns, self.life = link, node_id, period_ns, life
         self.state: int | None = None
         self.lost = False
+        self.asked = self.unanswered = self.asked_ns = 0
         self._missed = 0
         self._toggle: int | None = None
         self._due_ns = link.clock()
@@ -58,9 +59,10 @@ class NodeGuard:
         if (wait_ns := self._due_ns - self.link.clock()) > 0:
             self.link.wait(wait_ns)
         self._due_ns += self.period_ns
+        self.asked, self.asked_ns = self.asked + 1, self.link.clock()
         answer = guard(self.link, self.node_id, min(self.period_ns, ANSWER_NS))
         if answer is None:
-            self._missed += 1
+            self._missed, self.unanswered = self._missed + 1, self.unanswered + 1
             if self._missed != self.life:
                 return None
             self.lost, self._toggle = True, None

@@ -161,9 +161,7 @@ def as_dcf(dictionary: Dictionary, node_id: int, values: Mapping[int, Value]) ->
         section = _SECTION.match(line)
         if section:
             name = section[1].strip().lower()
-        elif _STATED.match(line) and object_section(name):
-            continue
-        elif name in _COMMISSIONING and line.partition("=")[0].strip().lower() == "nodeid":
+        elif _replaced(line, name):
             continue
         if _elements_of(name) not in compact:
             lines.append(line)
@@ -178,6 +176,13 @@ def as_dcf(dictionary: Dictionary, node_id: int, values: Mapping[int, Value]) ->
     if not any(line.strip().lower().strip("[]") in _COMMISSIONING for line in lines):
         lines += ["", "[DeviceComissioning]", f"NodeID={node_id}"]
     return "\n".join([*lines, ""])
+
+
+def _replaced(line: str, section: str) -> bool:
+    """Return whether a line of the source gives way to this backup: an object's value, or the node id."""
+    if section in _COMMISSIONING:
+        return line.partition("=")[0].strip().lower() == "nodeid"
+    return _STATED.match(line) is not None and object_section(section) is not None
 
 
 def _elements_of(name: str) -> int | None:

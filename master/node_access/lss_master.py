@@ -79,32 +79,40 @@ class LssMaster:
     def scan(self) -> list[LssAddress]:
         """Find all unconfigured slaves; they stay unconfigured.
 
-        A slave confirms each identity by the inquiries 5Ah to 5Dh. An identity that comes again, that no slave
-        confirms, or a slave that answers every fastscan while it is in configuration ends the scan; `scan_note` is then
-        the reason.
+        Each identity is then confirmed by the inquiries 5Ah to 5Dh of the slave that it selects. An identity that comes
+        again, that no slave confirms, or a slave that answers every fastscan while it is in configuration makes the
+        list incomplete; `scan_note` is then the reason.
         """
         found: list[LssAddress] = []
         self.scan_note = None
         try:
             while self.scan_note is None and (address := self.fastscan()) is not None:
-                if address in found or not self._confirmed(address):
-                    why = "came twice" if address in found else "is confirmed by no device"
-                    self.scan_note = f"the identity {address} {why}: {_MANY_ANSWERS}"
-                else:
-                    found.append(address)
-                    if self._answers_always(address):
-                        self.scan_note = f"{address} answers every fastscan while it is in configuration: {_HIDDEN}"
+                if address in found:
+                    self.scan_note = f"the identity {address} came twice: {_MANY_ANSWERS}"
+                    break
+                found.append(address)
+                if self._answers_always(address):
+                    self.scan_note = f"{address} answers every fastscan while it is in configuration: {_HIDDEN}"
         finally:
             self.leave()
-        return found
+        return [address for address in found if self._confirmed(address)]
 
     def _confirmed(self, address: LssAddress) -> bool:
-        """Return whether a slave in configuration has this identity; slaves found before answer the inquiries, too."""
-        for part, number in enumerate(address):
-            answer = bytes((LssCommand.INQUIRE_VENDOR + part,)) + number.to_bytes(4, "little")
-            if self._ask(LssCommand.INQUIRE_VENDOR + part, begins=answer) is None:
-                return False
-        return True
+        """Return whether the slave that an identity selects has it; alone in configuration, for answers collide."""
+        try:
+            if self.select(address) and self._inquired() == address:
+                return True
+        finally:
+            self.leave()
+        self.scan_note = f"the identity {address} is confirmed by no device: {_MANY_ANSWERS}"
+        return False
+
+    def _inquired(self) -> LssAddress | None:
+        """Return the identity of the slave in configuration; None where a number is not answered."""
+        answers = [self._ask(LssCommand.INQUIRE_VENDOR + part) for part in range(4)]
+        if any(answer is None for answer in answers):
+            return None
+        return LssAddress(*(int.from_bytes(answer[1:5], "little") for answer in answers if answer is not None))
 
     def _answers_always(self, address: LssAddress) -> bool:
         """Return whether a slave in configuration says yes to a vendor that it is not."""
@@ -197,15 +205,14 @@ class LssMaster:
     def _send(self, command: int, *data: int) -> None:
         self.link.send(LSS_REQUEST, bytes((command, *data)).ljust(8, b"\0"))
 
-    def _ask(self, command: int, *data: int, expected: int | None = None, begins: bytes = b"") -> bytes | None:
-        """Send a request and return the answer to it that begins with given bytes; None where none comes in time."""
+    def _ask(self, command: int, *data: int, expected: int | None = None) -> bytes | None:
+        """Send a request and return the answer to it; None where none comes in time."""
         self.link.wait(0)
         self._send(command, *data)
         deadline = self.link.clock() + self._answer_ns
         while (message := self.link.receive(deadline)) is not None:
             if message.arbitration_id == LSS_RESPONSE and len(message.data) == 8 \
-                    and message.data[0] == (command if expected is None else expected) \
-                    and message.data.startswith(begins):
+                    and message.data[0] == (command if expected is None else expected):
                 return bytes(message.data)
         return None
 

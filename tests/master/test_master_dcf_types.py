@@ -11,10 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import bowden as library
-from bowden.testing import CanBus, CanopenNode
+from bowden.testing import CanBus
 from bowden.testing.strategies import values
 from eds import dictionary
-from eds.datatype import DataType, Value
+from eds.datatype import DataType
 from eds.dictionary import key
 from master.node_access import dcf
 from parameters import InputError

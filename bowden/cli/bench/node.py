@@ -17,8 +17,8 @@ from bowden.cli.option_groups import Bus, grouped
 
 if TYPE_CHECKING:
     from eds.dictionary import Dictionary
-    from master.node_access.dcf import DescribedNode, ParameterDifference
     from master.network.link import Link
+    from master.node_access.dcf import DescribedNode, ParameterDifference
     from master.node_access.pdo_settings import PdoState
     from master.node_access.remote_node import NodeAccess
 
@@ -343,7 +343,7 @@ def nmt(
         from parameters import InputError
 
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
-    node_id = 0 if name == "all" else _node_id(name, reached, config)
+    node_id = 0 if name == "all" else node_id_of(name, reached, config)
     with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         answer = access.nmt(link, node_id, command)
@@ -458,7 +458,7 @@ def _against_a_dcf(name: str, file: Path, reached: Bus, config: Path | None, act
     from eds.dictionary import read as read_dcf
     from master.node_access import dcf
 
-    node_id = _node_id(name, reached, config)
+    node_id = node_id_of(name, reached, config)
     given = read_dcf(file, node_id)
     with _described(name, reached, config, file, **guarded) as (link, entry):
         dcf.refuse_other(link, entry, given, str(file))
@@ -492,7 +492,7 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
     from bowden.bench.any_node import dictionary_of, linked
     from master.node_access.remote_node import NodeAccess
 
-    node_id = _node_id(name, reached, config)
+    node_id = node_id_of(name, reached, config)
     with linked(reached.chosen(), bitrate_of(reached, config)) as link:
         if acts:
             refuse_other_master(link, force)
@@ -509,7 +509,8 @@ def refuse_other_master(link: Link, force: bool) -> None:
         raise InputError(f"another master runs this bus: {seen}; stop it, or add --force.")
 
 
-def _node_id(name: str, reached: Bus, config: Path | None) -> int:
+def node_id_of(name: str, reached: Bus, config: Path | None) -> int:
+    """Return the node id of a number or of a name of the configuration; `InputError` for another word."""
     from eds.bench.bench_network import wire
     from parameters import InputError
 
