@@ -23,8 +23,8 @@ from typing import Final, NamedTuple
 
 from benchmarks import marked
 from bowden.trials import provenance
-from diagnosis.data import table
 from diagnosis.finder import Finder
+from estimation.data import table
 from tests.hidden import cases
 from tests.hidden.cases import Job
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from diagnosis.data.table import Table, read
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.rig_model import RigModel
+from estimation.data.table import Table, read
+from estimation.rig_model import RigModel
 from parameters import InputError
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -20,12 +20,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from diagnosis import rig_fit, simulation, simulation_fit
-from diagnosis.data import integrity, table
-from diagnosis.data.table import Table
-from diagnosis.evidence.evidence_finder import can_be_of_bench
-from diagnosis.evidence.path_model import PATH_MODEL
 from diagnosis.rig_fit import Constant
 from diagnosis.simulation_fit import IdentifiedBench, identified
+from estimation.data import integrity, table
+from estimation.data.table import Table
+from estimation.path_model import PATH_MODEL, can_be_of_bench
 from parameters import InputError, declarations, read_toml
 from physics import bench_model
 from physics.bench_model import FITTED, OLDER, RIG, BenchModel

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from diagnosis.data.table import Table
 from diagnosis.findings import Findings
+from estimation.data.table import Table
 from parameters import InputError
 from physics.bench_model import RIG
 from physics.calibration import VERSION, rows

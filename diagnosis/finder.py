@@ -16,13 +16,15 @@ from threadpoolctl import threadpool_limits
 
 from diagnosis import simulation_fit, wire_faults
 from diagnosis.bench_fit import oriented, turned
-from diagnosis.data import integrity, scales, table
-from diagnosis.data.table import Table
-from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder, can_be_of_bench, rig_model_of
+from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder
 from diagnosis.evidence.held_out import cycles_of
-from diagnosis.evidence.likelihood_data import MOTION
 from diagnosis.findings import Findings
 from diagnosis.wire_faults import WireFindings
+from estimation.data import integrity, scales, table
+from estimation.data.table import Table
+from estimation.likelihood_data import MOTION
+from estimation.path_model import can_be_of_bench
+from estimation.rig_model import rig_model_of
 from parameters import InputError, read_toml
 from physics import bench_model
 from physics.bench_model import BenchModel

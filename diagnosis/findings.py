@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from diagnosis.data.compared_signals import Compared
+from diagnosis.compared_signals import Compared
 from physics.bench_model import BenchModel
 
 

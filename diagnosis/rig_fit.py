@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from diagnosis.data.table import Table
-from diagnosis.evidence.evidence_finder import rig_model_of
-from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
-from diagnosis.evidence.rig_model import RigModel
+from estimation.data.table import Table
+from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.rig_model import RigModel, rig_model_of
 from parameters import InputError
 from physics.effects.hypotheses import Read
 from physics.laws import Array

@@ -14,9 +14,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.compared_signals import directions
-from diagnosis.data.table import Table
-from diagnosis.evidence.likelihood_data import START_S
+from diagnosis.compared_signals import directions
+from estimation.data.table import Table
+from estimation.likelihood_data import START_S
 from parameters import InputError
 from physics import memory_laws
 from physics.plant import imposed

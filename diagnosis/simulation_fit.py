@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from diagnosis import simulation
-from diagnosis.data.table import Table
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.likelihood_data import LOWPASS_HZ
-from diagnosis.evidence.reference_fit import ReferenceFit
+from estimation.data.table import Table
+from estimation.likelihood_data import LOWPASS_HZ
+from estimation.reference_fit import ReferenceFit
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from diagnosis.data.table import AGE_SUFFIX, Table
-from diagnosis.evidence.decision import NAMED_NATS, SURROGATE
+from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.findings import Figures
+from estimation.data.table import AGE_SUFFIX, Table
+from estimation.posterior import SURROGATE
 from physics import sampling_laws
 from physics.effects.catalogue import CATALOGUE, Effect
 from physics.laws import Array

@@ -42,7 +42,8 @@ def test_arrows_of_the_diagram_go_down() -> None:
         assert all(level[above] < level[room] for room in re.split(r"[ &]+", below)), above
 
 
-@pytest.mark.parametrize("room", ["physics", "nodes", "trial", "master", "diagnosis", "virtual_bus", "bowden"])
+@pytest.mark.parametrize("room", [
+    "physics", "nodes", "trial", "estimation", "master", "diagnosis", "virtual_bus", "bowden"])
 def test_folders_stand_in_the_order_of_their_contract(room: str) -> None:
     order, named = layers(room), rooms()[room]
     assert named == [name for name in order if name in named] != []
@@ -83,7 +84,8 @@ def numbers(path: Path) -> set[str]:
 
 
 def test_every_number_of_the_diagnosis_is_on_its_page_and_there_are_at_most_twenty() -> None:
-    there = set().union(*(numbers(path) for path in (ROOT / "diagnosis").rglob("*.py")))
+    there = set().union(*(numbers(path) for room in ("diagnosis", "estimation")
+                          for path in (ROOT / room).rglob("*.py")))
     page = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
     assert there == set(re.findall(r"(?m)^\| `(\w+\.[A-Z_]+)` \|", page))
     assert len(there) <= 20

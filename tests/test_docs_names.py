@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("parameters", "eds", "physics", "nodes", "trial", "master", "diagnosis", "logbook", "virtual_bus", "bowden")
+ROOMS = ("parameters", "eds", "physics", "nodes", "trial", "master", "estimation", "diagnosis",
+         "logbook", "virtual_bus", "bowden")
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 MODULES = {path.stem: path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))
            if path.stem != "__init__" and "cli" not in path.parts}

@@ -7,7 +7,8 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("parameters", "eds", "physics", "nodes", "trial", "master", "diagnosis", "logbook", "virtual_bus", "bowden")
+ROOMS = ("parameters", "eds", "physics", "nodes", "trial", "master", "estimation", "diagnosis",
+         "logbook", "virtual_bus", "bowden")
 
 SHARED = {
     "Trial": "bowden.Trial is trial.read.Trial with its provenance, for a notebook",

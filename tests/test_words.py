@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CEILING_PERCENT = {
     "parameters": 2, "eds": 2, "physics": 2, "nodes": 2, "trial": 2, "master": 3, "virtual_bus": 2,
-    "diagnosis": 3, "logbook": 3, "bowden": 3}
+    "estimation": 3, "diagnosis": 3, "logbook": 3, "bowden": 3}
 """Largest share of counted docstrings by room, in percent: 2 if the room was rewritten, else its share and five points.
 
 A ceiling only falls.  A share above it means that docstrings were added against the rules.

@@ -21,9 +21,9 @@ _RUN_A_TRIAL = """
 import can, tempfile
 import numpy as np
 from bowden.cli.app import run
-from diagnosis.data import table
-from diagnosis.evidence.likelihood_data import PathRecording
-from diagnosis.evidence.outputs import predict
+from estimation.data import table
+from estimation.likelihood_data import PathRecording
+from estimation.outputs import predict
 from master.network import kernel_frames
 from pathlib import Path
 from physics.path_constants import TABLE

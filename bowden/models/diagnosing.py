@@ -16,8 +16,8 @@ from bowden.trials.recorded_trial import Trial
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from diagnosis.data.table import Table
     from diagnosis.findings import Findings
+    from estimation.data.table import Table
 
 Given = Trial | str | Path
 """A trial: in memory, or its file (MCAP, or CSV with the canonical headers)."""
@@ -129,7 +129,7 @@ def on_its_footing(found: Findings, trials: Sequence[Path], *, measured: bool) -
     This is so if every trial ran on the packaged calibration; `measured`: a calibration or reference trials were
     given.
     """
-    from diagnosis.data.table import NOMINAL
+    from estimation.data.table import NOMINAL
     from trial.read import open as opened
 
     measured = measured or not all(
@@ -142,6 +142,6 @@ def _several(given: Given | Iterable[Given]) -> list[Given]:
 
 
 def _table(given: Given, path: str | None) -> Table:
-    from diagnosis.data import table
+    from estimation.data import table
 
     return table.read(given.path if isinstance(given, Trial) else given, path)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 from parameters import InputError
 
 if TYPE_CHECKING:
-    from diagnosis.data.table import Table
     from diagnosis.evidence.experiment_prediction import PlannedExperiment
+    from estimation.data.table import Table
 
 SIMULATED_DAYS: Final = (0, 1, 2)
 """Sessions of a simulated bench: two of reference trials, then that of the trial with the model's effects."""
@@ -94,8 +94,8 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: dict
     from diagnosis.evidence import decision
     from diagnosis.evidence.experiment_prediction import predicted_experiments
     from diagnosis.evidence.hypothesis_search import search
-    from diagnosis.evidence.path_model import PATH_MODEL
-    from diagnosis.evidence.reference_fit import fit_reference
+    from estimation.path_model import PATH_MODEL
+    from estimation.reference_fit import fit_reference
 
     if not healthy:
         raise InputError("bowden plan: no reference trial; name at least one with --healthy, or a --logbook.")
@@ -124,8 +124,8 @@ def _by_hand(among: Sequence[str]) -> dict[str, str]:
 
 
 def _usable(path: Path) -> Table:
-    from diagnosis.data import integrity, table
-    from diagnosis.evidence.likelihood_data import MOTION
+    from estimation.data import integrity, table
+    from estimation.likelihood_data import MOTION
 
     given = table.read(path)
     refused = [f.text for f in integrity.examine(given) if f.refuses]

@@ -24,8 +24,8 @@ from trial import read
 
 if TYPE_CHECKING:
     from bowden.bench.buses import BusSettings
-    from diagnosis.evidence.likelihood_data import Recording
-    from diagnosis.evidence.reference_fit import ReferenceFit
+    from estimation.likelihood_data import Recording
+    from estimation.reference_fit import ReferenceFit
 
 WIDTH: Final = 8.0
 """Least 1σ of a session's estimate about the reference model, in published session deviations: wide enough that a
@@ -158,7 +158,7 @@ def estimate(model: ReferenceFit, recording: Recording) -> Estimate:
     """Return the constants of one trial relative to the reference model, under a wide prior of the session alone."""
     from threadpoolctl import threadpool_limits
 
-    from diagnosis.evidence.posterior import Gaussian, mode
+    from estimation.posterior import Gaussian, mode
 
     count = len(FREE)
     session = np.diag(model.prior.covariance - model.bench.covariance).copy()
@@ -220,9 +220,9 @@ def _reference(book: Logbook, number: int, recording: Recording) -> tuple[int, R
 
     Only the first trial of a session that has none in the model yet is taken into it.
     """
-    from diagnosis.evidence.path_model import PATH_MODEL
-    from diagnosis.evidence.posterior import CLOSE
-    from diagnosis.evidence.reference_fit import fit_reference
+    from estimation.path_model import PATH_MODEL
+    from estimation.posterior import CLOSE
+    from estimation.reference_fit import fit_reference
 
     kept = book.reference()
     taken: list[int] = [] if kept is None else list(kept.trials)
@@ -257,8 +257,8 @@ def _recording(path: Path, entry: TrialEntry) -> Recording:
 
 def _recording_of(path: Path, outcome: str | None) -> Recording:
     """Read the inputs of the likelihood; raises `InputError` if one is missing."""
-    from diagnosis.data import integrity, scales, table
-    from diagnosis.evidence.path_model import PATH_MODEL
+    from estimation.data import integrity, scales, table
+    from estimation.path_model import PATH_MODEL
 
     if outcome not in (None, "completed"):
         raise InputError(f"{path}: the trial is {outcome}; only completed trials are fitted.")
@@ -277,7 +277,7 @@ def _recording_of(path: Path, outcome: str | None) -> Recording:
 
 def _described(path: Path, figures: Mapping[str, Any] | None) -> NewTrial:
     """Return a file as the logbook keeps it; raises `InputError` for one that is neither a trial nor a table."""
-    from diagnosis.data import table
+    from estimation.data import table
 
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -349,9 +349,9 @@ def encoded(model: ReferenceFit) -> bytes:
 
 def decoded(content: bytes) -> ReferenceFit:
     """Return the reference model of `encoded`; raises `InputError` for one that another version wrote."""
-    from diagnosis.evidence.path_model import PATH_MODEL
-    from diagnosis.evidence.posterior import Gaussian
-    from diagnosis.evidence.reference_fit import Reach, ReferenceFit, Scaling
+    from estimation.path_model import PATH_MODEL
+    from estimation.posterior import Gaussian
+    from estimation.reference_fit import Reach, ReferenceFit, Scaling
 
     kinds: dict[str, Any] = {"bench": Gaussian, "prior": Gaussian, "scaling": Scaling, "reach": Reach}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:

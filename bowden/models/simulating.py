@@ -62,7 +62,7 @@ def _under_motion(known: BenchModel, path: Path) -> Simulation:
     """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
     from bowden.replay.plant_residuals import figure
     from diagnosis import bench_fit, simulation
-    from diagnosis.data import table
+    from estimation.data import table
     from trial.signals import SIGNALS
 
     given, used = table.read(path), bench_fit.of_model(known)

@@ -37,8 +37,8 @@ def plan(name: str, walk: WalkPlan = AS_CONFIGURED, calibration: Path | None = N
     `healthy`: reference trials of the bench to be examined, `calibration` its calibration. Without both, a gait and the
     experiment itself, simulated, are the reference trials. Raises `InputError`.
     """
-    from diagnosis.data import table as data
     from diagnosis.evidence.planned_limits import plan as planned
+    from estimation.data import table as data
     from parameters import read_toml
 
     with TemporaryDirectory(prefix="bowden-") as folder:

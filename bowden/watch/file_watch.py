@@ -15,13 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from bowden.watch.gait_windows import GaitWindow, GaitWindows
 from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
-from diagnosis.data import integrity, scales, table
-from diagnosis.data.table import Table
-from diagnosis.evidence.likelihood_data import SIGNALS, PathRecording, lacking
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.reference_fit import fit_reference
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
+from estimation.data import integrity, scales, table
+from estimation.data.table import Table
+from estimation.likelihood_data import SIGNALS, PathRecording, lacking
+from estimation.path_model import PATH_MODEL
+from estimation.reference_fit import fit_reference
 from parameters import InputError
 from physics.effects.hypotheses import HYPOTHESES
 from trial.growing import GrowingTrial

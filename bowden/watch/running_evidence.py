@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
 
-from diagnosis.data.table import Table, table
 from diagnosis.evidence.decision import SET_SHARE, detected, threshold
-from diagnosis.evidence.likelihood_data import PathRecording
-from diagnosis.evidence.outputs import predict
-from diagnosis.evidence.posterior import bounded
-from diagnosis.evidence.reference_fit import ReferenceFit
+from estimation.data.table import Table, table
+from estimation.likelihood_data import PathRecording
+from estimation.outputs import predict
+from estimation.posterior import bounded
+from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import HYPOTHESES, Variant
 from physics.laws import Array
 from physics.path_constants import CONSTANTS, FREE, INDEX, named

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.evidence.hypothesis_search import Searched, gain_under, search_null, search_pairs
-from diagnosis.evidence.posterior import HUBER, Gaussian, Observed, PosteriorMode, own_error, screened
+from estimation.posterior import HUBER, SURROGATE, Gaussian, Observed, PosteriorMode, own_error, screened
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -34,12 +34,6 @@ MISFIT: Final = 1.6
 """Mean squared residual of an output over its variance above which the model has a lack of fit.
 
 No reference trial of the development population exceeds 1.2."""
-
-SURROGATE: Final = 0.1
-"""1σ of a parameter by systematic model error, relative to the parameter's change.
-
-The model's friction and stretch equations differ from the bench's.  With this value the 95 % intervals cover 90 to
-98 % on the development population; too small, they would be too narrow."""
 
 
 @dataclass(frozen=True)

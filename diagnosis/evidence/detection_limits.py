@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnosis.evidence.decision import threshold
 from diagnosis.evidence.hypothesis_search import hypotheses
-from diagnosis.evidence.posterior import Observed, PosteriorMode, response
+from estimation.posterior import Observed, PosteriorMode, response
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 

@@ -8,20 +8,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.data.table import Table
 from diagnosis.evidence import decision
-from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, SURROGATE, Decision
+from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
-from diagnosis.evidence.forward_model import ForwardModel, predicted
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
-from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.population_reference import reference_of_population
-from diagnosis.evidence.posterior import Observed, PosteriorMode, begun, mode, named_change
-from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference, widened
-from diagnosis.evidence.rig_model import RigModel
 from diagnosis.findings import Figures, Findings
+from estimation.data.table import Table
+from estimation.forward_model import ForwardModel, predicted
+from estimation.likelihood_data import Recording
+from estimation.path_model import PATH_MODEL
+from estimation.population_reference import reference_of_population
+from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode, named_change
+from estimation.reference_fit import ReferenceFit, fit_reference, widened
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
@@ -30,24 +29,6 @@ from physics.effects.separating_experiments import EXPERIMENTS
 NO_REFERENCE: Final = (
     "{}: is not of a rope over a knee, and a rig of another kind has no population to compare it with: name trials of "
     "this rig in the reference condition with --healthy, or identify it with bowden fit.")
-
-
-def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:
-    """Return whether trials can be of a rope over a knee.
-
-    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, and no
-    axis turns.  START has no compression beyond the share `compressed` of its largest tension.
-    """
-    if any("gait_percent" in t for t in trials):
-        return True
-    return not any(t.turning or PATH_MODEL.lacking(t) for t in trials) and all(
-        t["tension_start_n"].min() > -compressed * t["tension_start_n"].max() for t in trials)
-
-
-def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
-    """Return the model of another rig, built on the columns that all reference trials and trials have."""
-    kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
-    return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])
 
 
 class EvidenceFinder:

@@ -22,13 +22,13 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.stats import norm
 
-from diagnosis.data.table import table
-from diagnosis.evidence.decision import SET_SHARE, SURROGATE
+from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.evidence.hypothesis_search import Searched
-from diagnosis.evidence.likelihood_data import GRID_S, PathRecording
-from diagnosis.evidence.outputs import predict
-from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, widened
-from diagnosis.evidence.reference_fit import ReferenceFit
+from estimation.data.table import table
+from estimation.likelihood_data import GRID_S, PathRecording
+from estimation.outputs import predict
+from estimation.posterior import SURROGATE, Gaussian, Observed, PosteriorMode, widened
+from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.force_path import KNEE_RAD, STRETCH_M

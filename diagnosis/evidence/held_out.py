@@ -13,12 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.compared_signals import Compared
-from diagnosis.data.table import Table
-from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, begun, mode
-from diagnosis.evidence.reference_fit import ReferenceFit
+from diagnosis.compared_signals import Compared
 from diagnosis.findings import Figures
+from estimation.data.table import Table
+from estimation.likelihood_data import Recording
+from estimation.posterior import Gaussian, Observed, PosteriorMode, begun, mode
+from estimation.reference_fit import ReferenceFit
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
+from estimation.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 

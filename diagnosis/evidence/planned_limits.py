@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis.data import integrity
-from diagnosis.data.table import Table
 from diagnosis.evidence.decision import SET_SHARE
 from diagnosis.evidence.detection_limits import DetectionLimit, detection_limits
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.likelihood_data import MOTION
-from diagnosis.evidence.posterior import Observed, mode
+from estimation.data import integrity
+from estimation.data.table import Table
+from estimation.likelihood_data import MOTION
+from estimation.posterior import Observed, mode
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 

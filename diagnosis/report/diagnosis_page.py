@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from diagnosis.data.table import Table
 from diagnosis.findings import Findings
 from diagnosis.report import figure_tables, plots, residual_picture, tracking
 from diagnosis.report.headline import headline, interval
 from diagnosis.report.plots import AFTER, BEFORE
 from diagnosis.report.residuals import where
+from estimation.data.table import Table
 from physics.effects.catalogue import CATALOGUE
 from trial.report.page import Page, Tile, number
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.data.compared_signals import Compared
+from diagnosis.compared_signals import Compared
 from diagnosis.report.residuals import binned, bins_of, by_direction, joined, rms
 from trial.report.packing import broken
 from trial.report.page import Page, Series

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.compared_signals import Compared
+from diagnosis.compared_signals import Compared
 from diagnosis.findings import Findings
 from diagnosis.report.headline import strongest
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.compared_signals import Compared, directions
+from diagnosis.compared_signals import Compared, directions
 from diagnosis.findings import Findings
 from physics.laws import Array
 from trial.report.page import number

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from diagnosis.evidence.experiment_prediction import motion_of
-from diagnosis.evidence.path_model import PATH_MODEL
+from estimation.path_model import PATH_MODEL
 from physics.effects.separating_experiments import EXPERIMENTS
 from physics.path_constants import TABLE
 
@@ -20,7 +20,7 @@ GAIT = ("--cycles", "3", "--period", "1.2", "--serial", "3")
 
 @pytest.mark.parametrize("name", [n for n, one in EXPERIMENTS.items() if one.script and one.waypoints])
 def test_the_rope_is_led_until_end_is_what_the_waypoints_ask_for(name: str) -> None:
-    from diagnosis.data.table import table
+    from estimation.data.table import table
 
     time = np.arange(0.0, 2.0, 0.01)
     like = PATH_MODEL.record(table("like", {

@@ -13,7 +13,7 @@ import pytest
 import bowden
 from bowden.cli.app import run
 from diagnosis import bench_fit, simulation
-from diagnosis.data.table import Table, table
+from estimation.data.table import Table, table
 from parameters import Remark
 from physics.plant import PlantParameters, imposed
 from tests.plants import draws

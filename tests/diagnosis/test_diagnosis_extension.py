@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.data.table import Table, table
 from diagnosis.extension import text
 from diagnosis.findings import Findings
 from eds.declaration import PathNodes
+from estimation.data.table import Table, table
 from parameters import InputError
 from physics.bench_model import BenchModel, read
 from physics.calibration import ScalarEvidence

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from diagnosis.bench_fit import turned
-from diagnosis.data.table import Table, table
 from diagnosis.finder import diagnose
+from estimation.data.table import Table, table
 from tests.hidden.bench import Bench
 from tests.hidden.walk import trial
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from diagnosis.data.integrity import between, examine, shared_rows
-from diagnosis.data.scales import against_range
-from diagnosis.data.table import Table, low_passed, table
 from diagnosis.finder import diagnose
+from estimation.data.integrity import between, examine, shared_rows
+from estimation.data.scales import against_range
+from estimation.data.table import Table, low_passed, table
 from parameters import InputError
 
 

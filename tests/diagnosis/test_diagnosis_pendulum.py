@@ -6,9 +6,9 @@ import pytest
 
 from benchmarks import rig_changes
 from benchmarks.rig_changes import RigCase
-from diagnosis.data.table import read
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.rig_model import RigModel
+from estimation.data.table import read
+from estimation.rig_model import RigModel
 
 pytestmark = [
     pytest.mark.exhaustive,

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.data.compared_signals import Compared
-from diagnosis.data.table import Table, table
+from diagnosis.compared_signals import Compared
 from diagnosis.findings import Figures, Findings
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals
 from diagnosis.report.diagnosis_page import build, write
 from diagnosis.report.headline import change, headline, healthy_value
 from diagnosis.report.residuals import concentrated
+from estimation.data.table import Table, table
 from parameters import InputError
 from physics.bench_model import BenchModel
 from tests.hidden.bench import Bench

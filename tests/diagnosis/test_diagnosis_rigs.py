@@ -13,8 +13,8 @@ import pytest
 
 import bowden
 from bowden.cli.app import run
-from diagnosis.data.table import table
 from diagnosis.finder import Finder
+from estimation.data.table import table
 from parameters import InputError
 from tests.diagnosis import rigs
 

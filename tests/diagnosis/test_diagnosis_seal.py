@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from diagnosis import bench_fit
-from diagnosis.data.table import Table, read
 from diagnosis.finder import Finder, diagnose
 from diagnosis.findings import Findings
 from diagnosis.report.headline import headline
+from estimation.data.table import Table, read
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 SEAL, TRIBOMETER = DATA / "pneumatic_seal", DATA / "tribometer"

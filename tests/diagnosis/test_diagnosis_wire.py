@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis import wire_faults
-from diagnosis.data.table import Table, table
+from estimation.data.table import Table, table
 from physics import sampling_laws
 from physics.sampling_laws import Staleness
 

@@ -12,13 +12,13 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve
 
 from bowden.cli.app import run
-from diagnosis.data.table import Table, table
 from diagnosis.evidence.decision import NAMED_NATS, threshold
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.likelihood_data import GRID_S
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.posterior import PosteriorMode
 from diagnosis.finder import diagnose
+from estimation.data.table import Table, table
+from estimation.likelihood_data import GRID_S
+from estimation.path_model import PATH_MODEL
+from estimation.posterior import PosteriorMode
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import ELSEWHERE, HYPOTHESES, PARTS

@@ -11,9 +11,9 @@ import pytest
 
 from bowden import Diagnosis
 from bowden.cli.app import run
-from diagnosis.data.table import Table, read, table
 from diagnosis.finder import Finder
 from diagnosis.findings import Findings
+from estimation.data.table import Table, read, table
 from parameters import InputError
 from tests.diagnosis import rigs
 

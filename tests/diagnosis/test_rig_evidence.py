@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.data.table import Table, table
-from diagnosis.evidence.evidence_finder import EvidenceFinder, can_be_of_bench
-from diagnosis.evidence.reference_fit import ReferenceFit, fit_reference
-from diagnosis.evidence.rig_model import RigModel
+from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.findings import Findings
+from estimation.data.table import Table, table
+from estimation.path_model import can_be_of_bench
+from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.rig_model import RigModel
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from tests.diagnosis import rigs

@@ -80,8 +80,8 @@ def answer(job: Job, cycles: int = 10, healthy: int = 2, again: bool = True) -> 
 
     `again` asks, of a pair, of each effect by itself as well.
     """
-    from diagnosis.data import table
     from diagnosis.finder import Finder
+    from estimation.data import table
 
     case = cases.case(job, healthy, cycles)
     trial, holdout = table.table("trial", case.trial), table.table("holdout", case.holdout)

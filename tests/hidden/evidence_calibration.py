@@ -25,9 +25,9 @@ from scipy.stats import binomtest
 
 from diagnosis.evidence.decision import NAMED_NATS
 from diagnosis.evidence.evidence_finder import EvidenceFinder
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.posterior import mode
 from diagnosis.finder import diagnose
+from estimation.path_model import PATH_MODEL
+from estimation.posterior import mode
 from physics.effects.hypotheses import HYPOTHESES
 from physics.laws import Array
 from physics.path_constants import FREE, NAMES, SESSION_SD

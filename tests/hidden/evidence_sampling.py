@@ -26,8 +26,8 @@ from scipy.special import logsumexp
 
 from diagnosis.evidence.evidence_finder import EvidenceFinder
 from diagnosis.evidence.hypothesis_search import search
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.posterior import Gaussian, Observed, PosteriorMode, loss, widened
+from estimation.path_model import PATH_MODEL
+from estimation.posterior import Gaussian, Observed, PosteriorMode, loss, widened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
 from tests.hidden.evidence_calibration import hidden_jobs
@@ -38,7 +38,7 @@ MOVES = 4
 
 
 def cost_of(observed: Observed, prior: Gaussian, variants: Sequence[Variant]) -> Callable[[Array], float]:
-    """Return the cost of `diagnosis.evidence.posterior` as a function of x, the constants and feature weights."""
+    """Return the cost of `estimation.posterior` as a function of x, the constants and feature weights."""
     origin, mean, covariance, active = widened(observed.model.constants, prior, variants)
     factor = np.linalg.cholesky(covariance + 1e-14 * np.diag(np.diag(covariance)))
     root = np.sqrt(observed.weight)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.data.table import Table, table
 from diagnosis.finder import diagnose
 from diagnosis.findings import Findings
+from estimation.data.table import Table, table
 from tests.hidden import family_moves, moves
 from tests.hidden.answers import After
 from tests.plants import draws, effects, imposed, oracle

@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 from bowden.watch.file_watch import DRIFT_S
 from bowden.watch.gait_windows import GaitWindows
 from bowden.watch.running_evidence import RunningEvidence, WatchVerdict
-from diagnosis.evidence.likelihood_data import SIGNALS, PathRecording
-from diagnosis.evidence.path_model import PATH_MODEL
-from diagnosis.evidence.reference_fit import fit_reference
 from diagnosis.finder import diagnose
+from estimation.likelihood_data import SIGNALS, PathRecording
+from estimation.path_model import PATH_MODEL
+from estimation.reference_fit import fit_reference
 from tests.hidden.evidence_calibration import hidden_jobs, reference_jobs
 from tests.hidden.family import Case, Job, case
 

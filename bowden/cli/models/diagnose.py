@@ -230,8 +230,8 @@ def _diagnosed(
     """Diagnose, and write the requested files; a refused diagnosis writes nothing."""
     from bowden.models import diagnosing
     from diagnosis import extension
-    from diagnosis.data import table
     from diagnosis.finder import Finder
+    from estimation.data import table
 
     groups: list[list[table.Table]] = [[], [], []]
     files = [(group, file) for group, files in enumerate((trials, healthy, holdout)) for file in files]

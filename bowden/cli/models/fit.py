@@ -40,7 +40,7 @@ def fit(
     from bowden import output_files
     from bowden.trials import force_paths, session
     from diagnosis import bench_fit
-    from diagnosis.data import table
+    from estimation.data import table
     from parameters.files import write_whole
 
     session.refuse_no_logbook(logbook)

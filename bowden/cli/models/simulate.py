@@ -12,7 +12,7 @@ from bowden.cli.app import app
 
 if TYPE_CHECKING:
     from diagnosis.bench_fit import FittedBench
-    from diagnosis.data.table import Table
+    from estimation.data.table import Table
     from physics.simulated_bench import SimulatedTensions
 
 Trial = Annotated[Path, typer.Argument(
@@ -39,7 +39,7 @@ def simulate(
     """
     from bowden import output_files
     from diagnosis import bench_fit, simulation
-    from diagnosis.data import table
+    from estimation.data import table
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial, model])
     if output is not None:

@@ -11,14 +11,15 @@ measured END.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.data.table import Table
-from diagnosis.evidence.forward_model import ForwardModel
-from diagnosis.evidence.likelihood_data import GRID_S, LOWPASS_HZ, START_S, Recording
+from estimation.data.table import Table
+from estimation.forward_model import ForwardModel
+from estimation.likelihood_data import GRID_S, LOWPASS_HZ, START_S, Recording
 from physics.effects.hypotheses import SENSOR, Hypothesis, Read
 from physics.effects.rig_hypotheses import (
     STRETCH_M_PER_N,
@@ -478,3 +479,9 @@ def _fitted(trial: Taken, output: str, columns: Sequence[Array], less: Array | N
     size = np.sqrt(np.mean(design**2, axis=1)) + 1e-30
     found = np.linalg.lstsq((design / size[:, None]).T, signal, rcond=2e-2)[0]
     return [float(value) for value in found / size]
+
+
+def rig_model_of(reference: Sequence[Table], trials: Sequence[Table]) -> RigModel:
+    """Return the model of another rig, built on the columns that all reference trials and trials have."""
+    kept = {n for n in reference[0].columns if all(n in t for t in [*reference, *trials])}
+    return RigModel([replace(t, columns={n: v for n, v in t.columns.items() if n in kept}) for t in reference])

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.data.table import Table
-from diagnosis.evidence.likelihood_data import Recording
+from estimation.data.table import Table
+from estimation.likelihood_data import Recording
 from physics.constant_table import ConstantTable
 from physics.effects.hypotheses import Hypothesis
 from physics.laws import Array

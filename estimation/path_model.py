@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.data.table import Table
-from diagnosis.evidence import likelihood_data, outputs
-from diagnosis.evidence.forward_model import ForwardModel
-from diagnosis.evidence.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
+from estimation import likelihood_data, outputs
+from estimation.data.table import Table
+from estimation.forward_model import ForwardModel
+from estimation.likelihood_data import GRID_S, SIGNALS, TAUT_N, PathRecording
 from physics import force_path
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import HYPOTHESES
@@ -157,3 +157,15 @@ def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
 
 
 PATH_MODEL: Final = PathModel()
+
+
+def can_be_of_bench(trials: Sequence[Table], compressed: float = 0.1) -> bool:
+    """Return whether trials can be of a rope over a knee.
+
+    A gait is always of a bench.  Other trials can be of a bench if all have rope motion, knee angle and START, and no
+    axis turns.  START has no compression beyond the share `compressed` of its largest tension.
+    """
+    if any("gait_percent" in t for t in trials):
+        return True
+    return not any(t.turning or PATH_MODEL.lacking(t) for t in trials) and all(
+        t["tension_start_n"].min() > -compressed * t["tension_start_n"].max() for t in trials)

@@ -18,12 +18,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from diagnosis.evidence.decision import SURROGATE
-from diagnosis.evidence.forward_model import ForwardModel
-from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.path_model import MODEL_ERROR_N
-from diagnosis.evidence.posterior import Gaussian
-from diagnosis.evidence.reference_fit import FEATURES, ReferenceFit, first_mode, reach_of, scaling_of
+from estimation.forward_model import ForwardModel
+from estimation.likelihood_data import Recording
+from estimation.path_model import MODEL_ERROR_N
+from estimation.posterior import SURROGATE, Gaussian
+from estimation.reference_fit import FEATURES, ReferenceFit, first_mode, reach_of, scaling_of
 from physics import bench_model
 from physics.bench_model import BenchModel
 from physics.laws import Array

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.data.integrity import Finding, length_unit
-from diagnosis.data.table import TURNING, Table
+from estimation.data.integrity import Finding, length_unit
+from estimation.data.table import TURNING, Table
 from physics.parameters import PARAMETERS
 
 TENSIONS: Final = ("tension_start_n", "tension_end_n")

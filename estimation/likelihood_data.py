@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import butter, sosfiltfilt, sosfreqz
 
-from diagnosis.data.table import Table
+from estimation.data.table import Table
 from physics.laws import Array
 
 LOWPASS_HZ: Final = 40.0

@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from diagnosis.evidence.forward_model import ForwardModel, jacobian, predicted
-from diagnosis.evidence.likelihood_data import Recording
-from diagnosis.evidence.posterior import CLOSE, HUBER, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
+from estimation.forward_model import ForwardModel, jacobian, predicted
+from estimation.likelihood_data import Recording
+from estimation.posterior import CLOSE, HUBER, LONGEST, Gaussian, Observed, PosteriorMode, bounded, loss, mode
 from physics.laws import Array
 
 FEATURES: Final = 60

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.data.table import AGE_SUFFIX, COUNTERS, Table
+from estimation.data.table import AGE_SUFFIX, COUNTERS, Table
 from physics.laws import Array
 from physics.parameters import RELATION_PARAMETERS
 from trial.convert.lab_table import TO_SI

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.evidence.likelihood_data import GRID_S, PathRecording
+from estimation.likelihood_data import GRID_S, PathRecording
 from physics import force_path
 from physics.force_path import PathResponse
 from physics.laws import Array

@@ -1,0 +1,16 @@
+"""Estimation of a bench's constants: recordings and a forward model in, a posterior out.
+
+    y = f(q + δ; m) + Φ(m)·(c + d) + ε          q bench, δ session, c discrepancy, d its session part, ε noise
+    p(q, c | reference trials)                   posterior of the bench, Gaussian about the fitted mode
+
+y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
+
+    data                   reading of trials and tables, checks for contradictions
+    likelihood_data        signals on one time grid
+    forward_model          interface of a forward model
+    outputs, path_model    forward model of the bench
+    rig_model              forward model of another rig
+    posterior              modes and evidence of one trial
+    reference_fit          joint fit of the reference trials
+    population_reference   reference condition without reference trials
+"""
