@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from nodes.core.device import Application, Device
 from nodes.drives.generic_drive import GenericDrive
 from nodes.io_module import IoModule
+from parameters import extras
 
 if TYPE_CHECKING:
     from nodes.bench_devices import APPLICATIONS, build
@@ -34,6 +35,9 @@ __all__ = ["APPLICATIONS", "Application", "Device", "Drive", "GenericDrive", "Io
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'nodes' has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"nodes.{_HOMES[name]}"), name)
+    try:
+        found = getattr(importlib.import_module(f"nodes.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        raise extras.refusal(error) from None
     globals()[name] = found
     return found

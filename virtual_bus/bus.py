@@ -16,7 +16,7 @@ from can.typechecking import AutoDetectedConfig, CanFilters
 
 from eds.bench.complete_cycle import CompleteCycle
 from eds.cia301 import Frame
-from parameters import InputError
+from parameters import InputError, extras
 from virtual_bus.bench import Bench
 from virtual_bus.bus_options import options
 from virtual_bus.kernel import NEVER
@@ -26,7 +26,7 @@ from virtual_bus.wire.station import Confinement
 
 if TYPE_CHECKING:
     from virtual_bus.compiled.compiled_cycles import Steady
-    from virtual_bus.compiled.cycle_arrays import CycleRequest, Heartbeat
+    from virtual_bus.compiled.cycle_arrays import CycleRequest
 
 STATES: Final = {
     Confinement.ACTIVE: can.BusState.ACTIVE,
@@ -37,8 +37,10 @@ STATES: Final = {
 
 def _built(given: dict[str, Any], channel: str) -> Bench:
     """Return a bench with the packaged devices and a plant; its modules are compiled, and so are imported here."""
-    from virtual_bus.build import build
-
+    try:
+        from virtual_bus.build import build
+    except ModuleNotFoundError as error:
+        raise extras.refusal(error) from None
     return build(options(given, f"channel {channel}"), channel)
 
 
@@ -148,6 +150,8 @@ class BowdenBus(can.BusABC):
         steady = self._steady
         if steady is None or not (tap is None or (isinstance(tap, BowdenBus) and tap._shared is self._shared)):
             return None
+        from virtual_bus.compiled.cycle_arrays import CycleRequest, Heartbeat
+
         asked = CycleRequest(self._socket, None if tap is None else tap._socket, *targets,
                              tuple([each for each, _ in inputs]),
                              budget_ns, Heartbeat(*heartbeat))

@@ -93,6 +93,11 @@ def _run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except ModuleNotFoundError as error:
+        from parameters import extras
+
+        sentence = extras.missing(error)
+        return _failed(error) if sentence is None else _refuse(sentence)
     except MemoryError:
         return _refuse("this computer's memory is too small for that; cut the input.")
     except RecursionError:

@@ -68,7 +68,7 @@ class ParameterDifference(NamedTuple):
 class Download(NamedTuple):
     """One SDO download of a configuration."""
 
-    index: int
+    object: int
     subindex: int
     data: bytes
 
@@ -281,7 +281,7 @@ def restore(link: Link, node: DescribedNode, file: Dictionary) -> list[Parameter
         try:
             link.sdo_write(node.node_id, *download)
         except SdoError as error:
-            entry = file.entries[key(download.index, download.subindex)]
+            entry = file.entries[key(download.object, download.subindex)]
             raise InputError(f"{file.path}: {entry.name} = {entry.value!r} is refused ({error}); "
                              "mend it or leave it out.") from None
     for subindex in (1, 2):
@@ -345,7 +345,7 @@ def concise(file: Dictionary) -> bytes:
               for entry in parameters(file) if entry.value is not None and not _unused(entry, given)]
     found = list(downloads(file, stated))
     return len(found).to_bytes(4, "little") + b"".join(
-        one.index.to_bytes(2, "little") + bytes((one.subindex,)) + len(one.data).to_bytes(4, "little") + one.data
+        one.object.to_bytes(2, "little") + bytes((one.subindex,)) + len(one.data).to_bytes(4, "little") + one.data
         for one in found)
 
 

@@ -141,7 +141,7 @@ def _master(reached: Bus, config: Path | None, timeout_ms: int, *, acts: bool = 
     from master.node_access.lss_master import LssMaster, LssRefusalError
     from parameters import InputError
 
-    with linked(reached.chosen(), int(reached.sections(config)["network"].bitrate)) as link:
+    with linked(reached.configured(config), int(reached.sections(config)["network"].bitrate)) as link:
         if acts:
             refuse_other_master(link, False)
         master = LssMaster(link, timeout_ms * 1_000_000)

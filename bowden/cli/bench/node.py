@@ -50,7 +50,7 @@ def scan(reached: Bus, eds: Eds = None, config: options.Config = None, json: opt
     from master.node_access import node_scan as scanning
 
     files = [packaged(name) for name in PACKAGED] if eds is None else scanning.files_of(eds)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         found = scanning.scan(link, files)
     if json:
         terminal.emit({"nodes": [{"node": one.node_id, "state": one.state, "identity": one.identity, "name": one.name,
@@ -113,7 +113,7 @@ def read(
                        "si": value * scaled[0] if scaled and isinstance(value, int | float) else None,
                        "unit": scaled[1] if scaled else None, "bytes": len(data)})
     else:
-        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled)
+        shown = f"{len(data)} bytes in {output}" if output is not None else object_text.shown(value, kind, scaled, at)
         print(" ".join(filter(None, (object_text.shown_key(at), one.name(at)))) + f" = {shown}")
     return 0
 
@@ -157,7 +157,7 @@ def write(
                        "written": len(data), "value": object_text.plain(now)})
     else:
         print(" ".join(filter(None, (object_text.shown_key(at), one.name(at))))
-              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled)}"))
+              + (f": {len(data)} bytes written." if now is None else f" = {object_text.shown(now, kind, scaled, at)}"))
     return 0
 
 
@@ -186,7 +186,7 @@ def objects(
         return 0
     for each in found:
         entry = each.entry
-        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key))
+        shown = each.refusal or object_text.shown(each.value, entry.data_type, units.get(entry.key), entry.key)
         print(f"{'*' if each.changed else ' '} {object_text.shown_key(entry.key)} {entry.access:3} "
               f"{one.name(entry.key)} = {shown}")
     print(f"{len(found)} objects, {sum(bool(each.changed) for each in found)} not at their default.")
@@ -228,7 +228,7 @@ def pdo(
         print(_pdo_line(state))
         for word in state.mapping:
             at = word >> 8
-            shown = object_text.shown(values[at], one.kind(at), units.get(at))
+            shown = object_text.shown(values[at], one.kind(at), units.get(at), at)
             print(f"    {object_text.shown_key(at)} {one.name(at)}, {word & 0xFF} bits = {shown}")
     print(f"{len(states)} PDOs, {sum(state.valid for state in states)} in use.")
     return 0
@@ -344,7 +344,7 @@ def nmt(
 
         raise InputError(f"nmt {command}: is no command; give one of {', '.join(access.COMMANDS)}.")
     node_id = 0 if name == "all" else node_id_of(name, reached, config)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         refuse_other_master(link, force)
         answer = access.nmt(link, node_id, command)
     if json:
@@ -493,7 +493,7 @@ def _node(name: str, reached: Bus, config: Path | None, eds: Path | None, *, for
     from master.node_access.remote_node import NodeAccess
 
     node_id = node_id_of(name, reached, config)
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         if acts:
             refuse_other_master(link, force)
         link.sdo_read(node_id, 0x1000)

@@ -41,7 +41,7 @@ def guard(
     node_id = node_id_of(name, reached, config)
     events: list[dict[str, object]] = []
     lost = False
-    with linked(reached.chosen(), bitrate_of(reached, config)) as link:
+    with linked(reached.configured(config), bitrate_of(reached, config)) as link:
         guarded = NodeGuard(link, node_id, period * 1_000_000, life)
         began_ns = link.clock()
         while link.clock() - began_ns < seconds * 1e9:
@@ -153,7 +153,9 @@ def _fault(served: CanBus, text: str) -> Any:
         if set(numbers) - {"count", "after", needed} or (needed is not None and needed not in numbers):
             raise ValueError
         count, after, number = numbers.get("count"), numbers.get("after", 0), numbers.get(needed or "")
-        options = {} if number is None else {"delay_ns": number * 1_000_000} if needed == "ms" else {needed: number}
+        options: dict[Any, int] = {} if number is None else {needed: number}
+        if "ms" in options:
+            options = {"delay_ns": options["ms"] * 1_000_000}
         return getattr(served.faults, kind)(int(cob_id, 16), count, after=after, **options)
     except (ValueError, KeyError):
         raise InputError(f"--fault {text}: expected KIND=COBID with count=N, after=N, and ms=, bit= or size= for "
