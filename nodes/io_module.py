@@ -46,9 +46,13 @@ class IoModule(Application):
     def nmt_changed(self, state: NmtState, now_ns: int) -> None:
         """Set the outputs to their error values in STOPPED."""
         if state is NmtState.STOPPED:
-            self.communication_lost(Emcy.GENERIC, now_ns)
+            self._set_error_values()
 
     def communication_lost(self, reason: Emcy, now_ns: int) -> None:
+        """Set the outputs to their error values."""
+        self._set_error_values()
+
+    def _set_error_values(self) -> None:
         """Set each output to its error value: the bits of 0x6206, and analogue outputs whose 0x6443 is 1."""
         for at in sorted(self.watched):
             sub, value = at & 0xFF, self._number(at)

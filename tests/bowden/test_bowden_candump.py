@@ -1,4 +1,4 @@
-"""`bowden monitor` with candump's lines in all its formats, and CiA 402's words in frames and reads."""
+"""`bowden monitor` with candump's lines in all its formats, CiA 402's words, and a configuration's own names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ FORMATS = {
              " (1.700000)  can0  RX - -  1F334455   [4]  11 22 33 44\n",
     "date": " (2026-11-26 22:00:01.500000)  can0  701   [1]  05\n can0  601   [0]  remote request\n"
             " can0  1F334455   [4]  11 22 33 44\n",
-    "colours": "\x1b[34m  can0  701   [1]  05\x1b[0m\n  can0  601   [0]  remote request\n  can0 1F334455 [4]  11 22 33 44\n",
+    "colours": "\x1b[34m  can0  701   [1]  05\x1b[0m\n  can0  601   [0]  remote request\n"
+               "  can0 1F334455 [4]  11 22 33 44\n",
 }
 
 
@@ -57,3 +58,13 @@ def test_statusword_controlword_and_mode_are_in_words(bowden: Run, here: Path) -
     assert text_of(0x6841, 0x0008) == "Fault"
     assert text_of(0x6040, 0x010F) == "enable operation, halt"
     assert text_of(0x6064, 0x0F) == text_of(0x6041, "text") == ""
+
+
+def test_a_configuration_declares_the_simulated_bench_and_its_names(bowden: Run, here: Path) -> None:
+    config = Path(__file__).resolve().parents[2] / "eds" / "bench_two_legs.toml"
+    assert bowden("node", "read", "right_end", "1018:01", "--config", config).status == 0
+    assert "708  heartbeat" in bowden("monitor", "--for", "0.2", "--table", "--config", config).stdout
+    told = bowden("tare", "right_start", "--config", config)
+    assert (told.status, "completed" in told.stdout) == (0, True), told.stderr
+    told = bowden("tare", "wrong", "--config", config, "--path", "right")
+    assert (told.status, told.stderr.count("\n")) == (2, 1)

@@ -105,24 +105,3 @@ def test_a_node_without_a_heartbeat_is_guarded(typed: Run, can_bus: CanBus, eds:
     assert told.status == 1
     assert "lost: 3 remote frames without an answer" in told.stdout
     assert typed("nmt", 5, "start").status == 1
-
-
-def test_a_guarded_device_notices_a_master_that_stops_asking(can_bus: CanBus, eds: Path) -> None:
-    node = can_bus.add_node(eds, 5)
-    node[0x100C], node[0x100D] = 100, 3
-    can_bus.run(1.0)
-    assert not can_bus.frames(0x085)
-    can_bus.send(0x000, b"\x01\x05")
-    can_bus.send(0x705, remote=True)
-    can_bus.run(1.0)
-    (emcy,) = can_bus.frames(0x085)
-    assert emcy.data[:3] == b"\x30\x81\x11"
-    asked_ns = next(frame.time_ns for frame in can_bus.frames(0x705) if frame.remote)
-    assert emcy.time_ns - asked_ns == pytest.approx(300_000_000, abs=1_000_000)
-    assert node.state.name == "PRE_OPERATIONAL"
-    can_bus.send(0x705, remote=True)
-    can_bus.run(0.1)
-    assert can_bus.frames(0x085)[-1].data[:2] == b"\0\0"
-    node[0x1017] = 50
-    node.device.listen()
-    assert 0x705 not in node.device.filters

@@ -133,11 +133,25 @@ def test_cyclic_modes_follow_and_modes_that_it_lacks_are_refused(driven: Driven)
     assert driven.node[0x6077] == 250
     driven.bus.run(2.0)
     assert driven.node[0x606C] == pytest.approx(2500, abs=1)
-    with pytest.raises(AssertionError):
-        driven.write(0x6060, Mode.VELOCITY)
+    driven.bus.send(0x605, bytes((0x2F, 0x60, 0x60, 0, Mode.VELOCITY, 0, 0, 0)))
+    driven.bus.run(0.001)
+    assert driven.bus.frames(0x585)[-1].data.hex() == "8060600030000906"
     driven.write(0x6060, Mode.CSV)
     driven.write(0x60FF, 0)
     assert driven.node[0x606C] == 0
+
+
+def test_a_stopped_node_reacts_as_6007_selects(driven: Driven) -> None:
+    for reaction, state, error in ((1, State.FAULT, 0x1000), (2, State.SWITCH_ON_DISABLED, 0), (0, None, 0)):
+        driven.bus.send(0x000, b"\x80\x05")
+        driven.bus.run(0.01)
+        driven.write(0x6040, 0)
+        driven.go(State.OPERATION_ENABLED)
+        driven.write(0x6007, reaction)
+        driven.bus.send(0x000, b"\x02\x05")
+        driven.bus.run(0.01)
+        assert state_of(driven.node[0x6041]) is (state or State.OPERATION_ENABLED)
+        assert driven.node[0x603F] == error
 
 
 def test_homing_sets_the_position(driven: Driven) -> None:

@@ -128,18 +128,18 @@ def _frames(source: Path | None, chosen: BusSettings | None, bitrate: int,
 def _recorded(source: Path) -> Iterator[Any]:
     import can
 
-    from master.node_access import candump
+    from master.node_access import candump_lines
     from parameters import InputError
 
     if str(source) == "-":
-        yield from candump.messages(sys.stdin, "-")
+        yield from candump_lines.messages(sys.stdin, "-")
         return
     if not source.is_file():
         raise InputError(f"{source}: no such file; give a trial (.mcap), a CAN log (.log, .asc, .blf), or - for "
                          "candump's lines on standard input.")
     if source.suffix.lower() in (".log", ".txt"):
         with source.open(encoding="utf-8", errors="replace") as lines:
-            yield from candump.messages(lines, str(source))
+            yield from candump_lines.messages(lines, str(source))
         return
     try:
         with closing(_reader(source)) as reader:

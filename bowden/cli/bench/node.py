@@ -393,25 +393,29 @@ def backup(
     output: options.Output,
     reached: Bus,
     eds: Eds = None,
+    concise: Annotated[Path | None, typer.Option(metavar="FILE", help="Write them as concise DCF (1F22), too.")] = None,
     config: options.Config = None,
     overwrite: options.Overwrite = False,
     json: options.Json = False,
 ) -> int:
-    """Read a node's parameters and write them as DCF.
+    """Read a node's parameters and PDO settings and write them as DCF.
 
     Example: bowden node backup servo -o servo.dcf
     """
     from bowden import output_files
+    from eds.dictionary import read as read_dcf
     from master.node_access import dcf
     from parameters.files import write_whole
 
-    output_files.refuse([output], overwrite=overwrite)
+    output_files.refuse([output, concise], overwrite=overwrite)
     output_files.refuse_ending(output, ".dcf", what="a node's parameters")
     with _described(name, reached, config, eds) as (link, entry):
         dcf.refuse_other(link, entry, entry.dictionary, entry.dictionary.path)
         unread: list[str] = []
         values = {**dcf.backup(link, entry, unread), **dcf.stamp(entry.dictionary, datetime.datetime.now())}
     write_whole(output, dcf.as_dcf(entry.dictionary, entry.node_id, values), overwrite=True)
+    if concise is not None:
+        write_whole(concise, dcf.concise(read_dcf(output)), overwrite=True)
     if json:
         terminal.emit({"node": name, "file": str(output), "parameters": len(values), "unread": unread})
     else:
