@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from eds.cia301 import NmtCommand
-from eds.cia402 import Input, State, Status
+from eds.cia402 import Input, State, Status, Stop
 from tests.nodes.drive_rig import KNEE, MS, SERVO, TICK_NS, DriveRig
 
 ENABLED, DISABLED = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
