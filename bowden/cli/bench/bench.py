@@ -33,6 +33,7 @@ def bench(
     bitrate: options.Bitrate = None,
     option: options.Extra = None,
     faults: Faults = None,
+    monitor: options.SafetyMonitor = None,
     seconds: Seconds = None,
     json: options.Json = False,
 ) -> int:
@@ -54,7 +55,7 @@ def bench(
     chosen = Bus(interface, channel, bitrate, option).chosen()
     arguments = Bus().chosen(simulated).arguments
     injected = () if faults is None else servable(faults)
-    network = configuration.read(config)["network"]
+    network = configuration.with_monitor(configuration.read(config)["network"], monitor)
     session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
     with buses.opened_one(chosen, bitrate or network.bitrate) as real:
         made = {**arguments, **buses.simulating(network), "bitrate": bitrate or network.bitrate,
