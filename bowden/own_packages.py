@@ -10,7 +10,7 @@ import sys
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
-NAMES = ("diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physics", "safety_monitor",
+NAMES = ("diagnosis", "eds", "estimation", "logbook", "master", "nodes", "parameters", "physics", "safety_monitor",
          "trial", "virtual_bus")
 """The packages beside `bowden` that an installation puts at the top level."""
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ import pytest
 from eds.dictionary import packaged
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("bowden", "diagnosis", "eds", "logbook", "master", "nodes", "parameters", "physics", "trial", "virtual_bus")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PACKAGES = sorted({name.partition(".")[0] for name in PROJECT["tool"]["setuptools"]["packages"]})
 TEST = """
 def test_a_drive_boots(can_bus, canopen_node):
     canopen_node("eds/drive.eds", node_id=5)
