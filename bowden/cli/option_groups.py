@@ -112,6 +112,13 @@ class Bus(NamedTuple):
         safety_table.refuse_unheld(sections, str(config))
         return sections
 
+    def configured(self, config: Path | None) -> BusSettings:
+        """Return the bus to open; a simulated bench is the one that the configuration declares."""
+        from bowden.bench.buses import rated
+
+        network = self.sections(config)["network"]
+        return rated(self.chosen(), int(network.bitrate), network)
+
     def chosen(self, simulated: SimulatedOptions | None = None, *, always_simulated: bool = False) -> BusSettings:
         """Return the bus to open; raises `InputError` for contradictory options.
 
