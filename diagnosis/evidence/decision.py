@@ -40,11 +40,12 @@ No reference trial of the development population exceeds 1.2."""
 class Decision:
     """Verdict on one trial.
 
-    `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
-    ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
-    of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output.  Its key
-    `session`: the model's cost (misfit and prior) relative to that of a reference trial, or the RMS departure of its
-    constants and discrepancy, in σ between sessions, whichever is less.
+    `verdict`: none, found, ambiguous, or unexplained if nothing is chosen and the null has a lack of fit.  `chosen`:
+    effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
+    bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: mean squared residual of the
+    best model over its variance, by output.  Its key `session`: the model's cost (misfit and prior) relative to that of a reference trial, or the RMS departure of its
+    constants and discrepancy, in σ between sessions, whichever is less.  `lacking`: outputs (and `session`) in
+    which the best model has a lack of fit; beside chosen effects it means that something else changed, too.
     """
 
     verdict: str
@@ -53,6 +54,7 @@ class Decision:
     part: str | None
     gains: dict[str, float]
     misfit: dict[str, float]
+    lacking: tuple[str, ...] = ()
 
 
 def decide(found: Searched) -> Decision:
@@ -66,8 +68,7 @@ def decide(found: Searched) -> Decision:
     gains = found.gains()
     seen = detected(gains, least)
     if not seen:
-        misfit = misfits(found, found.null)
-        return Decision("unexplained" if lacks(misfit) else "none", (), (), None, gains, misfit)
+        return unnamed(found)
     best = seen[0]
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
@@ -78,13 +79,18 @@ def decide(found: Searched) -> Decision:
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
     misfit = misfits(found, at)
-    if lacks(misfit, misfits(found, found.null)):
-        return Decision("unexplained", (), (), part, gains, misfit)
     among = _set(gains, chosen)
     if len(chosen) == 2:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
     return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
-                    misfit)
+                    misfit, lacking(misfit, misfits(found, found.null)))
+
+
+def unnamed(found: Searched) -> Decision:
+    """Return the decision without an effect: `none`, or `unexplained` if the null has a lack of fit."""
+    misfit = misfits(found, found.null)
+    lack = lacking(misfit)
+    return Decision("unexplained" if lack else "none", (), (), None, found.gains(), misfit, lack)
 
 
 def threshold(observed: Observed) -> float:
@@ -125,16 +131,11 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
     return told | {"session": min(cost, at.strain())}
 
 
-def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:
-    """Return whether a model has a lack of fit, in an output or by constants far outside the session scatter.
+def lacking(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """Return the outputs in which a model has a lack of fit, and `session` for constants far outside their scatter.
 
     `before`: misfit of the null.  A misfit of up to `FURTHER_SHARE` of it is accepted, since the equation of an effect
     differs somewhat from the bench's.
     """
-    return any(value > max(DOUBTED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0))
-               for name, value in misfit.items())
-
-
-def none(decided: Decision) -> Decision:
-    """Return the decision with verdict `none` and without effects."""
-    return Decision("none", (), (), None, decided.gains, decided.misfit)
+    return tuple(name for name, value in misfit.items() if value > max(
+        DOUBTED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0)))

@@ -111,7 +111,7 @@ class EvidenceFinder:
             decided = self._decided(found)
         if doubted := self._doubted(found, decided, outputs):
             said.append(doubted)
-            decided = decision.none(decided)
+            decided = self._known(decision.unnamed(found))
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
             if split is None:
@@ -119,39 +119,39 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
-            said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
-                        "seen; it is not named.")
-            decided = decision.none(decided)
-            figures = _held_out(found, decided, reference, trials, read)
-        before, after = figures.rms_n("before"), figures.rms_n("after")
-        if decided.chosen and before**2 - after**2 < reference.rmse_n**2:
-            said.append("The gain on held-out cycles is below what reference trials miss of each other: the name rests "
-                        "on the likelihood.")
+        if refused := _refused(decided, figures, reference):
+            said.append(refused)
+            decided = self._known(decision.unnamed(found))
+            figures = replace(figures, named=None)
         said += _unseen(found, decided)
         said += self._untold(outputs)
         at = _mode_of(found, decided)
         kept = None
         if holdout:
             unseen = reference.observe(*(self._read(t, outputs) for t in holdout))
-            left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
-            kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
+            kept = HeldOut(unseen, reference.missed(unseen), rest(unseen, found.null),
+                           rest(unseen, at) if decided.chosen else None, blocks_of(holdout, unseen.trials))
         relations = figures.figures(reference, kept)
         said += _worse(relations)
-        error = {"reference": reference.rmse_n, "before": before, "after": after}
+        gain = figures.gain()
+        error = {"reference": reference.rmse_n, "before": figures.rms_n("reference"),
+                 "session": figures.rms_n("session"), "after": figures.rms_n("session" if gain is None else "named")}
         evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(observed),
                     "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
-            decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
+            decided.verdict, [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
+                              for name in decided.chosen], list(decided.among),
             experiment, relations, said, _limits(found, bench), reference=self.kind,
-            simulation={"before_rms_n": before, "after_rms_n": after,
-                        "healthy_rms_n": reference.rmse_n if self._tables else None, "signals": [
-                n for n in self.model.judged if n in outputs],
-                        "on": "cycles that no fit has seen"},
-            part=decided.part, evidence=evidence, traces=figures.traces(trials),
-            held_traces=kept.traces(holdout) if kept is not None else {})
+            simulation={"before_rms_n": error["before"], "session_rms_n": error["session"],
+                        "after_rms_n": None if gain is None else error["after"],
+                        "healthy_rms_n": reference.rmse_n if self._tables else None,
+                        "gain_percent": None if gain is None else gain.percent,
+                        "gain_interval": None if gain is None else [gain.low, gain.high],
+                        "signals": figures.judged, "on": "cycles that no fit has seen"},
+            part=decided.part, evidence=evidence, unexplained=_unexplained(decided, relations),
+            traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 
     @property
     def kind(self) -> str:
@@ -184,8 +184,13 @@ class EvidenceFinder:
     def _decided(self, found: Searched) -> Decision:
         """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
         """
-        decided = decision.decide(found)
-        return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
+        return self._known(decision.decide(found))
+
+    def _known(self, decided: Decision) -> Decision:
+        """Return a decision without a lack of fit if there is no reference trial, else as it is."""
+        if self._tables:
+            return decided
+        return replace(decided, lacking=(), verdict="none" if decided.verdict == "unexplained" else decided.verdict)
 
     def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
         """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else "".
@@ -231,8 +236,7 @@ class EvidenceFinder:
                                    + (friction if column == "tension_end_n" else [])) + "."
                        for column in self.model.signals if column not in outputs]
 
-    def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]
-               ) -> dict[str, Any]:
+    def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], gain: float) -> dict[str, Any]:
         """Return an effect as published: site, parameters with 95 % intervals, values before, and gain in percent."""
         told, before = {}, {}
         for parameter, read in self.model.hypotheses[name].reads.items():
@@ -243,9 +247,41 @@ class EvidenceFinder:
             told[parameter] = {"value": min(max(value, low), high), "low": min(max(value - half, low), high),
                                "high": max(min(value + half, high), low), "unit": unit}
             before[parameter] = was
-        gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
-        return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
-                "gain_percent": max(gain, 0.0)}
+        return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
+
+
+def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> str:
+    """Return a sentence if the figures on held-out cycles do not allow the name of the best effect; else "".
+
+    They do not if the effect makes the prediction worse, or if the best model has a lack of fit and the effect changes
+    less than what reference trials miss of each other.
+    """
+    gain = figures.gain()
+    if gain is None:
+        return ""
+    name, session, named = decided.chosen[0], figures.rms_n("session"), figures.rms_n("named")
+    if gain.high < 0.0:
+        return (f"{name} raises the likelihood and makes the prediction of cycles that no fit has seen worse; it is "
+                "not named.")
+    if decided.lacking and session**2 - named**2 < reference.rmse_n**2:
+        return (f"{name} explains the trial best, but changes less than what reference trials miss of each other, and "
+                "not all of what the trial departs by; it is not named.")
+    return ""
+
+
+def _unexplained(decided: Decision, relations: Mapping[str, Figures]) -> dict[str, dict[str, Any]]:
+    """Return the outputs in which the best model has a lack of fit, with its size, RMS error and floor, as published.
+
+    A lack of fit by constants alone (`session`) stands under the output that is missed by most floors.
+    """
+    def row(name: str) -> dict[str, Any]:
+        f = relations[name]
+        return {"misfit": decided.misfit[name], "rms": f.rmse_after if f.rmse_after is not None else f.rmse_session,
+                "floor": f.floor}
+    names = [name for name in decided.lacking if name in relations]
+    if decided.lacking and not names:
+        names = [max(relations, key=lambda n: (relations[n].rmse_before or 0.0) / (relations[n].floor or 1.0))]
+    return {name: row(name) for name in names}
 
 
 def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]:
@@ -269,10 +305,10 @@ def _experiment(names: Sequence[str]) -> str:
 
 def _worse(relations: Mapping[str, Figures]) -> list[str]:
     """Return a sentence on each output whose error on held-out trials rises with the effects found."""
-    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_before:.3g} → "
+    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_session:.3g} → "
             f"{f.holdout_after:.3g} {f.unit} RMS; it holds for these trials alone: do not extend the simulation by it."
-            for name, f in relations.items() if f.holdout_before is not None and f.holdout_after is not None
-            and f.holdout_after > f.holdout_before]
+            for name, f in relations.items() if f.holdout_session is not None and f.holdout_after is not None
+            and f.holdout_after > f.holdout_session]
 
 
 def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
@@ -350,8 +386,8 @@ def _variants(found: Searched, decided: Decision) -> list[Variant]:
 
 def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
               read: Sequence[Recording]) -> HeldOut:
-    return held_out(found.observed, found.prior, reference, _variants(found, decided), _mode_of(found, decided),
-                    blocks_of(tables, read))
+    return held_out(found.observed, found.prior, reference, _variants(found, decided),
+                    (found.null, _mode_of(found, decided)), blocks_of(tables, read))
 
 
 def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:

@@ -5,8 +5,8 @@ They are complete for an engineer who reads nothing else: each figure has its un
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 from diagnosis.findings import Figures, Findings
 from physics.effects.catalogue import CATALOGUE
@@ -18,6 +18,28 @@ NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force
 UNMEASURED: Final = (
     "Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by itself "
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
+
+
+AGREES: Final = 1.5
+"""Largest error of the reference condition's model, in floors, with which a trial is said to agree with it.
+
+Of trials in the reference condition the error is that of one trial, the floor the mean over several."""
+
+
+class Errors(NamedTuple):
+    """Errors on held-out cycles, RMS in `unit`, that the sentences depend on.
+
+    `reference`: the reference condition's model; `session`: with the session's constants adapted; `named`: with the
+    named effects, None without one.  `floor`: what reference trials miss of each other, None without one.  `gain`: of
+    `named` over `session`, %, with its 95 % interval.
+    """
+
+    reference: float
+    session: float
+    named: float | None = None
+    floor: float | None = None
+    gain: tuple[float, float, float] | None = None
+    unit: str = "N"
 
 
 def headline(found: Findings) -> Iterator[str]:
@@ -43,14 +65,18 @@ def _by_evidence(found: Findings) -> Iterator[str]:
     if found.undecided is not None:
         yield f"{found.undecided[0].upper()}{found.undecided[1:]}"
     yield from _error(found)
-    if found.verdict == "unexplained":
-        yield "The data depart from the model in a way that no effect of the catalogue explains; no cause is named."
-    elif not found.causes:
-        against = "reference trials" if found.reference == "healthy" else "bench population" + (
-            " and the calibration" if found.reference == "calibration" else "")
-        yield f"The trial agrees with the {against}: no change of the bench is needed to explain it."
-    else:
+    errors = _errors(found)
+    if found.causes:
         yield f"Changed: {found.part}. " + " ".join(_cause(cause) for cause in found.causes)
+        if errors is not None:
+            yield gain_sentence(errors)
+        if found.unexplained:
+            yield f"Something else differs, too: {_places(found.unexplained, errors)}."
+    elif found.verdict == "unexplained":
+        yield ("The trial departs from the model in a way that no effect of the catalogue explains: "
+               f"{_places(found.unexplained, errors)}; no cause is named.")
+    elif errors is not None:
+        yield none_sentence(errors, found.of_rig)
     yield from _set(found)
     listed = _shifts((found.evidence or {}).get("shifts", {}))
     if listed:
@@ -59,16 +85,66 @@ def _by_evidence(found: Findings) -> Iterator[str]:
 
 def _error(found: Findings) -> Iterator[str]:
     """Yield the sentence on the error of the simulation before and after, beside that of reference trials."""
+    errors = _errors(found)
+    if errors is not None and found.simulation is not None:
+        yield error_sentence(errors, [NAMES[name] for name in found.simulation["signals"]], found.of_rig)
+
+
+def _errors(found: Findings) -> Errors | None:
+    """Return the errors over the judged outputs; None if nothing was simulated."""
     told = found.simulation
     if told is None:
-        return
+        return None
     unit = next((found.relations[n].unit for n in told["signals"] if n in found.relations), "N")
-    missed = " and ".join(NAMES[name] for name in told["signals"])
-    after = f", {told['after_rms_n']:.2f} {unit} with what is named below" if found.causes else ""
-    own = told["healthy_rms_n"]
-    beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
-    yield (f"The simulation of this {'rig' if found.of_rig else 'bench'} misses {missed} by "
-           f"{told['before_rms_n']:.2f} {unit}{after}, on cycles that no fit has seen{beside}.")
+    gain = None if told["gain_percent"] is None else (told["gain_percent"], *told["gain_interval"])
+    return Errors(told["before_rms_n"], told["session_rms_n"], told["after_rms_n"] if found.causes else None,
+                  told["healthy_rms_n"], gain if found.causes else None, unit)
+
+
+def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False) -> str:
+    """Return the sentence on the error by the models reference, session and named, and on that of reference trials."""
+    unit = errors.unit
+    steps = [f"{errors.reference:.2f} {unit} in the reference condition",
+             f"{errors.session:.2f} {unit} with this session's constants adapted"]
+    if errors.named is not None:
+        steps.append(f"{errors.named:.2f} {unit} with what is named below")
+    beside = "" if errors.floor is None else f"; reference trials miss each other by {errors.floor:.2f} {unit}"
+    return (f"The simulation of this {'rig' if of_rig else 'bench'} misses {' and '.join(signals)} by "
+            f"{', '.join(steps[:-1])} and {steps[-1]}, on cycles that no fit has seen{beside}.")
+
+
+def gain_sentence(errors: Errors) -> str:
+    """Return the sentence on what the named effects gain beside the adapted session."""
+    percent, low, high = errors.gain or (0.0, 0.0, 0.0)
+    interval_text = f"95 %: {low:.0f} … {high:.0f}"
+    if low > 0.0:
+        return f"It removes {percent:.0f} % ({interval_text}) of the error with the session adapted."
+    return (f"It gains nothing on cycles that no fit has seen ({percent:.0f} %, {interval_text}): the name rests on "
+            "the likelihood alone.")
+
+
+def none_sentence(errors: Errors, of_rig: bool = False) -> str:
+    """Return the sentence on a trial in which no effect is named, by what its errors are beside the reference trials'.
+    """
+    unit, what = errors.unit, "rig" if of_rig else "bench"
+    if errors.floor is None:
+        return (f"No effect is named: a {what} of the population, its constants within their spread, predicts the "
+                f"trial to {errors.session:.2f} {unit}.")
+    if errors.reference <= AGREES * errors.floor:
+        return ("The trial agrees with the reference trials within what they differ by: no change of the "
+                f"{what} is needed to explain it.")
+    differs = f"The trial differs from the reference condition by {errors.reference:.2f} {unit}"
+    if errors.session <= AGREES * errors.floor:
+        return f"{differs}, which is the session's: its constants, within their scatter, explain it."
+    return (f"{differs}; the session's constants leave {errors.session:.2f} {unit} of it, which no effect of the "
+            "catalogue explains.")
+
+
+def _places(unexplained: Mapping[str, Mapping[str, float]], errors: Errors | None) -> str:
+    """Return where the best model has a lack of fit: each output with its error and that of reference trials."""
+    unit = "N" if errors is None else errors.unit
+    return ", ".join(f"{NAMES.get(name, name)} is missed by {row['rms']:.2f} {unit}, where reference trials miss each "
+                     f"other by {row['floor']:.2f} {unit}" for name, row in unexplained.items())
 
 
 def _set(found: Findings) -> Iterator[str]:
@@ -132,7 +208,7 @@ def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
 
 def strongest(found: Findings) -> tuple[str, Figures] | None:
     """Return name and figures of the output with the largest gain; None if none was compared."""
-    told = [(name, f) for name, f in found.relations.items() if f.rmse_before is not None and f.rmse_after is not None]
+    told = [(name, f) for name, f in found.relations.items() if f.rmse_before is not None and f.rmse_last is not None]
     return max(told, key=lambda one: one[1].gain_percent or 0.0, default=None)
 
 
