@@ -15,7 +15,7 @@ class Figures:
     """Figures of one output, in its unit: RMSE on held-out cycles and on held-out trials; gain, %, with 95 % interval.
 
     `before`: the reference condition's model.  `session`: that with the session's constants adapted.  `after`: with the
-    named effects.  The gain is that of `after` over `session`.  `floor`: what reference trials miss of each other.
+    named effects.  The gain is that of `after` over `session`.  `floor`: reference RMSE.
     """
 
     unit: str
@@ -47,7 +47,7 @@ class Findings:
     for another rig.  `traces`, `held_traces`: measured signals with both errors by output, one entry per trial and
     held-out trial.  `undecided`: one sentence on an experiment among the trials that did not reduce the ambiguity set.
     `unexplained`: by output, the lack of fit of the best model: mean squared residual over its variance, RMS error and
-    `floor`; {} if there is none.  It stands with or without causes.
+    reference RMSE; {} if there is none.  It stands with or without causes.
     """
 
     verdict: str

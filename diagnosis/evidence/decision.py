@@ -43,9 +43,10 @@ class Decision:
     `verdict`: none, found, ambiguous, or unexplained if nothing is chosen and the null has a lack of fit.  `chosen`:
     effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
     bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: mean squared residual of the
-    best model over its variance, by output.  Its key `session`: the model's cost (misfit and prior) relative to that of a reference trial, or the RMS departure of its
-    constants and discrepancy, in σ between sessions, whichever is less.  `lacking`: outputs (and `session`) in
-    which the best model has a lack of fit; beside chosen effects it means that something else changed, too.
+    best model over its variance, by output.  Its key `session`: the model's cost (misfit and prior) relative to that of
+    a reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, whichever is less.
+    `lacking`: outputs (and `session`) in which the best model has a lack of fit; beside chosen effects it means that
+    something else changed, too.
     """
 
     verdict: str

@@ -251,10 +251,10 @@ class EvidenceFinder:
 
 
 def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> str:
-    """Return a sentence if the figures on held-out cycles do not allow the name of the best effect; else "".
+    """Return a sentence if the errors on held-out cycles do not allow the name of the best effect; else "".
 
-    They do not if the effect makes the prediction worse, or if the best model has a lack of fit and the effect changes
-    less than what reference trials miss of each other.
+    They do not if the effect makes the prediction worse.  Nor do they if the best model has a lack of fit and the
+    effect changes less than the reference RMSE.
     """
     gain = figures.gain()
     if gain is None:
@@ -270,9 +270,9 @@ def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> st
 
 
 def _unexplained(decided: Decision, relations: Mapping[str, Figures]) -> dict[str, dict[str, Any]]:
-    """Return the outputs in which the best model has a lack of fit, with its size, RMS error and floor, as published.
+    """Return the outputs in which the best model has a lack of fit, with its size, RMS error and reference RMSE.
 
-    A lack of fit by constants alone (`session`) stands under the output that is missed by most floors.
+    A lack of fit by constants alone (`session`) stands under the output with the largest error over its reference RMSE.
     """
     def row(name: str) -> dict[str, Any]:
         f = relations[name]

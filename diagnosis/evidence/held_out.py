@@ -1,11 +1,11 @@
 """Errors of the simulation on a trial, on held-out cycles, by three models.
 
+Each half of the cycles is predicted by a fit to the other half.  The gain of the effects is that of `named` over
+`session`, since a session differs from the reference trials without an effect, too.
+
     reference   the models of the reference trials, averaged; nothing is fitted to the trial
     session     the session's constants and discrepancy are fitted, without an effect
     named       the chosen effects are fitted, too
-
-Each half of the cycles is predicted by a fit to the other half.  The gain of the effects is that of `named` over
-`session`: what a session changes by itself is no effect.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Gain(NamedTuple):
 class HeldOut:
     """Errors of the data of `observed` by the models `reference`, `session` and `named`, each of shape (data,).
 
-    `named` is None if no effect is chosen.  `blocks`: by trial, the cycle number of each bin.
+    `named`: None without a chosen effect.  `blocks`: by trial, the cycle number of each bin.
     """
 
     observed: Observed
@@ -158,7 +158,7 @@ def blocks_of(tables: Sequence[Table], trials: Sequence[Recording]) -> list[NDAr
 def cycles_of(table: Table, block_s: float = 2.0) -> Array:
     """Return the cycle number of each sample; without cycle numbers, blocks of `block_s`, about one gait cycle.
 
-    The last block holds what is left of the trial, too.
+    The last block includes the remainder of the trial.
     """
     if "cycle" in table:
         return np.asarray(np.floor(np.nan_to_num(table["cycle"])))

@@ -21,23 +21,23 @@ UNMEASURED: Final = (
 
 
 AGREES: Final = 1.5
-"""Largest error of the reference condition's model, in floors, with which a trial is said to agree with it.
+"""Largest error of the reference condition's model, over the reference RMSE, of a trial that agrees with it.
 
-Of trials in the reference condition the error is that of one trial, the floor the mean over several."""
+The error is that of one trial, the reference RMSE a mean over several; a larger value hides changes outside the catalogue."""
 
 
 class Errors(NamedTuple):
     """Errors on held-out cycles, RMS in `unit`, that the sentences depend on.
 
     `reference`: the reference condition's model; `session`: with the session's constants adapted; `named`: with the
-    named effects, None without one.  `floor`: what reference trials miss of each other, None without one.  `gain`: of
+    named effects, None without one.  `reference_rmse`: None without reference trials.  `gain`: of
     `named` over `session`, %, with its 95 % interval.
     """
 
     reference: float
     session: float
     named: float | None = None
-    floor: float | None = None
+    reference_rmse: float | None = None
     gain: tuple[float, float, float] | None = None
     unit: str = "N"
 
@@ -108,13 +108,13 @@ def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False)
              f"{errors.session:.2f} {unit} with this session's constants adapted"]
     if errors.named is not None:
         steps.append(f"{errors.named:.2f} {unit} with what is named below")
-    beside = "" if errors.floor is None else f"; reference trials miss each other by {errors.floor:.2f} {unit}"
+    beside = "" if errors.reference_rmse is None else f"; reference trials miss each other by {errors.reference_rmse:.2f} {unit}"
     return (f"The simulation of this {'rig' if of_rig else 'bench'} misses {' and '.join(signals)} by "
             f"{', '.join(steps[:-1])} and {steps[-1]}, on cycles that no fit has seen{beside}.")
 
 
 def gain_sentence(errors: Errors) -> str:
-    """Return the sentence on what the named effects gain beside the adapted session."""
+    """Return the sentence on the gain of the named effects over the adapted session."""
     percent, low, high = errors.gain or (0.0, 0.0, 0.0)
     interval_text = f"95 %: {low:.0f} … {high:.0f}"
     if low > 0.0:
@@ -124,17 +124,16 @@ def gain_sentence(errors: Errors) -> str:
 
 
 def none_sentence(errors: Errors, of_rig: bool = False) -> str:
-    """Return the sentence on a trial in which no effect is named, by what its errors are beside the reference trials'.
-    """
+    """Return the sentence on a trial in which no effect is named, by its errors and the reference RMSE."""
     unit, what = errors.unit, "rig" if of_rig else "bench"
-    if errors.floor is None:
+    if errors.reference_rmse is None:
         return (f"No effect is named: a {what} of the population, its constants within their spread, predicts the "
                 f"trial to {errors.session:.2f} {unit}.")
-    if errors.reference <= AGREES * errors.floor:
+    if errors.reference <= AGREES * errors.reference_rmse:
         return ("The trial agrees with the reference trials within what they differ by: no change of the "
                 f"{what} is needed to explain it.")
     differs = f"The trial differs from the reference condition by {errors.reference:.2f} {unit}"
-    if errors.session <= AGREES * errors.floor:
+    if errors.session <= AGREES * errors.reference_rmse:
         return f"{differs}, which is the session's: its constants, within their scatter, explain it."
     return (f"{differs}; the session's constants leave {errors.session:.2f} {unit} of it, which no effect of the "
             "catalogue explains.")
