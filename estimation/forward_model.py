@@ -118,6 +118,10 @@ class ForwardModel(ABC):
         """Return the error of each output signal, by output, that corresponds to a residual of the data."""
         return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
 
+    def weighed(self, trial: Any, errors: Mapping[str, Array]) -> Array:
+        """Return the error of the data that corresponds to `errors` of the output signals, the inverse of `errors`."""
+        return np.concatenate([errors[name] for name in trial.outputs])
+
 
 def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:
     """Return the predicted data of one coordinate vector."""

@@ -140,6 +140,13 @@ class PathModel(ForwardModel):
             errors["tension_end_n"] = errors["tension_end_n"] + trial.binned(trial.ratio) * errors["tension_start_n"]
         return errors
 
+    def weighed(self, trial: PathRecording, errors: Mapping[str, Array]) -> Array:
+        """Return the error of the data from the error of each output signal, N, by output, each of shape (bins,)."""
+        told = dict(errors)
+        if "tension_end_n" in told:
+            told["tension_end_n"] = told["tension_end_n"] - trial.binned(trial.ratio) * told["tension_start_n"]
+        return super().weighed(trial, told)
+
 
 def _regressed(trial: PathRecording) -> tuple[float, float, float] | None:
     """Return zero, m, lever arm, m/rad, and stretch at 40 N, m, by regression of the taut rope.

@@ -7,6 +7,7 @@ An effect adds prior variance along directions of the constants (`physics.effect
     hypothesis_search      hypotheses about one trial
     decision               verdict
     held_out               errors on held-out cycles
+    identical_motion       difference from a reference trial of the same motion
     evidence_finder        from trials to findings
     experiment_prediction  choice of the next experiment
 """

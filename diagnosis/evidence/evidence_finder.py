@@ -13,6 +13,7 @@ from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
+from diagnosis.evidence.identical_motion import paired
 from diagnosis.findings import Figures, Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -100,7 +101,12 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        found = search(observed, reference.prior_of(observed), reference.starts())
+        pair = paired(reference, [self._read(t, outputs) for t in self._tables], observed)
+        if pair is None:
+            found = search(observed, reference.prior_of(observed), reference.starts())
+        else:
+            observed = pair.observed
+            found = search(observed, pair.prior)
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
@@ -109,7 +115,10 @@ class EvidenceFinder:
             said.append(sentence)
             found.refused.add(name)
             decided = self._decided(found)
-        if doubted := self._doubted(found, decided, outputs):
+        if pair is not None:
+            said.append(f"{self._tables[pair.reference].source} has the motion of the trial: only their difference was "
+                        "compared, since what the model misses repeats.")
+        elif doubted := self._doubted(found, decided, outputs):
             said.append(doubted)
             decided = self._known(decision.unnamed(found))
         if others and len(decided.chosen) == 1 < len(decided.among):

@@ -23,7 +23,7 @@ UNMEASURED: Final = (
 AGREES: Final = 1.5
 """Largest error of the reference condition's model, over the reference RMSE, of a trial that agrees with it.
 
-The error is that of one trial, the reference RMSE a mean over several; a larger value hides changes outside the catalogue."""
+The error is that of one trial, the reference RMSE a mean over several.  If it is larger, `agrees` hides changes."""
 
 
 class Errors(NamedTuple):
@@ -108,7 +108,8 @@ def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False)
              f"{errors.session:.2f} {unit} with this session's constants adapted"]
     if errors.named is not None:
         steps.append(f"{errors.named:.2f} {unit} with what is named below")
-    beside = "" if errors.reference_rmse is None else f"; reference trials miss each other by {errors.reference_rmse:.2f} {unit}"
+    own = errors.reference_rmse
+    beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
     return (f"The simulation of this {'rig' if of_rig else 'bench'} misses {' and '.join(signals)} by "
             f"{', '.join(steps[:-1])} and {steps[-1]}, on cycles that no fit has seen{beside}.")
 

@@ -10,6 +10,7 @@ and a run that was broken off goes on from there.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import hashlib
 import json
@@ -106,8 +107,11 @@ def said(a: Answer) -> str:
     """Return one case in one line."""
     state = "right" if a.right else "WRONG" if a.wrong else "  not"
     best = ", ".join(f"{name} {nats:g}" for name, nats in a.nats.items())
+    errors = a.detail["simulation"] or {}
+    figures = " → ".join("–" if errors.get(f"{which}_rms_n") is None else f"{errors[f'{which}_rms_n']:.2f}"
+                         for which in ("healthy", "before", "session", "after"))
     return (f"{state} {a.structure} {a.seed} {'+'.join(a.hidden)} χ² {a.separation:.0f} → {a.verdict} "
-            f"{', '.join(a.named)} | {', '.join(a.among)} | {best} | {a.seconds:g} s")
+            f"{', '.join(a.named)} | {', '.join(a.among)} | {best} | {figures} N | {a.seconds:g} s")
 
 
 def summary(told: Sequence[Answer]) -> list[str]:
@@ -158,8 +162,11 @@ def main(arguments: list[str]) -> None:
     path.parent.mkdir(exist_ok=True)
     told = _kept(path)
     todo = [q for q in asked if (q.structure, q.hidden, q.seed) not in told]
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as crew, path.open("a") as out:
-        for a in crew.map(functools.partial(answer, motion=given.motion), todo):
+    ask = functools.partial(answer, motion=given.motion)
+    with contextlib.ExitStack() as stack, path.open("a") as out:
+        crew = map(ask, todo) if given.workers == 1 else stack.enter_context(ProcessPoolExecutor(
+            given.workers, mp_context=get_context("spawn"))).map(ask, todo)
+        for a in crew:
             told[a.structure, a.hidden, a.seed] = a
             out.write(json.dumps(asdict(a)) + "\n")
             out.flush()
