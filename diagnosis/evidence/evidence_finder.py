@@ -155,6 +155,7 @@ class EvidenceFinder:
             experiment, relations, said, _limits(found, bench), reference=self.kind,
             simulation={"before_rms_n": error["before"], "session_rms_n": error["session"],
                         "after_rms_n": None if gain is None else error["after"],
+                        "session_sigma": max(abs(shift) for _, shift in named_change(found.null, found.prior).values()),
                         "healthy_rms_n": reference.rmse_n if self._tables else None,
                         "gain_percent": None if gain is None else gain.percent,
                         "gain_interval": None if gain is None else [gain.low, gain.high],

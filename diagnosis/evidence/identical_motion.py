@@ -2,7 +2,7 @@
 
     y − e_r = f(q_r + δ; m) + Φ(c_r + d) + ε        e_r: residual of the reference trial at its own mode (q_r, c_r)
 
-What the model misses under one motion repeats under it, so that e_r removes it.  δ and d are differences of two
+The model error under one motion repeats under it, so that e_r removes it.  δ and d are differences of two
 sessions; their 1σ is √2 times that of one session.  ε: sensor noise of both trials, and of the model error the share
 that changes between sessions (`ForwardModel.session_share`).
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -20,13 +19,6 @@ from estimation.likelihood_data import GRID_S, Recording
 from estimation.posterior import Gaussian, Observed
 from estimation.reference_fit import ReferenceFit
 from physics.laws import Array
-
-IDENTICAL: Final = 0.03
-"""Largest RMS difference of each motion signal, relative to its standard deviation, of two trials of one motion.
-
-A servo repeats a rope motion to about 1 %; two gaits of one person differ by 10 % or more."""
-COVERED: Final = 0.8
-"""Least share of a trial that the reference trial of the same motion covers."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +31,7 @@ class Pair:
 
 
 def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observed) -> Pair | None:
-    """Return the pair of a trial and the reference trial of its motion; None if there is none.
+    """Return the pair of a trial and the reference trial of its motion; None without such a reference trial.
 
     `references`: recordings in the order of `fit.identified`.  Sessions of several trials have no pair.
     """
@@ -54,10 +46,13 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observe
     return Pair(_difference(fit, references[number], observed, number, lag), _prior(fit, number), number)
 
 
-def _lag(trial: Recording, other: Recording, most_s: float = 2.0) -> int | None:
-    """Return by how many samples `other` is behind `trial`, if it has the trial's motion; None if it has not.
+def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.03, covered: float = 0.8
+         ) -> int | None:
+    """Return by how many samples `other` is behind `trial`; None if it has another motion.
 
-    `most_s`: largest lag that is tried.
+    `most_s`: largest lag that is tried.  `identical`: largest RMS difference of rope and knee, relative to their
+    standard deviation.  A servo repeats a rope motion to about 1 %, and two gaits of one person differ by 10 % or more.
+    `covered`: least share of the trial in which `other` has its motion.
     """
     own, known = (_standardised(each) for each in (trial, other))
     rate, other_rate = (np.gradient(each[1]) for each in (own, known))
@@ -66,10 +61,10 @@ def _lag(trial: Recording, other: Recording, most_s: float = 2.0) -> int | None:
     alike = np.fft.irfft(np.conj(np.fft.rfft(rate, size)) * np.fft.rfft(other_rate, size), size)
     lag = int(np.argmax(np.concatenate([alike[-most:], alike[:most + 1]]))) - most
     first, last = max(0, -lag), min(own.shape[1], known.shape[1] - lag)
-    if last - first < COVERED * own.shape[1]:
+    if last - first < covered * own.shape[1]:
         return None
     difference = own[:, first:last] - known[:, first + lag:last + lag]
-    return lag if float(difference.std(axis=1).max()) <= IDENTICAL else None
+    return lag if float(difference.std(axis=1).max()) <= identical else None
 
 
 def _standardised(trial: Recording) -> Array:

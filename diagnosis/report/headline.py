@@ -20,18 +20,14 @@ UNMEASURED: Final = (
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
 
 
-AGREES: Final = 1.5
-"""Largest error of the reference condition's model, over the reference RMSE, of a trial that agrees with it.
-
-The error is that of one trial, the reference RMSE a mean over several.  If it is larger, `agrees` hides changes."""
-
 
 class Errors(NamedTuple):
     """Errors on held-out cycles, RMS in `unit`, that the sentences depend on.
 
     `reference`: the reference condition's model; `session`: with the session's constants adapted; `named`: with the
     named effects, None without one.  `reference_rmse`: None without reference trials.  `gain`: of
-    `named` over `session`, %, with its 95 % interval.
+    `named` over `session`, %, with its 95 % interval.  `sigma`: largest change of a constant of the adapted session, in
+    σ between sessions.
     """
 
     reference: float
@@ -39,7 +35,16 @@ class Errors(NamedTuple):
     named: float | None = None
     reference_rmse: float | None = None
     gain: tuple[float, float, float] | None = None
+    sigma: float = 0.0
     unit: str = "N"
+
+    def agree(self, error: float, most: float = 1.5) -> bool:
+        """Return whether an error is at most `most` times the reference RMSE, which is a mean over several trials."""
+        return self.reference_rmse is not None and error <= most * self.reference_rmse
+
+    def within_scatter(self, most: float = 3.0) -> bool:
+        """Return whether no constant of the session changed by more than `most` σ, about the largest of forty draws."""
+        return self.sigma <= most
 
 
 def headline(found: Findings) -> Iterator[str]:
@@ -98,7 +103,7 @@ def _errors(found: Findings) -> Errors | None:
     unit = next((found.relations[n].unit for n in told["signals"] if n in found.relations), "N")
     gain = None if told["gain_percent"] is None else (told["gain_percent"], *told["gain_interval"])
     return Errors(told["before_rms_n"], told["session_rms_n"], told["after_rms_n"] if found.causes else None,
-                  told["healthy_rms_n"], gain if found.causes else None, unit)
+                  told["healthy_rms_n"], gain if found.causes else None, told["session_sigma"], unit)
 
 
 def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False) -> str:
@@ -120,8 +125,9 @@ def gain_sentence(errors: Errors) -> str:
     interval_text = f"95 %: {low:.0f} … {high:.0f}"
     if low > 0.0:
         return f"It removes {percent:.0f} % ({interval_text}) of the error with the session adapted."
-    return (f"It gains nothing on cycles that no fit has seen ({percent:.0f} %, {interval_text}): the name rests on "
-            "the likelihood alone.")
+    moved = (f"the session's constants predict them as well, but only {errors.sigma:.0f} σ outside their scatter"
+             if not errors.within_scatter() else "the session's constants, within their scatter, predict them as well")
+    return f"It gains nothing on cycles that no fit has seen ({percent:.0f} %, {interval_text}): {moved}."
 
 
 def none_sentence(errors: Errors, of_rig: bool = False) -> str:
@@ -130,12 +136,14 @@ def none_sentence(errors: Errors, of_rig: bool = False) -> str:
     if errors.reference_rmse is None:
         return (f"No effect is named: a {what} of the population, its constants within their spread, predicts the "
                 f"trial to {errors.session:.2f} {unit}.")
-    if errors.reference <= AGREES * errors.reference_rmse:
+    if errors.agree(errors.reference):
         return ("The trial agrees with the reference trials within what they differ by: no change of the "
                 f"{what} is needed to explain it.")
     differs = f"The trial differs from the reference condition by {errors.reference:.2f} {unit}"
-    if errors.session <= AGREES * errors.reference_rmse:
-        return f"{differs}, which is the session's: its constants, within their scatter, explain it."
+    if errors.agree(errors.session):
+        moved = ("within their scatter" if errors.within_scatter() else
+                 f"of which one changed by {errors.sigma:.0f} σ of their scatter")
+        return f"{differs}, which is the session's: its constants, {moved}, explain it."
     return (f"{differs}; the session's constants leave {errors.session:.2f} {unit} of it, which no effect of the "
             "catalogue explains.")
 

@@ -65,7 +65,7 @@ def found(measured: Table) -> Findings:
                 "named_nats": 12.0, "misfit": {}, "error_n": {},
                 "shifts": {"cable": shift, "fabric": {**shift, "sessions": 0.5}}}
     simulation = {"before_rms_n": 1.6, "session_rms_n": 1.5, "after_rms_n": 0.45, "healthy_rms_n": 0.23,
-                  "gain_percent": 70.0, "gain_interval": [66.0, 73.0], "signals": list(traces)}
+                  "gain_percent": 70.0, "gain_interval": [66.0, 73.0], "session_sigma": 8.0, "signals": list(traces)}
     return Findings("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
                     ["the clock is told from one column"], {
                          "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
@@ -159,6 +159,13 @@ def test_what_is_said_of_a_trial_without_a_name_follows_from_its_figures(
     (-2.0, -6.0, 1.0, "It gains nothing"), (0.0, 0.0, 0.0, "It gains nothing")])
 def test_what_is_said_of_a_gain_follows_from_its_interval(percent: float, low: float, high: float, words: str) -> None:
     assert gain_sentence(Errors(1.0, 0.9, 0.5, 0.2, (percent, low, high))).startswith(words)
+
+
+@pytest.mark.parametrize(("sigma", "words"), [(1.0, "within their scatter"), (3.0, "within their scatter"),
+                                              (12.0, "12 σ")])
+def test_how_far_the_session_moves_its_constants_is_said(sigma: float, words: str) -> None:
+    assert words in none_sentence(Errors(0.9, 0.2, None, 0.2, None, sigma))
+    assert words in gain_sentence(Errors(0.9, 0.2, 0.2, 0.2, (1.0, -1.0, 2.0), sigma))
 
 
 def test_a_trial_without_reference_trials_agrees_with_none() -> None:
