@@ -8,14 +8,16 @@ errors.  `python -m tests.hidden.evidence_calibration` prints the quantiles that
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.hypothesis_search import Searched, gain_under, search_null, search_pairs
-from estimation.posterior import HUBER, SURROGATE, Gaussian, Observed, PosteriorMode, own_error, screened
+from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
+from diagnosis.evidence.shape_family import residual, shape_columns
+from estimation.posterior import HUBER, SURROGATE, Observed, PosteriorMode, own_error, screened
+from physics.effects.hypotheses import Variant
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
@@ -79,12 +81,17 @@ def decide(found: Searched) -> Decision:
                if screened(found.single[best], found.observed, found.paired[name], error)[0] >= DOUBTED * least]
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
-    misfit = misfits(found, at)
+    misfit = misfits(found, at, chosen_variants(found, chosen))
     among = _set(gains, chosen)
     if len(chosen) == 2:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
     return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
                     misfit, lacking(misfit, misfits(found, found.null)))
+
+
+def chosen_variants(found: Searched, chosen: Sequence[str]) -> list[Variant]:
+    """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
+    return [(found.paired if k else found.variants)[name] for k, name in enumerate(chosen)]
 
 
 def unnamed(found: Searched) -> Decision:
@@ -107,23 +114,21 @@ def detected(gains: Mapping[str, float], least: float) -> list[str]:
     return [name for name, gain in gains.items() if gain >= least]
 
 
-def confirmed(found: Searched, effect: str, prior: Gaussian) -> bool:
-    """Return whether an effect reaches the threshold under another `prior` of the session, too."""
-    return gain_under(found, effect, prior) >= threshold(found.observed)
-
-
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
     """Return the ambiguity set from log Bayes factors by effect, the `chosen` effects first."""
     best = max(gains.values())
     return (*chosen, *(n for n, gain in gains.items() if n not in chosen and gain >= SET_SHARE * best))
 
 
-def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
-    """Return the mean squared residual over its variance by output, and what `session` means in `Decision`.
+def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
+    """Return the mean squared residual over its variance by output, and `session` as defined in `Decision`.
 
-    Residuals are clipped at `HUBER` σ, so that outliers count little.
+    `variants`: effects of the mode, whose shape is fitted, too.  Residuals are clipped at `HUBER` σ, so that outliers
+    count little.
     """
-    observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
+    observed = found.observed
+    left = residual(at, shape_columns(observed, found.prior, at, variants), observed.model.shape_shares)
+    squares = left**2 * observed.weight / observed.growth
     told = {}
     for k, name in enumerate(observed.outputs):
         own = observed.tau[k] * observed.part(squares, k)[observed.part(observed.weight, k) > 0.0]

@@ -14,6 +14,7 @@ from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
 from diagnosis.evidence.identical_motion import paired
+from diagnosis.evidence.shape_family import feature_sd
 from diagnosis.findings import Figures, Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -21,10 +22,10 @@ from estimation.likelihood_data import Recording
 from estimation.path_model import PATH_MODEL
 from estimation.population_reference import reference_of_population
 from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode, named_change
-from estimation.reference_fit import ReferenceFit, fit_reference, widened
+from estimation.reference_fit import ReferenceFit, fit_reference
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import FRICTION, Read, Variant
+from physics.effects.hypotheses import FRICTION, Read
 from physics.effects.separating_experiments import EXPERIMENTS
 
 NO_REFERENCE: Final = (
@@ -45,7 +46,6 @@ class EvidenceFinder:
         self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
-        self._widened: dict[tuple[str, ...], ReferenceFit] = {}
 
     def lacking(self, trials: Sequence[Table]) -> str:
         """Return a sentence on the columns without which the force path cannot be simulated; "" if none is missing."""
@@ -103,10 +103,10 @@ class EvidenceFinder:
         observed = reference.observe(*read)
         pair = paired(reference, [self._read(t, outputs) for t in self._tables], observed)
         if pair is None:
-            found = search(observed, reference.prior_of(observed), reference.starts())
+            found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
         else:
             observed = pair.observed
-            found = search(observed, pair.prior)
+            found = search(observed, pair.prior, (), feature_sd(reference))
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
@@ -118,9 +118,6 @@ class EvidenceFinder:
         if pair is not None:
             said.append(f"{self._tables[pair.reference].source} has the motion of the trial: only their difference was "
                         "compared, since what the model misses repeats.")
-        elif doubted := self._doubted(found, decided, outputs):
-            said.append(doubted)
-            decided = self._known(decision.unnamed(found))
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
             if split is None:
@@ -201,23 +198,6 @@ class EvidenceFinder:
         if self._tables:
             return decided
         return replace(decided, lacking=(), verdict="none" if decided.verdict == "unexplained" else decided.verdict)
-
-    def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
-        """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else "".
-
-        An effect with `DOUBTED` times the threshold is not doubted, and none of a rig, whose model error is `POOLED`.
-        """
-        if not self._tables or self.model.pools_sessions or not decided.chosen or (
-                decided.gains[decided.chosen[0]] >= DOUBTED * decision.threshold(found.observed)):
-            return ""
-        if outputs not in self._widened:
-            read = self.model.sessions([self._read(t, outputs) for t in self._tables])
-            self._widened[outputs] = widened(self._fits[outputs], read, self._session_sd)
-        name = decided.chosen[0]
-        if decision.confirmed(found, name, self._widened[outputs].prior_of(found.observed)):
-            return ""
-        return (f"{name} raises the likelihood, but not enough if the model's equations miss this bench by more, which "
-                "the reference trials allow: it is not named. Another reference trial would tell.")
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
         """Return the outputs that the trials and the reference trials all have."""
@@ -389,14 +369,9 @@ def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> t
     return None
 
 
-def _variants(found: Searched, decided: Decision) -> list[Variant]:
-    """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
-    return [(found.paired if k else found.variants)[name] for k, name in enumerate(decided.chosen)]
-
-
 def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
               read: Sequence[Recording]) -> HeldOut:
-    return held_out(found.observed, found.prior, reference, _variants(found, decided),
+    return held_out(found.observed, found.prior, reference, decision.chosen_variants(found, decided.chosen),
                     (found.null, _mode_of(found, decided)), blocks_of(tables, read))
 
 

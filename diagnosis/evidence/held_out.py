@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.compared_signals import Compared
+from diagnosis.evidence.shape_family import residual, shape_columns
 from diagnosis.findings import Figures
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
@@ -131,7 +132,9 @@ def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chose
         for fold in (0, 1):
             seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
             at = mode(seen, prior, variants, begun(start, None, kept=variants))
-            left = np.where(half == fold, rest(observed, at), left)
+            columns = shape_columns(seen, prior, at, variants)
+            told = residual(at, columns, observed.model.shape_shares) if columns.shape[1] else rest(observed, at)
+            left = np.where(half == fold, told, left)
         return left
 
     return HeldOut(observed, reference.missed(observed), predicted([], null),
