@@ -46,15 +46,16 @@ def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observe
     return Pair(_difference(fit, references[number], observed, number, lag), _prior(fit, number), number)
 
 
-def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.03, covered: float = 0.8
+def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8
          ) -> int | None:
     """Return by how many samples `other` is behind `trial`; None if it has another motion.
 
     `most_s`: largest lag that is tried.  `identical`: largest RMS difference of rope and knee, relative to their
-    standard deviation.  A servo repeats a rope motion to about 1 %, and two gaits of one person differ by 10 % or more.
+    standard deviation.  A servo that replays a recorded motion repeats it to some 0.1 %; a controller that leads END
+    moves the rope by 2 % otherwise where friction changed.
     `covered`: least share of the trial in which `other` has its motion.
     """
-    own, known = (_standardised(each) for each in (trial, other))
+    own, known = (_motion(each) for each in (trial, other))
     rate, other_rate = (np.gradient(each[1]) for each in (own, known))
     most = round(most_s / GRID_S)
     size = 1 << int(np.ceil(np.log2(rate.size + other_rate.size)))
@@ -64,13 +65,13 @@ def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: flo
     if last - first < covered * own.shape[1]:
         return None
     difference = own[:, first:last] - known[:, first + lag:last + lag]
-    return lag if float(difference.std(axis=1).max()) <= identical else None
+    spread = np.maximum(own[:, first:last].std(axis=1), 1e-4)  # m and rad; a locked knee hardly moves
+    return lag if float((difference.std(axis=1) / spread).max()) <= identical else None
 
 
-def _standardised(trial: Recording) -> Array:
-    """Return rope position and knee angle over their standard deviation, shape (2, samples); a locked knee is 0."""
-    signals = [trial.sampled(name) for name in ("servo_position_m", "knee_angle_rad")]
-    return np.stack([(s - s.mean()) / max(float(s.std()), 1e-4) for s in signals])
+def _motion(trial: Recording) -> Array:
+    """Return rope position, m, and knee angle, rad, shape (2, samples)."""
+    return np.stack([trial.sampled(name) for name in ("servo_position_m", "knee_angle_rad")])
 
 
 def _difference(fit: ReferenceFit, other: Recording, observed: Observed, number: int, lag: int) -> Observed:
