@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, end_discrepancy
+from physics import calibration, end_discrepancy, setup_check
 from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.effects.catalogue import CATALOGUE, complete
@@ -30,7 +30,7 @@ RIG: Final = "rig"
 OLDER: Final = "constants"
 """Former name of the table `[parameters.NAME]` of `bowden fit`."""
 TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 OLDER)
+                 OLDER, setup_check.TABLE)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 

@@ -31,7 +31,7 @@ MODULES = (
     "bench.doctor", "bench.node", "bench.bus_files", "bench.lss", "bench.monitor", "models.diagnose", "models.plan",
     "models.fit",
     "models.simulate", "models.verify", "trials.report", "bench.live", "bench.watch", "trials.convert",
-    "trials.recordings", "bench.record", "bench.setup", "models.logbook",
+    "trials.recordings", "bench.record", "bench.setup", "bench.setup_check", "models.logbook",
 )
 """Modules of the commands, in the order of `bowden --help`; importing one registers its commands on `app`."""
 

@@ -14,6 +14,7 @@ from importlib import metadata as installed
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bowden.bench import safety_table
 from bowden.bench.configuration import as_text
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ def attachments(calibration: Calibration, sections: Mapping[str, Any]) -> dict[s
     return {
         "bench.toml": as_text(sections).encode(),
         "calibration.toml": write(calibration).encode(),
+        safety_table.ATTACHMENT: safety_table.as_csv(safety_table.table(sections)),
         "packages.txt": "".join(f"{name}=={_version(name)}\n" for name in PACKAGES).encode(),
         **devices,
     }
