@@ -25,7 +25,7 @@ from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode
 from estimation.reference_fit import ReferenceFit, fit_reference
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
-from physics.effects.hypotheses import FRICTION, Read
+from physics.effects.hypotheses import FRICTION, Read, Variant
 from physics.effects.separating_experiments import EXPERIMENTS
 
 NO_REFERENCE: Final = (
@@ -148,7 +148,9 @@ class EvidenceFinder:
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
             decided.verdict, [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
-                              for name in decided.chosen], list(decided.among),
+                              | {"at_peak_n": _at_peak(found, at, variant)} for name, variant in zip(
+                                  decided.chosen, decision.chosen_variants(found, decided.chosen), strict=True)],
+            list(decided.among),
             experiment, relations, said, _limits(found, bench), reference=self.kind,
             simulation={"before_rms_n": error["before"], "session_rms_n": error["session"],
                         "after_rms_n": None if gain is None else error["after"],
@@ -238,6 +240,21 @@ class EvidenceFinder:
                                "high": max(min(value + half, high), low), "unit": unit}
             before[parameter] = was
         return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
+
+
+def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, float]:
+    """Return the change of END and START by an effect, N, where the first trial's START is highest; {} for a rig."""
+    observed, model, without = found.observed, found.observed.model, at.q.copy()
+    if model.pools_sessions:
+        return {}
+    reference = found.prior.origin.copy()
+    reference[list(at.table.free)] += found.prior.mean[:len(at.table.free)]
+    rows = [at.table.index[name] for direction in variant.directions for name in direction.along]
+    without[rows] = reference[rows]
+    changed = observed.predicted(at.q) - observed.predicted(without)
+    trial, first = next(observed.each(changed))
+    peak = int(np.argmax(trial.binned(trial.measured(model.judged[0]))))
+    return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
 
 
 def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> str:

@@ -181,7 +181,9 @@ def refused_because(found: Findings) -> str:
 def _cause(cause: Mapping[str, Any]) -> str:
     effect = CATALOGUE[cause["effect"]]
     values = ", ".join(change(cause, name) for name in cause["parameters"])
-    return f"{effect.name} at {effect.site} ({effect.law}): {values}."
+    peak = " and ".join(f"{NAMES[name]} by {value:+.2f} N" for name, value in cause.get("at_peak_n", {}).items())
+    return (f"{effect.name} at {effect.site} ({effect.law}): {values}."
+            + (f" At the peak of START it changes {peak}." if peak else ""))
 
 
 def change(cause: Mapping[str, Any], name: str) -> str:

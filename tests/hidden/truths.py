@@ -55,7 +55,8 @@ class Question:
 class Drawn:
     """Columns of one case: two reference trials, one of the trial's own motion, and the trial.
 
-    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).
+    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).  `adapted_n`:
+    RMS of what remains of it after the session's constants are adapted.
     """
 
     references: tuple[dict[str, Array], ...]
@@ -63,6 +64,11 @@ class Drawn:
     trial: dict[str, Array]
     separation: float
     clean: Array
+    adapted_n: float
+
+    def gain_percent(self, error_n: float) -> float:
+        """Return the gain of the effect itself, %, beside a model that has it and misses the trial by `error_n`, N."""
+        return 100.0 * (1.0 - error_n / float(np.hypot(error_n, self.adapted_n)))
 
 
 @functools.cache
@@ -133,7 +139,8 @@ def _second(asked: Question) -> Drawn:
     steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
              for name, sd in (("mu1", 0.03), ("mu2", 0.05), ("kf0", 0.03))]
     steps.append(_difference(made(["null"], seed, 0.0, bench, 0.2), base))
-    return Drawn(references, same, trial, _separation(clean, steps, base, noise[0]), clean)
+    separation, adapted_n = _separation(clean, steps, base, noise[0])
+    return Drawn(references, same, trial, separation, clean, adapted_n)
 
 
 def _first(asked: Question) -> Drawn:
@@ -158,10 +165,12 @@ def _first(asked: Question) -> Drawn:
     trial = made(asked.hidden, seed, sd=0.2)
     same = made(["null"], 50000 + seed, sd=0.2, draws=False)
     base = made(["null"], seed)
-    clean = _difference(made(asked.hidden, seed), base) if asked.effects else np.zeros_like(_tensions(base))
+    still = np.zeros_like(_tensions(base))
+    clean = _difference(made(asked.hidden, seed), base) if asked.effects else still
     steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
         ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
-    return Drawn(references, same, trial, _separation(clean, steps, base, 0.2), clean)
+    separation, adapted_n = _separation(clean, steps, base, 0.2)
+    return Drawn(references, same, trial, separation, clean, adapted_n)
 
 
 def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
@@ -182,10 +191,11 @@ def _difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Arra
     return np.asarray(_tensions(first) - _tensions(second))
 
 
-def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array], noise_n: float) -> float:
-    """Return χ² of `clean` in white noise, with the session's constants, gains and offsets of like benches adapted.
+def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array], noise_n: float
+                ) -> tuple[float, float]:
+    """Return χ² of `clean` in white noise, and what remains of it, RMS, N, with the session's constants adapted.
 
-    `steps`: change of the tensions by 1σ of each constant between sessions.
+    Gains and offsets of like benches are adapted, too.  `steps`: change of the tensions by 1σ of each constant between sessions.
     """
     still = np.zeros(clean.shape[1])
     start, end = _tensions(base)
@@ -194,5 +204,6 @@ def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array],
     spread = np.stack([c.ravel() for c in columns], axis=1) / noise_n
     effect = clean.ravel() / noise_n
     along = spread.T @ effect
-    return float(effect @ effect - along @ np.linalg.solve(np.eye(along.size) + spread.T @ spread, along))
+    moved = np.linalg.solve(np.eye(along.size) + spread.T @ spread, along)
+    return float(effect @ effect - along @ moved), noise_n * float(np.sqrt(np.mean((effect - spread @ moved) ** 2)))
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from bowden.trials import provenance
 from diagnosis.finder import Finder
+from diagnosis.findings import Findings
 from estimation.data.table import table
 from tests.hidden import truths
 from tests.hidden.truths import Drawn, Question
@@ -37,7 +38,8 @@ OUT = Path("out")
 
 @dataclass(frozen=True)
 class Answer:
-    """Verdict on one case.  `gains`: gain said and the effect's own, %, by the case's truth; None without a name."""
+    """Verdict on one case.  `gains`: of what is named over the adapted session, %, and the effect's own; empty without.
+    """
 
     structure: str
     hidden: tuple[str, ...]
@@ -51,6 +53,7 @@ class Answer:
     nats: dict[str, float]
     detail: dict[str, Any]
     seconds: float
+    gains: tuple[float, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -71,15 +74,16 @@ class Answer:
 def stored(asked: Question, folder: Path = OUT / "truths") -> Drawn:
     """Return the trials of a case, drawn once and stored under `folder`."""
     path = folder / f"{asked.structure}-{'+'.join(asked.hidden)}-{asked.seed}.npz"
-    if not path.is_file():
+    if not path.is_file() or "adapted_n" not in np.load(path).files:
         made = truths.draw(asked)
         folder.mkdir(parents=True, exist_ok=True)
         sets = [*made.references, made.same_motion, made.trial]
-        np.savez(path, separation=made.separation, clean=made.clean,
+        np.savez(path, separation=made.separation, clean=made.clean, adapted_n=made.adapted_n,
                  **{f"{k}.{name}": values for k, columns in enumerate(sets) for name, values in columns.items()})
     with np.load(path) as held:
         sets = [{name.split(".")[1]: held[name] for name in held.files if name.startswith(f"{k}.")} for k in range(4)]
-        return Drawn(tuple(sets[:2]), sets[2], sets[3], float(held["separation"]), held["clean"])
+        return Drawn(tuple(sets[:2]), sets[2], sets[3], float(held["separation"]), held["clean"],
+                     float(held["adapted_n"]))
 
 
 def answer(asked: Question, motion: bool = False) -> Answer:
@@ -95,7 +99,15 @@ def answer(asked: Question, motion: bool = False) -> Answer:
                   tuple(cause["effect"] for cause in found.causes), tuple(found.rivals), found.part,
                   {k: round(v, 1) for k, v in list(evidence.get("log_bayes_factors", {}).items())[:5]},
                   {"misfit": evidence.get("misfit"), "warnings": found.warnings, "simulation": found.simulation},
-                  round(seconds, 1))
+                  round(seconds, 1), _gains(found, made))
+
+
+def _gains(found: Findings, made: Drawn) -> tuple[float, ...]:
+    """Return the gain of what is named, and the effect's own beside the same error, %; empty without a name."""
+    told = found.simulation
+    if not found.causes or told is None:
+        return ()
+    return round(told["gain_percent"], 1), round(made.gain_percent(told["after_rms_n"]), 1)
 
 
 def digest(asked: Sequence[Question]) -> str:
@@ -111,7 +123,8 @@ def said(a: Answer) -> str:
     figures = " → ".join("–" if errors.get(f"{which}_rms_n") is None else f"{errors[f'{which}_rms_n']:.2f}"
                          for which in ("healthy", "before", "session", "after"))
     return (f"{state} {a.structure} {a.seed} {'+'.join(a.hidden)} χ² {a.separation:.0f} → {a.verdict} "
-            f"{', '.join(a.named)} | {', '.join(a.among)} | {best} | {figures} N | {a.seconds:g} s")
+            f"{', '.join(a.named)} | {', '.join(a.among)} | {best} | {figures} N"
+            + (f", gain {a.gains[0]:g} %, own {a.gains[1]:g} %" if a.gains else "") + f" | {a.seconds:g} s")
 
 
 def summary(told: Sequence[Answer]) -> list[str]:
@@ -124,6 +137,7 @@ def summary(told: Sequence[Answer]) -> list[str]:
         ("unexplained alone, reference condition", [a.verdict == "unexplained" for a in healthy]),
         ("unexplained alone, effect of the catalogue", [a.verdict == "unexplained" for a in one]),
         ("part right, of named", [a.part == truths.part(a.effects[0]) for a in one if a.among]),
+        ("gain within 5 points of the effect's own", [abs(a.gains[0] - a.gains[1]) <= 5.0 for a in one if a.gains]),
         ("pairs, both in the set", [a.right for a in told if len(a.effects) == 2]),
         ("outside the catalogue, named", [bool(a.among) for a in told if a.hidden[0] in truths.OUTSIDE])]
     return [f"{name}: {sum(held)} of {len(held)}" for name, held in rows if held]
@@ -182,7 +196,7 @@ def _kept(path: Path) -> dict[tuple[str, tuple[str, ...], int], Answer]:
     lines = path.read_text().splitlines() if path.is_file() else []
     rows = [json.loads(line) for line in lines]
     return {(r["structure"], tuple(r["hidden"]), r["seed"]): Answer(**{
-        **r, "hidden": tuple(r["hidden"]), "named": tuple(r["named"]), "among": tuple(r["among"])}) for r in rows}
+        **r, **{name: tuple(r[name]) for name in ("hidden", "named", "among", "gains")}}) for r in rows}
 
 
 if __name__ == "__main__":
