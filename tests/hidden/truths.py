@@ -195,7 +195,8 @@ def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array],
                 ) -> tuple[float, float]:
     """Return χ² of `clean` in white noise, and what remains of it, RMS, N, with the session's constants adapted.
 
-    Gains and offsets of like benches are adapted, too.  `steps`: change of the tensions by 1σ of each constant between sessions.
+    Gains and offsets of like benches are adapted, too.  `steps`: change of the tensions by 1σ of each constant between
+    sessions.
     """
     still = np.zeros(clean.shape[1])
     start, end = _tensions(base)
