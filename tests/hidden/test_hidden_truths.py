@@ -18,7 +18,7 @@ def test_nothing_hidden_has_no_clean_response_and_a_gain_is_mostly_the_sessions(
     assert nothing.adapted_n == 0.0
     changed = truths.draw(Question("truth1", ("gain_e",), 7))
     alone = float(np.sqrt(np.mean(changed.clean**2)))
-    # 3 to 8 % of END are 1 to 3 σ of nothing else, yet ten of the gain's own σ between sessions
+    # 3 to 8 % of END is far beyond the 0.3 % between sessions, and yet the session imitates nearly all of it
     assert changed.separation > truths.SEPARABLE
     assert changed.adapted_n < 0.2 * alone
 

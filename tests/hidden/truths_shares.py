@@ -47,12 +47,11 @@ def share(asked: Question) -> Share:
     clean = clean_data(made)
     visible = _product(null, clean[:, None], clean[:, None])[0, 0]
     noise = np.repeat([observed.trials[0].noise_n[name] for name in observed.outputs], observed.trials[0].bins)
-    along = [_along(null, response(null, observed, variant)[0], clean)
-             for variant in hypotheses(observed, finder.model.constants.named(fit.bench_coordinates()))[asked.effects[0]]]
-    shaped = [_along(null, np.concatenate([slopes, *(slopes[:, [k]] * observed.features
-                                                     for k in range(slopes.shape[1]))], axis=1), clean)
-              for variant in hypotheses(observed, finder.model.constants.named(fit.bench_coordinates()))[asked.effects[0]]
-              for slopes in (response(null, observed, variant)[0],)]
+    bench = finder.model.constants.named(fit.bench_coordinates())
+    slopes = [response(null, observed, variant)[0] for variant in hypotheses(observed, bench)[asked.effects[0]]]
+    along = [_along(null, each, clean) for each in slopes]
+    shaped = [_along(null, np.concatenate([each, *(column[:, None] * observed.features for column in each.T)], axis=1),
+                     clean) for each in slopes]
     return Share(float(np.sum((clean / noise) ** 2)), float(visible), max(along) / visible, max(shaped) / visible)
 
 
