@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from bowden.bench.any_node import Lss, Node
     from bowden.bench.buses import BusSettings, bus, simulated
     from bowden.bench.examination import doctor
+    from bowden.mending.supervisor import MendedBench, mend
     from bowden.model_files import BenchModel, nominal
     from bowden.model_files import read as read_model
     from bowden.model_files import write as write_model
     from bowden.models.diagnosing import Diagnosis, DiagnosisResult
+    from bowden.models.discovering import Discovered, discover
     from bowden.models.identification import StoppedError, fit, identify
     from bowden.models.simulating import Simulation, simulate
     from bowden.progress import Progress
@@ -41,11 +43,13 @@ if TYPE_CHECKING:
 _HOMES = {
     "BenchModel": "bowden.model_files", "BusSettings": "bowden.bench.buses", "Diagnosis": "bowden.models.diagnosing",
     "DiagnosisResult": "bowden.models.diagnosing", "Experiment": "bowden.trials.experiment", "InputError": "parameters",
-    "Lss": "bowden.bench.any_node", "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
+    "Lss": "bowden.bench.any_node", "MendedBench": "bowden.mending.supervisor", "mend": "bowden.mending.supervisor",
+    "Node": "bowden.bench.any_node", "Progress": "bowden.progress",
     "Simulation": "bowden.models.simulating", "StoppedError": "bowden.models.identification",
     "Trial": "bowden.trials.recorded_trial",
     "Verified": "bowden.trials.experiment", "WalkPlan": "bowden.trials.planning", "bus": "bowden.bench.buses",
-    "compare": "bowden.trials.recorded_trial", "doctor": "bowden.bench.examination",
+    "compare": "bowden.trials.recorded_trial", "discover": "bowden.models.discovering",
+    "Discovered": "bowden.models.discovering", "doctor": "bowden.bench.examination",
     "export": "bowden.trials.recorded_trial", "fit": "bowden.models.identification",
     "identify": "bowden.models.identification", "nominal": "bowden.model_files", "plan": "bowden.trials.planning",
     "read": "bowden.trials.recorded_trial:read_trial", "read_model": "bowden.model_files:read",
@@ -56,10 +60,10 @@ _HOMES = {
 """Each public name and the module that it is imported from when it is first used."""
 
 __all__ = [
-    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Experiment", "InputError", "Lss", "Node",
-    "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare", "doctor", "export",
-    "fit", "identify", "nominal", "plan", "read", "read_model", "record", "replay", "run", "simulate", "simulated",
-    "sweep", "testing", "verify", "write_model",
+    "BenchModel", "BusSettings", "Diagnosis", "DiagnosisResult", "Discovered", "Experiment", "InputError", "Lss",
+    "MendedBench", "Node", "Progress", "Simulation", "StoppedError", "Trial", "Verified", "WalkPlan", "bus", "compare",
+    "discover", "doctor", "export", "fit", "identify", "mend", "nominal", "plan", "read", "read_model", "record",
+    "replay", "run", "simulate", "simulated", "sweep", "testing", "verify", "write_model",
 ]
 
 

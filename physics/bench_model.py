@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, end_discrepancy, setup_check
+from physics import calibration, end_discrepancy, setup_check, terms
 from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
 from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
+from physics.terms import Term
 
 FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
@@ -30,7 +31,7 @@ RIG: Final = "rig"
 OLDER: Final = "constants"
 """Former name of the table `[parameters.NAME]` of `bowden fit`."""
 TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 OLDER, setup_check.TABLE)
+                 OLDER, setup_check.TABLE, terms.ARRAY)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -43,7 +44,8 @@ class BenchModel:
     date and trial by the same names; `effects`: name → parameter → value; `found`: the data that the effects were
     found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
     another kind by name, each with value, unit and interval; `bench`: the bench's name ("": none); `label`: the file,
-    or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END.
+    or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END; `terms`: modulated
+    constants, found by `bowden discover`.
     """
 
     values: Values = field(default_factory=dict)
@@ -55,6 +57,7 @@ class BenchModel:
     fitted: Mapping[str, Any] = field(default_factory=dict)
     rig: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: EndDiscrepancy | None = None
+    terms: tuple[Term, ...] = ()
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: each value with its unit and 95 % interval, then the effects."""
@@ -122,6 +125,7 @@ class BenchModel:
         for name, values in self.effects.items():
             lines += ["", f"[{TABLE}.{name}]  # {CATALOGUE[name].words}",
                       *(f"{key} = {value!r}" for key, value in values.items())]
+        lines += terms.rows(self.terms)
         return "\n".join(lines) + "\n"
 
 
@@ -154,7 +158,7 @@ def read(path: str | Path, *, bench: str = "") -> BenchModel:
         if name not in TABLES:
             raise InputError(f"{path}: unknown table {name}; expected {', '.join(f'[{t}]' for t in TABLES[2:])}.")
     model = from_tables(tables, str(path))
-    if not (model.values or model.effects or model.found):
+    if not (model.values or model.effects or model.found or model.terms):
         raise InputError(f"{path}: states neither parameters nor effects; give what bowden identify or diagnose wrote.")
     if bench and model.bench and model.bench != bench:
         raise InputError(
@@ -179,4 +183,4 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where))
+                      end_discrepancy.stated(tables, where), terms.stated(tables, where))

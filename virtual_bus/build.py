@@ -29,7 +29,7 @@ from parameters import InputError, from_table, parameter
 from parameters.plugins import load
 from physics.converter import Converter, SensorParameters
 from physics.drive_loops import SERVO_GAINS
-from physics.plant.bench_plant import Plant, PlantParameters
+from physics.plant.bench_plant import BowdenPlant, Plant, PlantParameters
 from virtual_bus.bench import MS, US, Bench
 from virtual_bus.bus_options import Options
 from virtual_bus.machine import plant_model
@@ -44,9 +44,11 @@ from virtual_bus.machine.machine import (
     Machines,
     MountedDrive,
     Observer,
+    SwitchedPlant,
     Tension,
     TickedDrive,
 )
+from virtual_bus.machine.monitored import EnableLine, SensedPath, monitor
 from virtual_bus.machine.plugged_plant import PluggedPlant, plant_raised
 from virtual_bus.machine.scatter import DAY, Tables, scattered, stream
 from virtual_bus.machine.truth import Truth
@@ -101,6 +103,8 @@ def build(options: Options, channel: str) -> Bench:
     for one in made:
         wire = trimmed(wire, one.nodes.servo, one.tables["servo_drive"])
     built = {node_id: nodes.build(node_id, wire) for node_id in wire.nodes}
+    line = EnableLine(options.sto_us * US)
+    guard = None if options.monitor is None else monitor(options.monitor, wire, line)
 
     def machine(bench: Bench) -> Machine | Machines:
         machines: list[Machine] = []
@@ -117,12 +121,16 @@ def build(options: Options, channel: str) -> Bench:
             bench.wire.attach(truth)
         if len(machines) == 1:
             machines[0].truth = truth
+        if guard is not None:
+            line.join(bench.kernel, [SensedPath(one.path, cast(SwitchedPlant, one.plant)) for one in made], machines)
+            bench.nodes[guard.node_id].unpowered = guard.power_off
         for each in machines:
             wired(bench.kernel, [f for f in faults if len(machines) == 1 or f.node in each.felt], each.trouble)
         return machines[0] if len(machines) == 1 else Machines(machines, truth)
 
     return Bench(
-        [device for device, _ in built.values()], channel=channel, bitrate=options.bitrate, faults=faults,
+        [*(device for device, _ in built.values()), *(() if guard is None else (guard,))],
+        channel=channel, bitrate=options.bitrate, faults=faults,
         seed=options.seed, master_turnaround_ns=options.master_turnaround_us * US,
         node_turnaround_ns=options.node_turnaround_us * US, tx_queue=options.tx_queue,
         restart_ns=options.restart_ms * MS, machine=machine,
@@ -155,6 +163,11 @@ def _made(options: Options, wire: eds.WireLayout, number: int) -> SimulatedPath:
         tables["plant"]["start_knee_rad"] = mirrored_rad(path, tables["plant"]["start_knee_rad"])
     seed = options.seed + own
     plant = made_plant(options.plant, tables["plant"], seed)
+    if model.terms:
+        if not isinstance(plant, BowdenPlant):
+            raise InputError(f"plant {options.plant}: {model.where} has terms, which a plug-in's plant cannot follow; "
+                             "remove [[terms]], or leave out the plant.")
+        plant.extend(model.terms, model.where)
     return SimulatedPath(path, tables, model.faults, wire.paths[number], plant, seed)
 
 

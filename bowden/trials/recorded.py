@@ -56,7 +56,7 @@ def experiment(recorded: Trial, *, scripts: bool = False, allowed: str | None = 
         model = folder / provenance.CONTROLLER_MODEL
         made = ExperimentSetup(
             reference=reference, calibration=read(folder / "calibration.toml"),
-            known=session.known_effects(model if model.exists() else None),
+            **session.beyond(model if model.exists() else None),
             dry_run=recorded.metadata.get("dry_run") == "true", **chosen)
     if recorded.metadata.get("course", provenance.course(made)) != provenance.course(made):
         raise InputError(f"{recorded.path}: the motion or force it was run with is not in the file; "

@@ -23,7 +23,7 @@ WALK = ("--cycles", "1", "--settle", "0", "--period", "1.1")
 FAULTS = {
     "START gain -20 %": ("[start_sensor]\ngain = 0.8\n", "start"),
     "START and END -20 % alike": ("[start_sensor]\ngain = 0.8\n[end_sensor]\ngain = 0.8\n", "start"),
-    "START and END -50 %, and a torque that agrees": ("[start_sensor]\ngain = 0.5\n[end_sensor]\ngain = 0.5\n", "start"),
+    "START, END and torque -50 %": ("[start_sensor]\ngain = 0.5\n[end_sensor]\ngain = 0.5\n", "start"),
     "knee zero -10 degrees": (f"[knee_encoder]\nzero_rad = {math.radians(-10.0)!r}\n", "knee"),
     "knee scale +15 %": ("[knee_encoder]\nscale = 1.15\n", "knee"),
 }
