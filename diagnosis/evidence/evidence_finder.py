@@ -125,7 +125,7 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        if refused := _refused(decided, figures, reference):
+        if refused := _refused(decided, figures):
             said.append(refused)
             decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
@@ -262,11 +262,11 @@ def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, 
     return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
 
 
-def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> str:
+def _refused(decided: Decision, figures: HeldOut) -> str:
     """Return a sentence if the errors on held-out cycles do not allow the name of the best effect; else "".
 
     They do not if the effect makes the prediction worse.  Nor do they if the best model has a lack of fit and the
-    effect changes less than the reference RMSE.
+    effect removes less than half of the squared error beyond sensor noise and model error.
     """
     gain = figures.gain()
     if gain is None:
@@ -275,9 +275,9 @@ def _refused(decided: Decision, figures: HeldOut, reference: ReferenceFit) -> st
     if gain.high < 0.0:
         return (f"{name} raises the likelihood and makes the prediction of cycles that no fit has seen worse; it is "
                 "not named.")
-    if decided.lacking and session**2 - named**2 < reference.rmse_n**2:
-        return (f"{name} explains the trial best, but changes less than what reference trials miss of each other, and "
-                "not all of what the trial departs by; it is not named.")
+    if decided.lacking and session**2 - named**2 < 0.5 * (session**2 - figures.expected_n() ** 2):
+        return (f"{name} explains the trial best, but less than half of what the trial departs by: from {session:.2f} "
+                f"to {named:.2f} N of error, where the model's own is {figures.expected_n():.2f} N; it is not named.")
     return ""
 
 
