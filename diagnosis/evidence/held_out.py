@@ -61,8 +61,7 @@ class HeldOut:
         return self._rms(self.judged, which)
 
     def expected_n(self) -> float:
-        """Return the RMS error of a right model over the judged outputs: sensor noise and model error of the references.
-        """
+        """Return the RMS error of a right model over the judged outputs: sensor noise and model error."""
         observed = self.observed
         variances = [1.0 / (observed.tau[k] * weight[weight > 0.0]) for k, name in enumerate(observed.outputs)
                      if name in self.judged for weight in (observed.part(observed.weight, k),)]
