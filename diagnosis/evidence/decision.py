@@ -24,7 +24,7 @@ NAMED_NATS: Final = 12.0
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 DOUBTED: Final = 2.0
-"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect.
+"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect and of a name beside a lack of fit.
 
 A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
 session σ, RMS, has a lack of fit, too."""

@@ -125,7 +125,7 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        if refused := _refused(decided, figures):
+        if refused := _refused(found, decided, figures):
             said.append(refused)
             decided = self._known(decision.unnamed(found))
             figures = replace(figures, named=None)
@@ -262,22 +262,22 @@ def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, 
     return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
 
 
-def _refused(decided: Decision, figures: HeldOut) -> str:
-    """Return a sentence if the errors on held-out cycles do not allow the name of the best effect; else "".
+def _refused(found: Searched, decided: Decision, figures: HeldOut) -> str:
+    """Return a sentence if the best effect is not named after all; else "".
 
-    They do not if the effect makes the prediction worse.  Nor do they if the best model has a lack of fit and the
-    effect removes less than half of the squared error beyond sensor noise and model error.
+    It is not if it makes the prediction of held-out cycles worse.  Nor is it if the best model has a lack of fit and
+    the evidence is below `DOUBTED` times the threshold.
     """
     gain = figures.gain()
     if gain is None:
         return ""
-    name, session, named = decided.chosen[0], figures.rms_n("session"), figures.rms_n("named")
+    name = decided.chosen[0]
     if gain.high < 0.0:
         return (f"{name} raises the likelihood and makes the prediction of cycles that no fit has seen worse; it is "
                 "not named.")
-    if decided.lacking and session**2 - named**2 < 0.5 * (session**2 - figures.expected_n() ** 2):
-        return (f"{name} explains the trial best, but less than half of what the trial departs by: from {session:.2f} "
-                f"to {named:.2f} N of error, where the model's own is {figures.expected_n():.2f} N; it is not named.")
+    if decided.lacking and decided.gains[name] < DOUBTED * decision.threshold(found.observed):
+        return (f"{name} explains the trial best, but not all of what it departs by, and not much better than none "
+                f"({decided.gains[name]:.0f} nats): it is not named.")
     return ""
 
 

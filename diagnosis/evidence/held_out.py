@@ -60,13 +60,6 @@ class HeldOut:
         """Return the RMS error over the judged outputs; `which`: "reference", "session" or "named"."""
         return self._rms(self.judged, which)
 
-    def expected_n(self) -> float:
-        """Return the RMS error of a right model over the judged outputs: sensor noise and model error."""
-        observed = self.observed
-        variances = [1.0 / (observed.tau[k] * weight[weight > 0.0]) for k, name in enumerate(observed.outputs)
-                     if name in self.judged for weight in (observed.part(observed.weight, k),)]
-        return float(np.sqrt(np.mean(np.concatenate(variances))))
-
     def gain(self, names: Sequence[str] = (), draws: int = 400) -> Gain | None:
         """Return the gain over the outputs `names` (none: the judged ones); None if no effect is chosen.
 
