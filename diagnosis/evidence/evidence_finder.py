@@ -265,8 +265,8 @@ def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, 
 def _refused(found: Searched, decided: Decision, figures: HeldOut) -> str:
     """Return a sentence if the best effect is not named after all; else "".
 
-    It is not if it makes the prediction of held-out cycles worse.  Nor is it if the best model has a lack of fit and
-    the evidence is below `DOUBTED` times the threshold.
+    It is not if it makes the prediction of held-out cycles worse.  Nor is it if the best model has a lack of fit, and
+    either the evidence is below `DOUBTED` times the threshold or a misfit above `DOUBTED` times that of a lack of fit.
     """
     gain = figures.gain()
     if gain is None:
@@ -275,9 +275,11 @@ def _refused(found: Searched, decided: Decision, figures: HeldOut) -> str:
     if gain.high < 0.0:
         return (f"{name} raises the likelihood and makes the prediction of cycles that no fit has seen worse; it is "
                 "not named.")
-    if decided.lacking and decided.gains[name] < DOUBTED * decision.threshold(found.observed):
-        return (f"{name} explains the trial best, but not all of what it departs by, and not much better than none "
-                f"({decided.gains[name]:.0f} nats): it is not named.")
+    left = max((decided.misfit[key] for key in decided.lacking if key != "session"), default=0.0)
+    if decided.lacking and (left > DOUBTED * decision.MISFIT
+                            or decided.gains[name] < DOUBTED * decision.threshold(found.observed)):
+        return (f"{name} explains the trial best ({decided.gains[name]:.0f} nats), but not what it departs by (misfit "
+                f"{left:.2g}): it is not named.")
     return ""
 
 
