@@ -144,4 +144,5 @@ def _refuse(sentence: str) -> int:
 
 def _sentence(error: typer.exceptions.TyperException) -> str:
     text = error.format_message() if hasattr(error, "format_message") else str(error)
-    return f"{text.strip().rstrip('.')}; see bowden --help."
+    context = getattr(error, "ctx", None)
+    return f"{text.strip().rstrip('.')}; see {'bowden' if context is None else context.command_path} --help."

@@ -29,6 +29,7 @@ class WalkOptions(NamedTuple):
     settle: options.Settle = None
     controller: options.Controller = None
     soft_start: options.SoftStart = None
+    tuning: options.Tuning = None
 
     def gait(self, section: Any, controller: str | None = None) -> Any:
         """Return the configuration's `section`, overridden by the options; `controller` is the default controller."""
@@ -37,7 +38,8 @@ class WalkOptions(NamedTuple):
         return override(section, {
             "peak_n": ("--peak", self.peak), "period_s": ("--period", self.period), "cycles": ("--cycles", self.cycles),
             "settle": ("--settle", self.settle), "controller": ("--controller", self.controller or controller),
-            "soft_start": ("--soft-start", self.soft_start)})
+            "soft_start": ("--soft-start", self.soft_start),
+            "tuning": ("--set", None if self.tuning is None else ", ".join(self.tuning))})
 
 
 class SimulatedOptions(NamedTuple):

@@ -19,7 +19,7 @@ from parameters import InputError
 from parameters.files import refuse_special
 from physics.laws import Array
 from physics.plant.leg import KNEE_AT_FIT
-from trial import paths
+from trial import paths, slow_columns
 from trial.convert.csv_table import offer
 from trial.convert.sheets import ENDINGS, sheet_of
 from trial.signals import MOTION_AND_FORCE, of_path
@@ -151,8 +151,8 @@ def table(
         _refuse_mixed(source, columns, turning)
     ignored = sorted(set(columns) - set(known) - {DEGREE_ALIAS, *TURNING})
     notes = (f"columns not known, not used: {', '.join(ignored)}",) if ignored else ()
-    known = _numbered(known)
-    return Table(source, known, _digest(known), calibration, notes=notes, turning=bool(turning),
+    known, slow = _on_rows(_numbered(known))
+    return Table(source, known, _digest(known), calibration, notes=(*notes, *slow), turning=bool(turning),
                  volts="motor_voltage_v" in columns)
 
 
@@ -196,6 +196,16 @@ def _numbered(columns: dict[str, Array]) -> dict[str, Array]:
     cycle = kept["cycle"]
     last = np.maximum.accumulate(np.where(cycle >= 0.0, np.arange(cycle.size), 0))
     return {**kept, "cycle": cycle[last]}
+
+
+def _on_rows(columns: dict[str, Array]) -> tuple[dict[str, Array], list[str]]:
+    """Return signals recorded at a lower rate than the rows on every row, and a sentence on each of them."""
+    made, sentences = dict(columns), []
+    for name in _signals(columns):
+        made[name], step = slow_columns.on_rows(columns["time_s"], columns[name])
+        if step is not None:
+            sentences.append(f"{name} is recorded every {step:.3g} s, the rows are closer: a line between two values")
+    return made, sentences
 
 
 def _digest(columns: Mapping[str, Array]) -> str:

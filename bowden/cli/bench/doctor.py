@@ -21,6 +21,8 @@ Seconds = Annotated[float, typer.Option("--for", metavar="S", min=0.1, help="How
 def doctor(
     reached: Bus,
     seconds: Seconds = 5.0,
+    compiles: Annotated[bool, typer.Option(
+        "--compile", help="Compile the laws and end: the warm-up of a container image.")] = False,
     config: options.Config = None,
     json: options.Json = False,
 ) -> int:
@@ -30,6 +32,12 @@ def doctor(
 
     Example: bowden doctor --interface socketcan --channel can0
     """
+    if compiles:
+        from bowden.trials import session
+
+        session.compile_laws(simulated=True, progress=terminal.Terminal(shown=not json))
+        terminal.emit({"compiled": True}) if json else print("The laws are compiled.")
+        return 0
     from bowden.bench import examination, safety_table
     from master.limit_holders import COLUMNS
 
