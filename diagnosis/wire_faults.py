@@ -216,10 +216,11 @@ def examine(trials: Sequence[Table], healthy: Sequence[Table]) -> WireFindings:
     quantum = effect.parameters[0]
     coarser = {name: mine for name, (mine, rest) in grids.items() if mine > rest and mine >= quantum.likely[0]}
     told = [Told(effect, {quantum.name: max(coarser.values())}, 0.0)] if coarser else []
-    figures = {name: Figures("N", *(each / math.sqrt(12.0) for each in (rest, mine, rest if name in coarser else mine)))
+    figures = {name: Figures("N", rest / math.sqrt(12.0), mine / math.sqrt(12.0), mine / math.sqrt(12.0),
+                             (rest if name in coarser else mine) / math.sqrt(12.0))
                for name, (mine, rest) in grids.items()}
     if seen is not None:
         # a coarse quantisation repeats values, too
         told = told or stale(seen)
-        figures["bus"] = Figures("s", None, seen.rms_s, seen.rms_s)
+        figures["bus"] = Figures("s", None, seen.rms_s, seen.rms_s, seen.rms_s)
     return WireFindings(told, figures)

@@ -33,6 +33,10 @@ class ForwardModel(ABC):
     that the reference trials do not have.  `extrapolated`: constants of equations that motion and load enter, whose
     session deviation grows so, as that of the judged outputs' discrepancy does.
 
+    `shape_shares`: shares of an effect by which its equation may differ from the bench's, in effects of `extrapolated`
+    constants.  `session_shares`: 1σ of a further change of the discrepancy, relative to it.  The evidence is averaged
+    over both (`diagnosis.evidence.shape_family`).
+
     `nats_factor`: detection threshold relative to the bench's.  `unlike_share`: largest error on the reference trials,
     relative to the spread of the first judged output; above it they are of another rig.  `amounts`: for a constant
     without effect while another constant is zero, name of that other constant and a value to add to its coordinate.
@@ -51,6 +55,8 @@ class ForwardModel(ABC):
     session_share: float
     unseen: float = 0.0
     extrapolated: Sequence[str] = ()
+    shape_shares: Sequence[float] = (0.0,)
+    session_shares: Sequence[float] = (0.0,)
     nats_factor: float = 1.0
     unlike_share: float
     amounts: Mapping[str, tuple[str, float]]
@@ -125,6 +131,10 @@ class ForwardModel(ABC):
     def errors(self, trial: Any, residual: Array) -> dict[str, Array]:
         """Return the error of each output signal, by output, that corresponds to a residual of the data."""
         return {name: trial.part(residual, k) for k, name in enumerate(trial.outputs)}
+
+    def weighed(self, trial: Any, errors: Mapping[str, Array]) -> Array:
+        """Return the error of the data that corresponds to `errors` of the output signals, the inverse of `errors`."""
+        return np.concatenate([errors[name] for name in trial.outputs])
 
 
 def predicted(model: ForwardModel, q: Array, trial: Recording) -> Array:

@@ -197,15 +197,6 @@ def fit_reference(model: ForwardModel, trials: Sequence[Recording], session_sd: 
     return _Fit(model, trials, session_sd, close, shares).run()
 
 
-def widened(fit: ReferenceFit, trials: Sequence[Recording], session_sd: Mapping[str, float] | None = None,
-            shares: Sequence[float] = (1.0, 1.4, 2.0)) -> ReferenceFit:
-    """Return `fit`, of the reference trials `trials`, with a larger amplitude of the discrepancy if its evidence is.
-
-    `shares`: of the RMS residual of constants alone.
-    """
-    return _Fit(fit.model, trials, session_sd, CLOSE, shares).widened(fit)
-
-
 def first_mode(model: ForwardModel, trial: Recording, prior: Gaussian, starts: int = 4) -> PosteriorMode:
     """Return the best of the modes of one trial from several starts, without a discrepancy; `prior`: of constants.
 
@@ -270,17 +261,6 @@ class _Fit:
             self._amplitudes()
             if self.model.pools_sessions and len(self.trials) > 1:
                 self._scatter()
-        return self._finished()
-
-    def widened(self, fit: ReferenceFit) -> ReferenceFit:
-        """Estimate amplitudes and noise once more from the modes of `fit`, and return the fit with these."""
-        self._recentre(fit.origin)
-        self.bench, self.at = fit.bench.mean, fit.starts()
-        self.model_error, self.tau = fit.model_error, fit.tau
-        self.linear = [self._linearised(k) for k in range(len(self.trials))]
-        self._amplitudes()
-        self._descend()
-        self._noise()
         return self._finished()
 
     def _finished(self) -> ReferenceFit:

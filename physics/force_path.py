@@ -20,7 +20,7 @@ NAMES: Final = (
     "zero", "arm", "arm2", "arm3", "eccentric_sin", "eccentric_cos", "drum", "play", "gap",
     "stiffness", "curve2", "curve3", "lead", "before", "prompt", "slow", "creep", "creep_time",
     "cable", "bend", "load", "drift", "viscous", "drag", "dry",
-    "fabric", "wrap", "cable_travel", "fabric_travel",
+    "fabric", "wrap", "surface", "cable_travel", "fabric_travel",
     "cable_rest", "fabric_rest", "rest_speed", "memory",
 )
 """Parameters of the path, one row each of the array that `simulate` takes.
@@ -32,14 +32,15 @@ stretch, `curve2`, `curve3` its quadratic and cubic shares.  `lead` m/N: complia
 share of the fabric's stretch before the knee.  `prompt`, `slow` m/N: retarded compliance with time constants
 `PROMPT_S`, `SLOW_S`; `creep` m/N, `creep_time` s: a further one.  `cable`, `fabric`: friction exponents μ1·θ1 and μ2·φ
 at `KNEE_RAD`, `LOAD_N`.  `bend` 1/rad: relative change of the cable's exponent with knee angle; `wrap` 1/rad: that of
-the fabric's.  `load`: relative change of both for each 40 N; `drift`: over the trial.  `viscous` N·s/m: viscous
-friction that a loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no load changes.
-`cable_travel`, `fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`: relative excess of static over
-sliding friction, `rest_speed` m/s the Stribeck speed, `memory` s its lag."""
+the fabric's.  `surface`: share of the anchor's displacement by which the surface under the fabric moves.  `load`:
+relative change of both exponents for each 40 N; `drift`: over the trial.  `viscous` N·s/m: viscous friction that a
+loose rope does not have, `drag` N·s/m: that of any taut one; `dry` N: friction that no load changes.  `cable_travel`,
+`fabric_travel` m: pre-sliding distance.  `cable_rest`, `fabric_rest`: relative excess of static over sliding friction,
+`rest_speed` m/s the Stribeck speed, `memory` s its lag."""
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 (ZERO, ARM, ARM2, ARM3, ECC_SIN, ECC_COS, DRUM, PLAY, GAP, STIFF, CURVE2, CURVE3, LEAD, BEFORE, PROMPT, SLOW, CREEP,
- CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, CABLE_TRAVEL, FABRIC_TRAVEL, CABLE_REST,
- FABRIC_REST, REST_SPEED, MEMORY) = range(len(NAMES))
+ CREEP_TIME, CABLE, BEND, LOAD, DRIFT, VISCOUS, DRAG, DRY, FABRIC, WRAP, SURFACE, CABLE_TRAVEL, FABRIC_TRAVEL,
+ CABLE_REST, FABRIC_REST, REST_SPEED, MEMORY) = range(len(NAMES))
 KNEE_RAD: Final = -0.5
 """Knee angle, rad, to which exponents and anchor displacement refer: about that of the loading, 13–20 % of gait."""
 LOAD_N: Final = 30.0
@@ -148,7 +149,7 @@ def _step(p, x, theta, progress, dt, z, out):  # type: ignore[no-untyped-def]
         leg += p[GAP, j] * pull / (abs(pull) + 0.3)
         on = leg - KNEE_RAD
         w = (p[ARM, j] + (p[ARM2, j] + p[ARM3, j] * on) * on) * on
-        surface = w - z[ANCHOR, j]
+        surface = p[SURFACE, j] * (w - z[ANCHOR, j])
         old1, old2 = z[Q1, j], z[Q2, j] + surface
         lead, before = 1.0 / p[LEAD, j], p[BEFORE, j]
         late = z[GAMMA_PROMPT, j] + z[GAMMA_SLOW, j] + z[GAMMA, j]

@@ -99,6 +99,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
     from diagnosis.evidence import decision
     from diagnosis.evidence.experiment_prediction import predicted_experiments
     from diagnosis.evidence.hypothesis_search import search
+    from diagnosis.evidence.shape_family import feature_sd
     from estimation.path_model import PATH_MODEL
     from estimation.reference_fit import fit_reference
 
@@ -112,7 +113,7 @@ def _planned(trials: Sequence[Table], healthy: Sequence[Table], session_sd: Mapp
     with threadpool_limits(1, user_api="blas"):
         reference = fit_reference(PATH_MODEL, [PATH_MODEL.record(t) for t in healthy], session_sd)
         observed = reference.observe(*(PATH_MODEL.record(t) for t in trials))
-        found = search(observed, reference.prior_of(observed), reference.starts())
+        found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
         decided = decision.decide(found)
         experiments = predicted_experiments(found, decided.among, reference, tried)
     return ExperimentPlan(decided.verdict, decided.among, tuple(experiments), tried, _by_hand(decided.among))

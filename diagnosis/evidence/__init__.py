@@ -4,9 +4,11 @@
 
 An effect adds prior variance along directions of the constants (`physics.effects.hypotheses`).  Modules, lowest first:
 
+    shape_family           evidence averaged over shapes of an effect
     hypothesis_search      hypotheses about one trial
     decision               verdict
     held_out               errors on held-out cycles
+    identical_motion       difference from a reference trial of the same motion
     evidence_finder        from trials to findings
     experiment_prediction  choice of the next experiment
 """

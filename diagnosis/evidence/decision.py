@@ -8,21 +8,23 @@ errors.  `python -m tests.hidden.evidence_calibration` prints the quantiles that
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from diagnosis.evidence.hypothesis_search import Searched, gain_under, search_null, search_pairs
-from estimation.posterior import HUBER, SURROGATE, Gaussian, Observed, PosteriorMode, own_error, screened
+from diagnosis.evidence.hypothesis_search import Searched, search_null, search_pairs
+from diagnosis.evidence.shape_family import residual, shape_columns
+from estimation.posterior import HUBER, SURROGATE, Observed, PosteriorMode, own_error, screened
+from physics.effects.hypotheses import Variant
 
 NAMED_NATS: Final = 12.0
 """Least log Bayes factor, nats, of a named effect.
 
 If it is too low, effects are named in reference trials; if it is too high, small effects are missed."""
 DOUBTED: Final = 2.0
-"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect, and of a name beyond doubt.
+"""Factor where constants absorb model error: on `NAMED_NATS` of a second effect and of a name beside a lack of fit.
 
 A model whose cost per datum is above that factor of the reference trials', and whose constants depart by that many
 session σ, RMS, has a lack of fit, too."""
@@ -40,11 +42,13 @@ No reference trial of the development population exceeds 1.2."""
 class Decision:
     """Verdict on one trial.
 
-    `verdict`: none, found, ambiguous or unexplained.  `chosen`: effects that explain the trial, best first.  `among`:
-    ambiguity set, the chosen effects first.  `part`: part of the bench of the best effect.  `gains`: log Bayes factor
-    of each effect, nats.  `misfit`: mean squared residual of the best model over its variance, by output.  Its key
-    `session`: the model's cost (misfit and prior) relative to that of a reference trial, or the RMS departure of its
-    constants and discrepancy, in σ between sessions, whichever is less.
+    `verdict`: none, found, ambiguous, or unexplained if nothing is chosen and the null has a lack of fit.  `chosen`:
+    effects that explain the trial, best first.  `among`: ambiguity set, the chosen effects first.  `part`: part of the
+    bench of the best effect.  `gains`: log Bayes factor of each effect, nats.  `misfit`: mean squared residual of the
+    best model over its variance, by output.  Its key `session`: the model's cost (misfit and prior) relative to that of
+    a reference trial, or the RMS departure of its constants and discrepancy, in σ between sessions, whichever is less.
+    `lacking`: outputs (and `session`) in which the best model has a lack of fit; beside chosen effects it means that
+    something else changed, too.
     """
 
     verdict: str
@@ -53,6 +57,7 @@ class Decision:
     part: str | None
     gains: dict[str, float]
     misfit: dict[str, float]
+    lacking: tuple[str, ...] = ()
 
 
 def decide(found: Searched) -> Decision:
@@ -66,8 +71,7 @@ def decide(found: Searched) -> Decision:
     gains = found.gains()
     seen = detected(gains, least)
     if not seen:
-        misfit = misfits(found, found.null)
-        return Decision("unexplained" if lacks(misfit) else "none", (), (), None, gains, misfit)
+        return unnamed(found)
     best = seen[0]
     part = found.observed.model.hypotheses[best].part
     search_pairs(found, best)
@@ -77,14 +81,24 @@ def decide(found: Searched) -> Decision:
                if screened(found.single[best], found.observed, found.paired[name], error)[0] >= DOUBTED * least]
     chosen = (best, *seconds[:1])
     at = found.pair[(best, seconds[0])] if seconds else found.single[best]
-    misfit = misfits(found, at)
-    if lacks(misfit, misfits(found, found.null)):
-        return Decision("unexplained", (), (), part, gains, misfit)
+    misfit = misfits(found, at, chosen_variants(found, chosen))
     among = _set(gains, chosen)
     if len(chosen) == 2:
         among += tuple(n for n in _set(further, (chosen[1],)) if n not in among)
     return Decision("found" if len(among) == len(chosen) else "ambiguous", chosen, among, part, gains,
-                    misfit)
+                    misfit, lacking(misfit, misfits(found, found.null)))
+
+
+def chosen_variants(found: Searched, chosen: Sequence[str]) -> list[Variant]:
+    """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
+    return [(found.paired if k else found.variants)[name] for k, name in enumerate(chosen)]
+
+
+def unnamed(found: Searched) -> Decision:
+    """Return the decision without an effect: `none`, or `unexplained` if the null has a lack of fit."""
+    misfit = misfits(found, found.null)
+    lack = lacking(misfit)
+    return Decision("unexplained" if lack else "none", (), (), None, found.gains(), misfit, lack)
 
 
 def threshold(observed: Observed) -> float:
@@ -100,23 +114,21 @@ def detected(gains: Mapping[str, float], least: float) -> list[str]:
     return [name for name, gain in gains.items() if gain >= least]
 
 
-def confirmed(found: Searched, effect: str, prior: Gaussian) -> bool:
-    """Return whether an effect reaches the threshold under another `prior` of the session, too."""
-    return gain_under(found, effect, prior) >= threshold(found.observed)
-
-
 def _set(gains: dict[str, float], chosen: tuple[str, ...]) -> tuple[str, ...]:
     """Return the ambiguity set from log Bayes factors by effect, the `chosen` effects first."""
     best = max(gains.values())
     return (*chosen, *(n for n, gain in gains.items() if n not in chosen and gain >= SET_SHARE * best))
 
 
-def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
-    """Return the mean squared residual over its variance by output, and what `session` means in `Decision`.
+def misfits(found: Searched, at: PosteriorMode, variants: Sequence[Variant] = ()) -> dict[str, float]:
+    """Return the mean squared residual over its variance by output, and `session` as defined in `Decision`.
 
-    Residuals are clipped at `HUBER` σ, so that outliers count little.
+    `variants`: effects of the mode, whose shape is fitted, too.  Residuals are clipped at `HUBER` σ, so that outliers
+    count little.
     """
-    observed, squares = found.observed, at.residual**2 * found.observed.weight / found.observed.growth
+    observed = found.observed
+    left = residual(at, shape_columns(observed, found.prior, at, variants), observed.model.shape_shares)
+    squares = left**2 * observed.weight / observed.growth
     told = {}
     for k, name in enumerate(observed.outputs):
         own = observed.tau[k] * observed.part(squares, k)[observed.part(observed.weight, k) > 0.0]
@@ -125,16 +137,11 @@ def misfits(found: Searched, at: PosteriorMode) -> dict[str, float]:
     return told | {"session": min(cost, at.strain())}
 
 
-def lacks(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> bool:
-    """Return whether a model has a lack of fit, in an output or by constants far outside the session scatter.
+def lacking(misfit: Mapping[str, float], before: Mapping[str, float] | None = None) -> tuple[str, ...]:
+    """Return the outputs in which a model has a lack of fit, and `session` for constants far outside their scatter.
 
     `before`: misfit of the null.  A misfit of up to `FURTHER_SHARE` of it is accepted, since the equation of an effect
     differs somewhat from the bench's.
     """
-    return any(value > max(DOUBTED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0))
-               for name, value in misfit.items())
-
-
-def none(decided: Decision) -> Decision:
-    """Return the decision with verdict `none` and without effects."""
-    return Decision("none", (), (), None, decided.gains, decided.misfit)
+    return tuple(name for name, value in misfit.items() if value > max(
+        DOUBTED if name == "session" else MISFIT, FURTHER_SHARE * (before or {}).get(name, 0.0)))

@@ -13,6 +13,8 @@ from diagnosis.evidence.decision import DOUBTED, NAMED_NATS, Decision
 from diagnosis.evidence.detection_limits import detection_limits
 from diagnosis.evidence.held_out import HeldOut, blocks_of, held_out, rest
 from diagnosis.evidence.hypothesis_search import Searched, search
+from diagnosis.evidence.identical_motion import paired
+from diagnosis.evidence.shape_family import feature_sd
 from diagnosis.findings import Figures, Findings
 from estimation.data.table import Table
 from estimation.forward_model import ForwardModel, predicted
@@ -20,7 +22,7 @@ from estimation.likelihood_data import Recording
 from estimation.path_model import PATH_MODEL
 from estimation.population_reference import reference_of_population
 from estimation.posterior import SURROGATE, Observed, PosteriorMode, begun, mode, named_change
-from estimation.reference_fit import ReferenceFit, fit_reference, widened
+from estimation.reference_fit import ReferenceFit, fit_reference
 from parameters import InputError
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.hypotheses import FRICTION, Read, Variant
@@ -44,7 +46,6 @@ class EvidenceFinder:
         self._tables, self._calibration = reference, calibration
         self._session_sd = session_sd
         self._fits: dict[tuple[str, ...], ReferenceFit] = {}
-        self._widened: dict[tuple[str, ...], ReferenceFit] = {}
 
     def lacking(self, trials: Sequence[Table]) -> str:
         """Return a sentence on the columns without which the force path cannot be simulated; "" if none is missing."""
@@ -100,7 +101,12 @@ class EvidenceFinder:
         trials, others = self._by_motion(trials)
         read = [self._read(t, outputs) for t in trials]
         observed = reference.observe(*read)
-        found = search(observed, reference.prior_of(observed), reference.starts())
+        pair = paired(reference, [self._read(t, outputs) for t in self._tables], observed)
+        if pair is None:
+            found = search(observed, reference.prior_of(observed), reference.starts(), feature_sd(reference))
+        else:
+            observed = pair.observed
+            found = search(observed, pair.prior, (), feature_sd(reference))
         decided = self._decided(found)
         bench = self.model.constants.named(reference.bench_coordinates())
         said = list(warnings)
@@ -109,9 +115,9 @@ class EvidenceFinder:
             said.append(sentence)
             found.refused.add(name)
             decided = self._decided(found)
-        if doubted := self._doubted(found, decided, outputs):
-            said.append(doubted)
-            decided = decision.none(decided)
+        if pair is not None:
+            said.append(f"{self._tables[pair.reference].source} has the motion of the trial: only their difference was "
+                        "compared, since what the model misses repeats.")
         if others and len(decided.chosen) == 1 < len(decided.among):
             split = _split(found, decided, reference, read, [self._read(t, outputs) for t in others])
             if split is None:
@@ -119,39 +125,42 @@ class EvidenceFinder:
                             "so it removes no effect; record it in the reference condition, too.")
             decided = split or decided
         figures = _held_out(found, decided, reference, trials, read)
-        if decided.chosen and figures.rms_n("after") >= figures.rms_n("before"):
-            said.append(f"{decided.chosen[0]} raises the likelihood and not the prediction of cycles that no fit has "
-                        "seen; it is not named.")
-            decided = decision.none(decided)
-            figures = _held_out(found, decided, reference, trials, read)
-        before, after = figures.rms_n("before"), figures.rms_n("after")
-        if decided.chosen and before**2 - after**2 < reference.rmse_n**2:
-            said.append("The gain on held-out cycles is below what reference trials miss of each other: the name rests "
-                        "on the likelihood.")
+        if refused := _refused(found, decided, figures):
+            said.append(refused)
+            decided = self._known(decision.unnamed(found))
+            figures = replace(figures, named=None)
         said += _unseen(found, decided)
         said += self._untold(outputs)
         at = _mode_of(found, decided)
         kept = None
         if holdout:
             unseen = reference.observe(*(self._read(t, outputs) for t in holdout))
-            left = rest(unseen, at) if decided.chosen else reference.missed(unseen)
-            kept = HeldOut(unseen, reference.missed(unseen), left, blocks_of(holdout, unseen.trials))
+            kept = HeldOut(unseen, reference.missed(unseen), rest(unseen, found.null),
+                           rest(unseen, at) if decided.chosen else None, blocks_of(holdout, unseen.trials))
         relations = figures.figures(reference, kept)
         said += _worse(relations)
-        error = {"reference": reference.rmse_n, "before": before, "after": after}
+        gain = figures.gain()
+        error = {"reference": reference.rmse_n, "before": figures.rms_n("reference"),
+                 "session": figures.rms_n("session"), "after": figures.rms_n("session" if gain is None else "named")}
         evidence = {"log_bayes_factors": decided.gains, "named_nats": decision.threshold(observed),
                     "misfit": decided.misfit, "error_n": error,
                     "shifts": _shifts(at, reference, found)}
         experiment = _experiment(decided.among) if decided.verdict == "ambiguous" else None
         return Findings(
-            decided.verdict, [self._cause(name, at, bench, error) for name in decided.chosen], list(decided.among),
+            decided.verdict, [self._cause(name, at, bench, gain.percent if gain is not None else 0.0)
+                              | {"at_peak_n": _at_peak(found, at, variant)} for name, variant in zip(
+                                  decided.chosen, decision.chosen_variants(found, decided.chosen), strict=True)],
+            list(decided.among),
             experiment, relations, said, _limits(found, bench), reference=self.kind,
-            simulation={"before_rms_n": before, "after_rms_n": after,
-                        "healthy_rms_n": reference.rmse_n if self._tables else None, "signals": [
-                n for n in self.model.judged if n in outputs],
-                        "on": "cycles that no fit has seen"},
-            part=decided.part, evidence=evidence, traces=figures.traces(trials),
-            held_traces=kept.traces(holdout) if kept is not None else {})
+            simulation={"before_rms_n": error["before"], "session_rms_n": error["session"],
+                        "after_rms_n": None if gain is None else error["after"],
+                        "session_sigma": max(abs(shift) for _, shift in named_change(found.null, found.prior).values()),
+                        "healthy_rms_n": reference.rmse_n if self._tables else None,
+                        "gain_percent": None if gain is None else gain.percent,
+                        "gain_interval": None if gain is None else [gain.low, gain.high],
+                        "signals": figures.judged, "on": "cycles that no fit has seen"},
+            part=decided.part, evidence=evidence, unexplained=_unexplained(decided, relations),
+            traces=figures.traces(trials), held_traces=kept.traces(holdout) if kept is not None else {})
 
     def observed(self, trials: Sequence[Table]) -> tuple[ReferenceFit, Observed]:
         """Return the reference condition and the data of trials of one session under it."""
@@ -189,25 +198,13 @@ class EvidenceFinder:
     def _decided(self, found: Searched) -> Decision:
         """Return the verdict; never `unexplained` without reference trials, since the bench's model error is unknown.
         """
-        decided = decision.decide(found)
-        return decision.none(decided) if decided.verdict == "unexplained" and not self._tables else decided
+        return self._known(decision.decide(found))
 
-    def _doubted(self, found: Searched, decided: Decision, outputs: tuple[str, ...]) -> str:
-        """Return a sentence if the best effect is not named with a discrepancy of larger amplitude; else "".
-
-        An effect with `DOUBTED` times the threshold is not doubted, and none of a rig, whose model error is `POOLED`.
-        """
-        if not self._tables or self.model.pools_sessions or not decided.chosen or (
-                decided.gains[decided.chosen[0]] >= DOUBTED * decision.threshold(found.observed)):
-            return ""
-        if outputs not in self._widened:
-            read = self.model.sessions([self._read(t, outputs) for t in self._tables])
-            self._widened[outputs] = widened(self._fits[outputs], read, self._session_sd)
-        name = decided.chosen[0]
-        if decision.confirmed(found, name, self._widened[outputs].prior_of(found.observed)):
-            return ""
-        return (f"{name} raises the likelihood, but not enough if the model's equations miss this bench by more, which "
-                "the reference trials allow: it is not named. Another reference trial would tell.")
+    def _known(self, decided: Decision) -> Decision:
+        """Return a decision without a lack of fit if there is no reference trial, else as it is."""
+        if self._tables:
+            return decided
+        return replace(decided, lacking=(), verdict="none" if decided.verdict == "unexplained" else decided.verdict)
 
     def _outputs(self, trials: Sequence[Table]) -> tuple[str, ...]:
         """Return the outputs that the trials and the reference trials all have."""
@@ -236,8 +233,7 @@ class EvidenceFinder:
                                    + (friction if column == "tension_end_n" else [])) + "."
                        for column in self.model.signals if column not in outputs]
 
-    def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], error: Mapping[str, float]
-               ) -> dict[str, Any]:
+    def _cause(self, name: str, at: PosteriorMode, bench: Mapping[str, float], gain: float) -> dict[str, Any]:
         """Return an effect as published: site, parameters with 95 % intervals, values before, and gain in percent."""
         told, before = {}, {}
         for parameter, read in self.model.hypotheses[name].reads.items():
@@ -248,9 +244,58 @@ class EvidenceFinder:
             told[parameter] = {"value": min(max(value, low), high), "low": min(max(value - half, low), high),
                                "high": max(min(value + half, high), low), "unit": unit}
             before[parameter] = was
-        gain = 100.0 * (1.0 - error["after"] / error["before"]) if error["before"] > 0.0 else 0.0
-        return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before,
-                "gain_percent": max(gain, 0.0)}
+        return {"effect": name, "site": CATALOGUE[name].site, "parameters": told, "was": before, "gain_percent": gain}
+
+
+def _at_peak(found: Searched, at: PosteriorMode, variant: Variant) -> dict[str, float]:
+    """Return the change of END and START by an effect, N, where the first trial's START is highest; {} for a rig."""
+    observed, model, without = found.observed, found.observed.model, at.q.copy()
+    if model.pools_sessions:
+        return {}
+    reference = found.prior.origin.copy()
+    reference[list(at.table.free)] += found.prior.mean[:len(at.table.free)]
+    rows = [at.table.index[name] for direction in variant.directions for name in direction.along]
+    without[rows] = reference[rows]
+    changed = observed.predicted(at.q) - observed.predicted(without)
+    trial, first = next(observed.each(changed))
+    peak = int(np.argmax(trial.binned(trial.measured(model.judged[0]))))
+    return {name: float(error[peak]) for name, error in model.errors(trial, first).items() if name in model.judged}
+
+
+def _refused(found: Searched, decided: Decision, figures: HeldOut) -> str:
+    """Return a sentence if the best effect is not named after all; else "".
+
+    It is not if it makes the prediction of held-out cycles worse.  Nor is it if the best model has a lack of fit, and
+    either the evidence is below `DOUBTED` times the threshold or a misfit above `DOUBTED` times that of a lack of fit.
+    """
+    gain = figures.gain()
+    if gain is None:
+        return ""
+    name = decided.chosen[0]
+    if gain.high < 0.0:
+        return (f"{name} raises the likelihood and makes the prediction of cycles that no fit has seen worse; it is "
+                "not named.")
+    left = max((decided.misfit[key] for key in decided.lacking if key != "session"), default=0.0)
+    if decided.lacking and (left > DOUBTED * decision.MISFIT
+                            or decided.gains[name] < DOUBTED * decision.threshold(found.observed)):
+        return (f"{name} explains the trial best ({decided.gains[name]:.0f} nats), but not what it departs by (misfit "
+                f"{left:.2g}): it is not named.")
+    return ""
+
+
+def _unexplained(decided: Decision, relations: Mapping[str, Figures]) -> dict[str, dict[str, Any]]:
+    """Return the outputs in which the best model has a lack of fit, with its size, RMS error and reference RMSE.
+
+    A lack of fit by constants alone (`session`) stands under the output with the largest error over its reference RMSE.
+    """
+    def row(name: str) -> dict[str, Any]:
+        f = relations[name]
+        return {"misfit": decided.misfit[name], "rms": f.rmse_after if f.rmse_after is not None else f.rmse_session,
+                "floor": f.floor}
+    names = [name for name in decided.lacking if name in relations]
+    if decided.lacking and not names:
+        names = [max(relations, key=lambda n: (relations[n].rmse_before or 0.0) / (relations[n].floor or 1.0))]
+    return {name: row(name) for name in names}
 
 
 def _unseen(found: Searched, decided: Decision, least: float = 0.1) -> list[str]:
@@ -274,10 +319,10 @@ def _experiment(names: Sequence[str]) -> str:
 
 def _worse(relations: Mapping[str, Figures]) -> list[str]:
     """Return a sentence on each output whose error on held-out trials rises with the effects found."""
-    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_before:.3g} → "
+    return [f"{name}: with what was found the trials held out are predicted worse, {f.holdout_session:.3g} → "
             f"{f.holdout_after:.3g} {f.unit} RMS; it holds for these trials alone: do not extend the simulation by it."
-            for name, f in relations.items() if f.holdout_before is not None and f.holdout_after is not None
-            and f.holdout_after > f.holdout_before]
+            for name, f in relations.items() if f.holdout_session is not None and f.holdout_after is not None
+            and f.holdout_after > f.holdout_session]
 
 
 def _split(found: Searched, decided: Decision, reference: ReferenceFit, read: Sequence[Recording],
@@ -348,15 +393,10 @@ def _beyond(found: Searched, decided: Decision, bench: Mapping[str, float]) -> t
     return None
 
 
-def _variants(found: Searched, decided: Decision) -> list[Variant]:
-    """Return the variant of each chosen effect; a second effect has the variant of the fitted pair."""
-    return [(found.paired if k else found.variants)[name] for k, name in enumerate(decided.chosen)]
-
-
 def _held_out(found: Searched, decided: Decision, reference: ReferenceFit, tables: Sequence[Table],
               read: Sequence[Recording]) -> HeldOut:
-    return held_out(found.observed, found.prior, reference, _variants(found, decided), _mode_of(found, decided),
-                    blocks_of(tables, read))
+    return held_out(found.observed, found.prior, reference, decision.chosen_variants(found, decided.chosen),
+                    (found.null, _mode_of(found, decided)), blocks_of(tables, read))
 
 
 def _limits(found: Searched, bench: Mapping[str, float]) -> dict[str, Mapping[str, Any]]:

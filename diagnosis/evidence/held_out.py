@@ -1,19 +1,24 @@
-"""Errors of the simulation on a trial, without and with the chosen effects, on held-out cycles.
+"""Errors of the simulation on a trial, on held-out cycles, by three models.
 
-    before   prediction by the models of the reference trials, averaged; nothing is fitted to the trial
-    after    prediction with the chosen effects; each half of the cycles is predicted by a fit to the other half
+Each half of the cycles is predicted by a fit to the other half.  The gain of the effects is that of `named` over
+`session`, since a session differs from the reference trials without an effect, too.
+
+    reference   the models of the reference trials, averaged; nothing is fitted to the trial
+    session     the session's constants and discrepancy are fitted, without an effect
+    named       the chosen effects are fitted, too
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.compared_signals import Compared
+from diagnosis.evidence.shape_family import residual, shape_columns
 from diagnosis.findings import Figures
 from estimation.data.table import Table
 from estimation.likelihood_data import Recording
@@ -25,82 +30,115 @@ from physics.laws import Array
 ALONG: Final = ("gait_percent", "rope_m_s", "servo_position_m", "knee_angle_rad", "tension_start_n", "tension_end_n")
 
 
+class Gain(NamedTuple):
+    """Gain of the named effects over the adapted session, %, with its 95 % interval from whole cycles."""
+
+    percent: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors `before` and `after` of the data of `observed`, shape (data,).
+    """Errors of the data of `observed` by the models `reference`, `session` and `named`, each of shape (data,).
 
-    `blocks`: by trial, the cycle number of each bin.
+    `named`: None without a chosen effect.  `blocks`: by trial, the cycle number of each bin.
     """
 
     observed: Observed
-    before: Array
-    after: Array
+    reference: Array
+    session: Array
+    named: Array | None
     blocks: Sequence[NDArray[np.intp]]
 
+    @property
+    def judged(self) -> list[str]:
+        """Names of the judged outputs that the trials have."""
+        return [name for name in self.observed.model.judged if name in self.observed.outputs]
+
     def rms_n(self, which: str) -> float:
-        """Return the RMS error over the model's judged outputs; `which`: "before" or "after"."""
-        model = self.observed.model
-        parts = [errors[name] for trial, rest in self.observed.each(getattr(self, which))
-                 for errors in (model.errors(trial, rest),) for name in model.judged if name in errors]
-        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+        """Return the RMS error over the judged outputs; `which`: "reference", "session" or "named"."""
+        return self._rms(self.judged, which)
+
+    def gain(self, names: Sequence[str] = (), draws: int = 400) -> Gain | None:
+        """Return the gain over the outputs `names` (none: the judged ones); None if no effect is chosen.
+
+        `draws`: bootstrap samples of whole cycles.
+        """
+        if self.named is None:
+            return None
+        without, with_effect = (self._squares(names or self.judged, which)[:, 0] for which in ("session", "named"))
+        draw = np.random.default_rng(0).integers(0, without.size, (draws, without.size))
+        gains = 100.0 * (1.0 - np.sqrt(with_effect[draw].sum(axis=1) / without[draw].sum(axis=1)))
+        low, high = np.percentile(gains, [2.5, 97.5])
+        return Gain(100.0 * (1.0 - float(np.sqrt(with_effect.sum() / without.sum()))), float(low), float(high))
 
     def figures(self, reference: ReferenceFit, held: HeldOut | None = None) -> dict[str, Figures]:
         """Return the figures by output; `held`: errors of held-out trials, for the figures on these."""
         return {name: self._figures(name, reference.scatter_n[name], held) for name in self.observed.outputs}
 
-    def _figures(self, name: str, floor: float, held: HeldOut | None, draws: int = 400) -> Figures:
-        """Return the figures of one output; `draws`: bootstrap samples of whole cycles, for the gain's interval."""
-        before, after = self._squares(name, "before"), self._squares(name, "after")
-        draw = np.random.default_rng(0).integers(0, len(before), (draws, len(before)))
-        gains = 100.0 * (1.0 - np.sqrt(after[draw, 0].sum(axis=1) / before[draw, 0].sum(axis=1)))
-        low, high = np.percentile(gains, [2.5, 97.5])
-        first, last = self._rms(name, "before"), self._rms(name, "after")
-        seen = [None, None] if held is None else [held._rms(name, which) for which in ("before", "after")]
-        return Figures(self.observed.model.signals[name], floor, first, last, seen[0], seen[1],
-                       100.0 * (1.0 - last / first), float(low), float(high))
+    def _figures(self, name: str, floor: float, held: HeldOut | None) -> Figures:
+        """Return the figures of one output."""
+        first, adapted, last = self._errors(name)
+        seen = (None, None, None) if held is None else held._errors(name)
+        percent, low, high = self.gain([name]) or (None, None, None)
+        return Figures(self.observed.model.signals[name], floor, first, adapted, last, seen[0], seen[1], seen[2],
+                       percent, low, high)
 
-    def _rms(self, name: str, which: str) -> float:
-        squares, counts = self._squares(name, which).sum(axis=0)
+    def _errors(self, name: str) -> tuple[float, float, float | None]:
+        """Return the RMS error of one output by `reference`, `session` and, if effects are chosen, `named`."""
+        return (self._rms([name], "reference"), self._rms([name], "session"),
+                None if self.named is None else self._rms([name], "named"))
+
+    def _rms(self, names: Sequence[str], which: str) -> float:
+        squares, counts = self._squares(names, which).sum(axis=0)
         return float(np.sqrt(squares / counts))
 
-    def _squares(self, name: str, which: str) -> Array:
-        """Return the sum of squared errors and the number of data of each cycle, shape (cycles, 2)."""
+    def _squares(self, names: Sequence[str], which: str) -> Array:
+        """Return the sum of squared errors of outputs and the number of data, by cycle, shape (cycles, 2)."""
         rows = []
         for (trial, rest), block in zip(self.observed.each(getattr(self, which)), self.blocks, strict=True):
-            squares = self.observed.model.errors(trial, rest)[name] ** 2
-            rows += [(float(squares[block == n].sum()), float((block == n).sum())) for n in np.unique(block)]
+            errors = self.observed.model.errors(trial, rest)
+            squares = np.sum([errors[name] ** 2 for name in names], axis=0)
+            rows += [(float(squares[block == n].sum()), float(len(names) * (block == n).sum()))
+                     for n in np.unique(block)]
         return np.array(rows)
 
     def traces(self, tables: Sequence[Table]) -> dict[str, list[Compared]]:
-        """Return measured signals with both errors by output, one entry per trial."""
+        """Return measured signals with two errors by output, one entry per trial: of the first and the last model."""
         made: dict[str, list[Compared]] = {name: [] for name in self.observed.outputs}
-        sides = zip(self.observed.each(self.before), self.observed.each(self.after), tables, self.blocks, strict=True)
+        last = self.session if self.named is None else self.named
+        sides = zip(self.observed.each(self.reference), self.observed.each(last), tables, self.blocks, strict=True)
         for (trial, before), (_, after), table, block in sides:
             errors = self.observed.model.errors
-            first, last = errors(trial, before), errors(trial, after)
-            along = _along(trial, table)
+            told, along = (errors(trial, before), errors(trial, after)), _along(trial, table)
             for name in made:
                 made[name].append(Compared(name, self.observed.model.signals[name], trial.binned(trial.measured(name)),
-                                           first[name], last[name], block, along))
+                                           told[0][name], told[1][name], block, along))
         return made
 
 
 def held_out(observed: Observed, prior: Gaussian, reference: ReferenceFit, chosen: Sequence[Variant],
-             base: PosteriorMode, blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
-    """Return the errors of a trial, each half of its cycles predicted by a fit of the chosen effects to the other half.
+             modes: tuple[PosteriorMode, PosteriorMode], blocks: Sequence[NDArray[np.intp]]) -> HeldOut:
+    """Return the errors of a trial, each half of its cycles predicted by fits to the other half.
 
-    The fits start at the mode `base`.
+    `modes`: where the fits without and with the chosen effects start.
     """
-    before = reference.missed(observed)
-    if not chosen:
-        return HeldOut(observed, before, before, blocks)
+    null, base = modes
     half = np.concatenate([np.tile(b % 2, len(observed.outputs)) for b in blocks])
-    left = before.copy()
-    for fold in (0, 1):
-        seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
-        at = mode(seen, prior, chosen, begun(base, None, kept=chosen))
-        left = np.where(half == fold, rest(observed, at), left)
-    return HeldOut(observed, before, left, blocks)
+
+    def predicted(variants: Sequence[Variant], start: PosteriorMode) -> Array:
+        left = np.zeros(observed.data.size)
+        for fold in (0, 1):
+            seen = replace(observed, weight=np.where(half == fold, 1e-9, observed.weight))
+            at = mode(seen, prior, variants, begun(start, None, kept=variants))
+            columns = shape_columns(seen, prior, at, variants)
+            told = residual(at, columns, observed.model.shape_shares) if columns.shape[1] else rest(observed, at)
+            left = np.where(half == fold, told, left)
+        return left
+
+    return HeldOut(observed, reference.missed(observed), predicted([], null),
+                   predicted(chosen, base) if chosen else None, blocks)
 
 
 def rest(observed: Observed, at: PosteriorMode) -> Array:

@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.evidence.shape_family import averaged
 from estimation.posterior import CLOSE, Gaussian, Observed, PosteriorMode, begun, mode, screened
 from physics.effects.hypotheses import Variant
 from physics.laws import Array
@@ -25,12 +26,14 @@ If it is too small, a screen may miss the true effect; the time of a search grow
 class Searched:
     """Modes of one trial: `null`, `single` by effect, and `pair` by best and second effect.
 
-    `variants`: the variant that each effect of `single` was fitted with.  `paired`: that of each second effect.
-    `refused`: effects that are no candidates, since their best value is outside their bounds.
+    `amplitude`: 1σ of each feature's weight between benches.  `variants`: the variant that each effect of `single` was
+    fitted with.  `paired`: that of each second effect.  `refused`: effects that are no candidates, since their best
+    value is outside their bounds.
     """
 
     observed: Observed
     prior: Gaussian
+    amplitude: Array | None
     null: PosteriorMode
     single: dict[str, PosteriorMode] = field(default_factory=dict)
     variants: dict[str, Variant] = field(default_factory=dict)
@@ -58,13 +61,16 @@ def hypotheses(observed: Observed, constants: Mapping[str, float]) -> dict[str, 
     return {name: variants for name, variants in offered.items() if variants}
 
 
-def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = ()) -> Searched:
+def search(observed: Observed, prior: Gaussian, starts: Sequence[Array] = (), amplitude: Array | None = None
+           ) -> Searched:
     """Fit the null and the effects that the screen ranks first, and restart the fits from each other's modes.
 
     The null starts at the prior's mean and at `starts`, departures of constants and feature weights from the origin.
+    `amplitude`: 1σ of each feature's weight between benches; without it, no evidence is averaged over shapes.
     """
-    found = Searched(observed, prior, max((mode(observed, prior, start=at) for at in (None, *starts)),
-                                          key=lambda m: m.log_evidence))
+    null = max((mode(observed, prior, start=at) for at in (None, *starts)), key=lambda m: m.log_evidence)
+    found = Searched(observed, prior, amplitude, null)
+    found.null = _averaged(found, null, [])
     offered = hypotheses(observed, observed.model.constants.named(prior.origin))
     # at the reference constants no constant has taken up an effect
     _screen(found, offered, mode(observed, prior, descends=False), FOREMOST // 2)
@@ -89,16 +95,6 @@ def search_null(found: Searched, starts: int = 4, share: float = 0.3) -> None:
         offered = hypotheses(found.observed, found.observed.model.constants.named(found.prior.origin))
         _screen(found, offered, found.null, FOREMOST // 2)
         _cross(found)
-
-
-def gain_under(found: Searched, effect: str, prior: Gaussian) -> float:
-    """Return the log Bayes factor, nats, of a fitted effect under another `prior`; −∞ if a fit is singular."""
-    other, variant = replace(found, prior=prior), found.variants[effect]
-    fitted = _fit(other, [variant], found.single[effect].x)
-    if fitted is None:
-        return -np.inf
-    nulls = [_fit(other, [], start) for start in (prior.mean, found.null.x, begun(fitted, None))]
-    return fitted.log_evidence - max((null.log_evidence for null in nulls if null is not None), default=np.inf)
 
 
 def search_pairs(found: Searched, best: str) -> None:
@@ -143,11 +139,19 @@ def _screen(found: Searched, offered: Mapping[str, tuple[Variant, ...]], base: P
 
 
 def _fit(found: Searched, variants: list[Variant], start: Array) -> PosteriorMode | None:
+    """Return the mode with the effects `variants`, with its evidence averaged over shapes; None if it is singular."""
     try:
-        fitted = mode(found.observed, found.prior, variants, start)
+        fitted = _averaged(found, mode(found.observed, found.prior, variants, start), variants)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return fitted if np.isfinite(fitted.log_evidence) else None
+
+
+def _averaged(found: Searched, at: PosteriorMode, variants: Sequence[Variant]) -> PosteriorMode:
+    """Return a mode with its evidence averaged over shapes and over the amplitude of the session's discrepancy."""
+    if found.amplitude is None:
+        return at
+    return replace(at, log_evidence=averaged(found.observed, found.prior, at, variants, found.amplitude))
 
 
 def _keep(found: Searched, name: str, variant: Variant, fitted: PosteriorMode | None) -> bool:

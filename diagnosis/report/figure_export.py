@@ -19,8 +19,9 @@ from diagnosis.report.headline import headline, healthy_value
 from diagnosis.report.plots import AFTER, BEFORE, MEASURED
 from parameters import InputError
 
-RELATION_COLUMNS: Final = ("signal", "unit", "floor", "rmse_before", "rmse_after", "gain_percent", "gain_low_percent",
-                           "gain_high_percent", "holdout_before", "holdout_after")
+RELATION_COLUMNS: Final = ("signal", "unit", "floor", "rmse_before", "rmse_session", "rmse_after", "gain_percent",
+                           "gain_low_percent", "gain_high_percent", "holdout_before", "holdout_session",
+                           "holdout_after")
 CAUSE_COLUMNS: Final = ("effect", "site", "parameter", "old", "new", "low", "high", "unit", "gain_percent")
 NAMES: Final = ("relations.csv", "causes.csv", "detection_limit.csv", "residual.csv", "residual.png", "loop.csv",
                 "loop.png", "headline.txt")
@@ -37,8 +38,8 @@ def write(found: Findings, folder: str | Path, *, overwrite: bool = False) -> li
     made: dict[str, bytes] = {
         "headline.txt": "".join(f"{line}\n" for line in headline(found)).encode(),
         "relations.csv": _csv(RELATION_COLUMNS, [
-            (name, f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low, f.high, f.holdout_before,
-             f.holdout_after) for name, f in found.relations.items()]),
+            (name, f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low, f.high,
+             f.holdout_before, f.holdout_session, f.holdout_after) for name, f in found.relations.items()]),
         "causes.csv": _csv(CAUSE_COLUMNS, [
             (c["effect"], c["site"], name, healthy_value(c, name), one["value"], one["low"], one["high"],
              one["unit"], c["gain_percent"]) for c in found.causes for name, one in c["parameters"].items()]),

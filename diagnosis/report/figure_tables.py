@@ -36,11 +36,13 @@ def relations(page: Page, found: Findings) -> None:
         page.table(("signal", "unit", "healthy floor", "simulated on the nominal calibration"),
                    [(Named(words(key), key), f.unit, f.floor, f.rmse_before) for key, f in found.relations.items()])
         return
-    page.table(("signal", "unit", "healthy floor", "before", "after", "gain (%)", "95 % low", "high", "held-out before",
-                "after"), [(Named(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_after, f.gain_percent, f.low,
-                            f.high, f.holdout_before, f.holdout_after) for key, f in found.relations.items()])
-    page.text("Before: the reference condition as identified. After: with the named effects. Floor: what reference "
-              "trials miss of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")
+    page.table(("signal", "unit", "healthy floor", "reference", "session", "named", "gain (%)", "95 % low", "high",
+                "held-out reference", "session", "named"), [
+        (Named(words(key), key), f.unit, f.floor, f.rmse_before, f.rmse_session, f.rmse_after, f.gain_percent, f.low,
+         f.high, f.holdout_before, f.holdout_session, f.holdout_after) for key, f in found.relations.items()])
+    page.text("Reference: the reference condition as identified. Session: with its constants adapted. Named: with the "
+              "named effects, too; the gain is that of named over session. Floor: what reference trials miss "
+              "of each other. Held out: trials given with --holdout, to which nothing was fitted.", "note")
 
 
 def rivals(page: Page, found: Findings) -> None:

@@ -5,8 +5,8 @@ They are complete for an engineer who reads nothing else: each figure has its un
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 from diagnosis.findings import Figures, Findings
 from physics.effects.catalogue import CATALOGUE
@@ -18,6 +18,33 @@ NAMES: Final = {"tension_start_n": "START", "tension_end_n": "END", "servo_force
 UNMEASURED: Final = (
     "Run bowden identify first: the trial ran on the packaged nominal calibration, so what this bench is by itself "
     "cannot be told from what is wrong with it, and no cause is named on this footing.")
+
+
+
+class Errors(NamedTuple):
+    """Errors on held-out cycles, RMS in `unit`, that the sentences depend on.
+
+    `reference`: the reference condition's model; `session`: with the session's constants adapted; `named`: with the
+    named effects, None without one.  `reference_rmse`: None without reference trials.  `gain`: of
+    `named` over `session`, %, with its 95 % interval.  `sigma`: largest change of a constant of the adapted session, in
+    σ between sessions.
+    """
+
+    reference: float
+    session: float
+    named: float | None = None
+    reference_rmse: float | None = None
+    gain: tuple[float, float, float] | None = None
+    sigma: float = 0.0
+    unit: str = "N"
+
+    def agree(self, error: float, most: float = 1.5) -> bool:
+        """Return whether an error is at most `most` times the reference RMSE, which is a mean over several trials."""
+        return self.reference_rmse is not None and error <= most * self.reference_rmse
+
+    def within_scatter(self, most: float = 3.0) -> bool:
+        """Return whether no constant of the session changed by more than `most` σ, about the largest of forty draws."""
+        return self.sigma <= most
 
 
 def headline(found: Findings) -> Iterator[str]:
@@ -43,14 +70,18 @@ def _by_evidence(found: Findings) -> Iterator[str]:
     if found.undecided is not None:
         yield f"{found.undecided[0].upper()}{found.undecided[1:]}"
     yield from _error(found)
-    if found.verdict == "unexplained":
-        yield "The data depart from the model in a way that no effect of the catalogue explains; no cause is named."
-    elif not found.causes:
-        against = "reference trials" if found.reference == "healthy" else "bench population" + (
-            " and the calibration" if found.reference == "calibration" else "")
-        yield f"The trial agrees with the {against}: no change of the bench is needed to explain it."
-    else:
+    errors = _errors(found)
+    if found.causes:
         yield f"Changed: {found.part}. " + " ".join(_cause(cause) for cause in found.causes)
+        if errors is not None:
+            yield gain_sentence(errors)
+        if found.unexplained:
+            yield f"Something else differs, too: {_places(found.unexplained, errors)}."
+    elif found.verdict == "unexplained":
+        yield ("The trial departs from the model in a way that no effect of the catalogue explains: "
+               f"{_places(found.unexplained, errors)}; no cause is named.")
+    elif errors is not None:
+        yield none_sentence(errors, found.of_rig)
     yield from _set(found)
     listed = _shifts((found.evidence or {}).get("shifts", {}))
     if listed:
@@ -59,16 +90,69 @@ def _by_evidence(found: Findings) -> Iterator[str]:
 
 def _error(found: Findings) -> Iterator[str]:
     """Yield the sentence on the error of the simulation before and after, beside that of reference trials."""
+    errors = _errors(found)
+    if errors is not None and found.simulation is not None:
+        yield error_sentence(errors, [NAMES[name] for name in found.simulation["signals"]], found.of_rig)
+
+
+def _errors(found: Findings) -> Errors | None:
+    """Return the errors over the judged outputs; None if nothing was simulated."""
     told = found.simulation
     if told is None:
-        return
+        return None
     unit = next((found.relations[n].unit for n in told["signals"] if n in found.relations), "N")
-    missed = " and ".join(NAMES[name] for name in told["signals"])
-    after = f", {told['after_rms_n']:.2f} {unit} with what is named below" if found.causes else ""
-    own = told["healthy_rms_n"]
+    gain = None if told["gain_percent"] is None else (told["gain_percent"], *told["gain_interval"])
+    return Errors(told["before_rms_n"], told["session_rms_n"], told["after_rms_n"] if found.causes else None,
+                  told["healthy_rms_n"], gain if found.causes else None, told["session_sigma"], unit)
+
+
+def error_sentence(errors: Errors, signals: Sequence[str], of_rig: bool = False) -> str:
+    """Return the sentence on the error by the models reference, session and named, and on that of reference trials."""
+    unit = errors.unit
+    steps = [f"{errors.reference:.2f} {unit} in the reference condition",
+             f"{errors.session:.2f} {unit} with this session's constants adapted"]
+    if errors.named is not None:
+        steps.append(f"{errors.named:.2f} {unit} with what is named below")
+    own = errors.reference_rmse
     beside = "" if own is None else f"; reference trials miss each other by {own:.2f} {unit}"
-    yield (f"The simulation of this {'rig' if found.of_rig else 'bench'} misses {missed} by "
-           f"{told['before_rms_n']:.2f} {unit}{after}, on cycles that no fit has seen{beside}.")
+    return (f"The simulation of this {'rig' if of_rig else 'bench'} misses {' and '.join(signals)} by "
+            f"{', '.join(steps[:-1])} and {steps[-1]}, on cycles that no fit has seen{beside}.")
+
+
+def gain_sentence(errors: Errors) -> str:
+    """Return the sentence on the gain of the named effects over the adapted session."""
+    percent, low, high = errors.gain or (0.0, 0.0, 0.0)
+    interval_text = f"95 %: {low:.0f} … {high:.0f}"
+    if low > 0.0:
+        return f"It removes {percent:.0f} % ({interval_text}) of the error with the session adapted."
+    moved = (f"the session's constants predict them as well, but only {errors.sigma:.0f} σ outside their scatter"
+             if not errors.within_scatter() else "the session's constants, within their scatter, predict them as well")
+    return f"It gains nothing on cycles that no fit has seen ({percent:.0f} %, {interval_text}): {moved}."
+
+
+def none_sentence(errors: Errors, of_rig: bool = False) -> str:
+    """Return the sentence on a trial in which no effect is named, by its errors and the reference RMSE."""
+    unit, what = errors.unit, "rig" if of_rig else "bench"
+    if errors.reference_rmse is None:
+        return (f"No effect is named: a {what} of the population, its constants within their spread, predicts the "
+                f"trial to {errors.session:.2f} {unit}.")
+    if errors.agree(errors.reference):
+        return ("The trial agrees with the reference trials within what they differ by: no change of the "
+                f"{what} is needed to explain it.")
+    differs = f"The trial differs from the reference condition by {errors.reference:.2f} {unit}"
+    if errors.agree(errors.session):
+        moved = ("within their scatter" if errors.within_scatter() else
+                 f"of which one changed by {errors.sigma:.0f} σ of their scatter")
+        return f"{differs}, which is the session's: its constants, {moved}, explain it."
+    return (f"{differs}; the session's constants leave {errors.session:.2f} {unit} of it, which no effect of the "
+            "catalogue explains.")
+
+
+def _places(unexplained: Mapping[str, Mapping[str, float]], errors: Errors | None) -> str:
+    """Return where the best model has a lack of fit: each output with its error and that of reference trials."""
+    unit = "N" if errors is None else errors.unit
+    return ", ".join(f"{NAMES.get(name, name)} is missed by {row['rms']:.2f} {unit}, where reference trials miss each "
+                     f"other by {row['floor']:.2f} {unit}" for name, row in unexplained.items())
 
 
 def _set(found: Findings) -> Iterator[str]:
@@ -97,7 +181,9 @@ def refused_because(found: Findings) -> str:
 def _cause(cause: Mapping[str, Any]) -> str:
     effect = CATALOGUE[cause["effect"]]
     values = ", ".join(change(cause, name) for name in cause["parameters"])
-    return f"{effect.name} at {effect.site} ({effect.law}): {values}."
+    peak = " and ".join(f"{NAMES[name]} by {value:+.2f} N" for name, value in cause.get("at_peak_n", {}).items())
+    return (f"{effect.name} at {effect.site} ({effect.law}): {values}."
+            + (f" At the peak of START it changes {peak}." if peak else ""))
 
 
 def change(cause: Mapping[str, Any], name: str) -> str:
@@ -132,7 +218,7 @@ def healthy_value(cause: Mapping[str, Any], name: str) -> float | None:
 
 def strongest(found: Findings) -> tuple[str, Figures] | None:
     """Return name and figures of the output with the largest gain; None if none was compared."""
-    told = [(name, f) for name, f in found.relations.items() if f.rmse_before is not None and f.rmse_after is not None]
+    told = [(name, f) for name, f in found.relations.items() if f.rmse_before is not None and f.rmse_last is not None]
     return max(told, key=lambda one: one[1].gain_percent or 0.0, default=None)
 
 

@@ -61,8 +61,8 @@ def where(found: Findings) -> str:
     They state its size, the gait phase and the load of half of its square, and its size by rope direction and by
     cycle.  They name no cause.
     """
-    above = {name: f.rmse_after / f.floor for name, f in found.relations.items()
-             if f.floor and f.rmse_after is not None and found.traces.get(name)}
+    above = {name: f.rmse_last / f.floor for name, f in found.relations.items()
+             if f.floor and f.rmse_last is not None and found.traces.get(name)}
     if not above:
         return ""
     name = max(above, key=lambda relation: above[relation])
@@ -72,9 +72,9 @@ def where(found: Findings) -> str:
         along, _, after = joined(parts, signal)
         if along.size and float(np.ptp(along)) > 0.0:
             places.append(words.format(*(number(end, 2) for end in concentrated(along, after))))
-    told = (f"What is left is largest in {name}: {number(figures.rmse_after, 3)} {unit} on cycles that no fit has "
-            f"seen, {number(above[name], 2)} times what healthy trials leave ({number(figures.floor, 3)} {unit}). Half "
-            f"of its square lies at {' and '.join(places) or 'no place that a column tells'}.")
+    told = (f"What is left is largest in {name}: {number(figures.rmse_last or 0.0, 3)} {unit} on cycles that no fit "
+            f"has seen, {number(above[name], 2)} times what healthy trials leave ({number(figures.floor, 3)} {unit}). "
+            f"Half of its square lies at {' and '.join(places) or 'no place that a column tells'}.")
     after = np.concatenate([p.after for p in parts])
     ways = {word: number(rms(after[mask]), 3) for word, mask in by_direction(parts).items() if mask.any()}
     if {"pulled", "paid out"} <= set(ways):

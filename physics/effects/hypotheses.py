@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
+from physics.force_path import KNEE_RAD
 from physics.path_constants import LOAD_PER_STEP, PRESLIDING
 from physics.path_parameters import stretch_of
 
@@ -83,6 +84,18 @@ def _runs_out(values: Values) -> tuple[Variant, ...]:
                  for radius in (0.016, 0.02, 0.025, 0.031, 0.038))
 
 
+def _yields(values: Values) -> tuple[Variant, ...]:
+    both = _frees(({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0),
+                  ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4))
+    return both, _frees(({"cable_travel": 1.0}, 1.0)), _frees(({"fabric_travel": 1.0}, 1.0))
+
+
+def _curves(values: Values) -> tuple[Variant, ...]:
+    """Return the variants k·(θ − pivot)² of the lever arm: about the straight knee, and about `KNEE_RAD`."""
+    offsets = (-KNEE_RAD, 0.0)  # pivot less KNEE_RAD, about which the forward model is expanded
+    return tuple(_frees(({"arm2": 1.0, "arm": -2.0 * off, "zero": off**2}, 1.5e-3)) for off in offsets)
+
+
 END: Final = ("tension_end_n",)
 FORCE: Final = ("servo_force_n",)
 THETA1: Final = math.pi / 2
@@ -106,8 +119,7 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
     "stribeck": Hypothesis(FRICTION, _sticks, {
                 "stribeck_ratio": lambda v, b: 1.0 + 0.5 * (v["cable_rest"] + v["fabric_rest"]),
                 "stribeck_speed": lambda v, b: v["rest_speed"]}),
-    "presliding": Hypothesis(FRICTION, lambda v: (_frees(
-        ({"cable_travel": 1.0, "fabric_travel": 1.0}, 1.0), ({"cable_travel": 1.0, "fabric_travel": -1.0}, 0.4)),), {
+    "presliding": Hypothesis(FRICTION, _yields, {
             "presliding": lambda v, b: PRESLIDING * math.sqrt(v["cable_travel"] * v["fabric_travel"])}),
     "friction_drift": _one(FRICTION, "drift", 0.5, "friction_drift"),
     "stiffness": Hypothesis(ELASTICITY, _stiffer, {
@@ -120,7 +132,7 @@ HYPOTHESES: Final[Mapping[str, Hypothesis]] = {
         "slack": lambda v, b: v["zero"] - b["zero"]}),
     "knee_backlash": Hypothesis(GEOMETRY, lambda v: (_frees(({"play": 1.0}, 0.013)), _frees(({"gap": 1.0}, 0.013))), {
         "knee_backlash": lambda v, b: 2.0 * (v["play"] + v["gap"])}),
-    "moment_arm": _one(GEOMETRY, "arm2", 1.5e-3, "rope_per_knee_quadratic"),
+    "moment_arm": Hypothesis(GEOMETRY, _curves, {"rope_per_knee_quadratic": lambda v, b: v["arm2"]}),
     "drum_eccentricity": Hypothesis(GEOMETRY, _runs_out, {
         "eccentricity": lambda v, b: math.hypot(v["eccentric_sin"], v["eccentric_cos"]),
         "eccentricity_phase": lambda v, b: math.atan2(v["eccentric_cos"], v["eccentric_sin"])}),

@@ -137,12 +137,15 @@ def diagnosed(walked: Columns, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 def test_json_has_the_keys_and_the_low_pass_is_stated_in_every_file(diagnosed: Path) -> None:
     result = json.loads((diagnosed / "diagnosis.json").read_text(encoding="utf-8"))
-    assert tuple(result) == (*KEYS, "lowpass_hz", "simulation", "part", "evidence")
+    assert tuple(result) == (*KEYS, "lowpass_hz", "simulation", "errors", "unexplained", "part", "evidence")
     assert result["lowpass_hz"] == 20.0
     assert set(result["relations"]) == {"tension_start_n", "tension_end_n"}
     assert set(result["relations"]["tension_start_n"]) == {
-        "unit", "floor", "rmse_before", "rmse_after", "holdout_before", "holdout_after", "gain_percent", "low", "high"}
-    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent", "was"}
+        "unit", "floor", "rmse_before", "rmse_session", "rmse_after", "holdout_before", "holdout_session",
+        "holdout_after", "gain_percent", "low", "high"}
+    assert all(set(row) == {"reference", "session", "named", "gain_percent", "gain_interval"}
+               for row in result["errors"].values())
+    assert set(result["causes"][0]) == {"effect", "site", "parameters", "gain_percent", "was", "at_peak_n"}
     assert "lowpass_hz = 20.0" in (diagnosed / "extended.toml").read_text(encoding="utf-8")
     assert "low-passed at 20 Hz" in (diagnosed / "page.html").read_text(encoding="utf-8")
 
@@ -174,7 +177,7 @@ def test_each_trial_is_told_for_itself_by_several_processes(walked: Columns, bow
     result = json.loads(told.stdout)["trials"]
     assert list(result) == ["long.csv", "short.csv", "none.csv"]
     assert [one["verdict"] == "refused" for one in result.values()] == [False, True, True]
-    assert tuple(result["long.csv"]) == (*KEYS, "lowpass_hz", "simulation", "part", "evidence")
+    assert tuple(result["long.csv"]) == (*KEYS, "lowpass_hz", "simulation", "errors", "unexplained", "part", "evidence")
     assert "no such file" in result["none.csv"]["warnings"][0]
 
 

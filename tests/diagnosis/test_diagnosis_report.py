@@ -16,7 +16,15 @@ from diagnosis.compared_signals import Compared
 from diagnosis.findings import Figures, Findings
 from diagnosis.report import figure_export, figure_tables, residual_picture, residuals
 from diagnosis.report.diagnosis_page import build, write
-from diagnosis.report.headline import change, headline, healthy_value
+from diagnosis.report.headline import (
+    Errors,
+    change,
+    error_sentence,
+    gain_sentence,
+    headline,
+    healthy_value,
+    none_sentence,
+)
 from diagnosis.report.residuals import concentrated
 from estimation.data.table import Table, table
 from parameters import InputError
@@ -49,15 +57,16 @@ def found(measured: Table) -> Findings:
     """A diagnosis as the finder gives it, with figures that are easy to check."""
     traces = {name: [traced(measured, name, slack)] for name, slack in (("tension_start_n", 2.0),
                                                                         ("tension_end_n", 1.0))}
-    figures = {"tension_start_n": Figures("N", 0.25, 2.0, 0.5, 2.2, 0.6, 75.0, 70.0, 79.0),
-               "tension_end_n": Figures("N", 0.2, 1.0, 0.4, None, None, 60.0, 50.0, 65.0)}
+    figures = {"tension_start_n": Figures("N", 0.25, 2.0, 1.9, 0.5, 2.2, 2.1, 0.6, 74.0, 70.0, 79.0),
+               "tension_end_n": Figures("N", 0.2, 1.0, 0.9, 0.4, None, None, None, 56.0, 50.0, 65.0)}
     cause = {"effect": "cable_friction", "site": "cable", "gain_percent": 75.0, "parameters": {
         "mu1": {"value": 0.16, "low": 0.1, "high": 0.2, "unit": ""}}, "was": {"mu1": 0.08}}
     shift = {"from": 0.13, "to": 0.25, "low": 0.2, "high": 0.3, "unit": "", "sessions": 12.0}
     evidence = {"log_bayes_factors": {"cable_friction": 80.0, "fabric_friction": 60.0, "slack": 2.0},
                 "named_nats": 12.0, "misfit": {}, "error_n": {},
                 "shifts": {"cable": shift, "fabric": {**shift, "sessions": 0.5}}}
-    simulation = {"before_rms_n": 1.6, "after_rms_n": 0.45, "healthy_rms_n": 0.23, "signals": list(traces)}
+    simulation = {"before_rms_n": 1.6, "session_rms_n": 1.5, "after_rms_n": 0.45, "healthy_rms_n": 0.23,
+                  "gain_percent": 70.0, "gain_interval": [66.0, 73.0], "session_sigma": 8.0, "signals": list(traces)}
     return Findings("ambiguous", [cause], ["cable_friction", "fabric_friction"], "known_bend", figures,
                     ["the clock is told from one column"], {
                          "cable_friction": {"parameter": "mu1", "value": 0.02, "unit": ""},
@@ -94,13 +103,15 @@ def test_the_page_says_what_could_have_been_seen(found: Findings, measured: Tabl
 
 def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, measured: Table) -> None:
     told = list(headline(found))
-    assert told[0] == ("The simulation of this bench misses START and END by 1.60 N, 0.45 N with what is named below, "
-                       "on cycles that no fit has seen; reference trials miss each other by 0.23 N.")
+    assert told[0] == ("The simulation of this bench misses START and END by 1.60 N in the reference condition, "
+                       "1.50 N with this session's constants adapted and 0.45 N with what is named below, on cycles "
+                       "that no fit has seen; reference trials miss each other by 0.23 N.")
     assert told[1].startswith("Changed: friction path. cable_friction at cable (")
     assert "mu1 0.08 → 0.16 (95 %: 0.1 … 0.2)" in told[1]
-    assert told[2] == "These data do not separate it from: fabric_friction."
-    assert told[3].startswith("To separate them, record known_bend: ")
-    assert told[4] == "Constants that moved most: cable 0.13 → 0.25."
+    assert told[2] == "It removes 70 % (95 %: 66 … 73) of the error with the session adapted."
+    assert told[3] == "These data do not separate it from: fabric_friction."
+    assert told[4].startswith("To separate them, record known_bend: ")
+    assert told[5] == "Constants that moved most: cable 0.13 → 0.25."
     html = build(found, [measured], []).html().partition("<main>")[2]
     first = [html.index(text) for text in (
         "mu1 0.08", 'class="bench"', "START (measured) over END (measured)", "Error of the simulation",
@@ -109,10 +120,11 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
 
 
 @pytest.mark.parametrize(("changed", "sentence"), [
-    ({"verdict": "none", "causes": [], "rivals": [], "experiment": None}, "no change of the bench is needed"),
-    ({"verdict": "none", "causes": [], "rivals": [], "experiment": None, "reference": "calibration"},
-     "The trial agrees with the bench population and the calibration"),
-    ({"verdict": "unexplained", "causes": [], "rivals": [], "experiment": None}, "no effect of the catalogue explains"),
+    ({"verdict": "none", "causes": [], "rivals": [], "experiment": None}, "which no effect of the catalogue explains"),
+    ({"verdict": "unexplained", "causes": [], "rivals": [], "experiment": None, "unexplained": {"tension_end_n": {
+        "misfit": 3.0, "rms": 0.9, "floor": 0.2}}}, "no effect of the catalogue explains: END is missed by 0.90 N"),
+    ({"unexplained": {"tension_end_n": {"misfit": 3.0, "rms": 0.4, "floor": 0.2}}},
+     "Something else differs, too: END is missed by 0.40 N, where reference trials miss each other by 0.20 N."),
     ({"verdict": "refused", "causes": [], "warnings": ["knee is not sampled."]}, "knee is not sampled."),
     ({"undecided": "step did not decide between A, B: both meet it."}, "Step did not decide between A, B: both"),
     ({"bench": None}, "The simulation of this rig misses"),
@@ -120,6 +132,49 @@ def test_first_come_error_cause_ambiguity_set_and_next_step(found: Findings, mea
 ])
 def test_every_verdict_has_its_first_lines(found: Findings, changed: dict[str, Any], sentence: str) -> None:
     assert sentence in " ".join(headline(dataclasses.replace(found, **changed)))
+
+
+AGREES, SESSION, NOTHING = "agrees with the reference", "which is the session's", "no effect of the catalogue explains"
+NONE = [(reference, session, floor, AGREES if reference <= 1.5 * floor else SESSION if session <= 1.5 * floor
+         else NOTHING) for reference, session in ((0.2, 0.2), (0.3, 0.2), (0.31, 0.3), (0.31, 0.31), (0.9, 0.2),
+                                                  (0.9, 0.31), (3.97, 0.2), (3.97, 3.5), (369.0, 205.0))
+        for floor in (0.2, 0.55, 205.0)]
+"""Errors of the reference condition's model and of the adapted session, the floor, and what is said."""
+
+
+@pytest.mark.parametrize(("reference", "session", "floor", "words"), NONE)
+def test_what_is_said_of_a_trial_without_a_name_follows_from_its_figures(
+    reference: float, session: float, floor: float, words: str
+) -> None:
+    told = none_sentence(Errors(reference, session, None, floor))
+    assert words in told
+    assert ("agrees" in told) == (reference <= 1.5 * floor)
+    if words != AGREES:
+        assert f"by {reference:.2f} N" in told
+    if words == NOTHING:
+        assert f"leave {session:.2f} N" in told
+
+
+@pytest.mark.parametrize(("percent", "low", "high", "words"), [
+    (80.0, 75.0, 84.0, "It removes 80 % (95 %: 75 … 84) of the error"), (4.0, 0.5, 8.0, "It removes 4 %"),
+    (2.0, -1.0, 5.0, "It gains nothing on cycles that no fit has seen (2 %, 95 %: -1 … 5)"),
+    (-2.0, -6.0, 1.0, "It gains nothing"), (0.0, 0.0, 0.0, "It gains nothing")])
+def test_what_is_said_of_a_gain_follows_from_its_interval(percent: float, low: float, high: float, words: str) -> None:
+    assert gain_sentence(Errors(1.0, 0.9, 0.5, 0.2, (percent, low, high))).startswith(words)
+
+
+@pytest.mark.parametrize(("sigma", "words"), [(1.0, "within their scatter"), (3.0, "within their scatter"),
+                                              (12.0, "12 σ")])
+def test_how_far_the_session_moves_its_constants_is_said(sigma: float, words: str) -> None:
+    assert words in none_sentence(Errors(0.9, 0.2, None, 0.2, None, sigma))
+    assert words in gain_sentence(Errors(0.9, 0.2, 0.2, 0.2, (1.0, -1.0, 2.0), sigma))
+
+
+def test_a_trial_without_reference_trials_agrees_with_none() -> None:
+    told = none_sentence(Errors(0.9, 0.3))
+    assert told.startswith("No effect is named: a bench of the population")
+    assert "0.30 N" in told
+    assert "reference trials" not in error_sentence(Errors(0.9, 0.3), ["START"])
 
 
 def test_a_length_is_written_in_millimetres() -> None:
@@ -187,7 +242,7 @@ def test_a_rig_of_another_kind_is_told_what_it_can_record(found: Findings, measu
 def test_what_is_unexplained_is_told_by_place_and_size(found: Findings, measured: Table) -> None:
     strange = dataclasses.replace(found, verdict="unexplained", causes=[], rivals=[])
     html = build(strange, [measured], []).html()
-    # the fixture's figures: 0.5 after, over a floor of 0.25
+    # the fixture's figures: 0.5 with what is named, over a floor of 0.25
     assert "2 times what healthy trials leave" in html
     assert re.search(r"Half of its square lies at \d+ … \d+ % of gait and START at", html)
 

@@ -125,7 +125,7 @@ def test_what_is_named_predicts_cycles_that_no_fit_has_seen(told: tuple[Job, dic
     _, said = told
     error = said["evidence"]["error_n"]
     # half of the error at least: the effects hidden here are all beyond ten times the noise
-    assert error["after"] < 0.5 * error["before"]
+    assert error["after"] < 0.5 * error["session"]
     for cause in said["causes"]:
         assert all(p["low"] <= p["value"] <= p["high"] for p in cause["parameters"].values())
 
@@ -269,7 +269,7 @@ def test_the_command_gives_the_same_diagnosis_again(
     assert f"reference trials miss each other by {nothing['evidence']['error_n']['reference']:.2f} N" in said
     assert "Verdict: none" in said
     for signal, row in nothing["relations"].items():
-        assert f"{signal} │ N │ {row['floor']:.4f} │ {row['rmse_before']:.4f} │" in said
+        assert f"{signal} │ N │ {row['floor']:.4f} │ {row['rmse_before']:.4f} │ {row['rmse_session']:.4f} │" in said
 
 
 def test_a_gait_without_the_knee_is_refused_with_the_column(healthy: tuple[tuple[Table, ...], Table]) -> None:

@@ -283,15 +283,16 @@ def _tell_signals(signals: dict[str, Any]) -> None:
     if not signals:
         return
     terminal.table("what is left of each signal (RMS, on cycles that the fit has not seen)", (
-        "signal", "unit", "floor", "before", "after", "gain (%)"), [
-        (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_after"], 4),
-         figure(row["gain_percent"], 1)) for name, row in signals.items()])
-    _say("floor: what reference trials miss of each other; before: the reference condition; after: with what was "
-         "found.")
+        "signal", "unit", "floor", "reference", "session", "named", "gain (%)"), [
+        (name, row["unit"], figure(row["floor"], 4), figure(row["rmse_before"], 4), figure(row["rmse_session"], 4),
+         figure(row["rmse_after"], 4), figure(row["gain_percent"], 1)) for name, row in signals.items()])
+    _say("floor: what reference trials miss of each other; reference: the reference condition's model; session: with "
+         "this session's constants adapted; named: with the named effects, too; gain: of named over session.")
     held = {name: row for name, row in signals.items() if row["holdout_before"] is not None}
     if held:
-        terminal.table("on the trials held out, to which nothing was fitted", ("signal", "unit", "before", "after"), [
-            (name, row["unit"], figure(row["holdout_before"], 4), figure(row["holdout_after"], 4))
+        terminal.table("on the trials held out, to which nothing was fitted", (
+            "signal", "unit", "reference", "session", "named"), [
+            (name, row["unit"], *(figure(row[f"holdout_{which}"], 4) for which in ("before", "session", "after")))
             for name, row in held.items()])
 
 

@@ -1,0 +1,108 @@
+"""Pairs of identical motion: a trial beside a reference trial of the same motion, of which only the difference counts.
+
+    y − e_r = f(q_r + δ; m) + Φ(c_r + d) + ε        e_r: residual of the reference trial at its own mode (q_r, c_r)
+
+The model error under one motion repeats under it, so that e_r removes it.  δ and d are differences of two
+sessions; their 1σ is √2 times that of one session.  ε: sensor noise of both trials, and of the model error the share
+that changes between sessions (`ForwardModel.session_share`).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.likelihood_data import GRID_S, Recording
+from estimation.posterior import Gaussian, Observed
+from estimation.reference_fit import ReferenceFit
+from physics.laws import Array
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A trial less the residual of reference trial number `reference`: its data, and its prior about that trial."""
+
+    observed: Observed
+    prior: Gaussian
+    reference: int
+
+
+def paired(fit: ReferenceFit, references: Sequence[Recording], observed: Observed) -> Pair | None:
+    """Return the pair of a trial and the reference trial of its motion; None without such a reference trial.
+
+    `references`: recordings in the order of `fit.identified`.  Sessions of several trials have no pair.
+    """
+    if fit.model.pools_sessions or len(observed.trials) != 1 or len(references) != len(fit.identified):
+        return None
+    trial = observed.trials[0]
+    lags = [(k, _lag(trial, other)) for k, other in enumerate(references)]
+    found = [(k, lag) for k, lag in lags if lag is not None]
+    if not found:
+        return None
+    number, lag = found[0]
+    return Pair(_difference(fit, references[number], observed, number, lag), _prior(fit, number), number)
+
+
+def _lag(trial: Recording, other: Recording, most_s: float = 2.0, identical: float = 0.01, covered: float = 0.8
+         ) -> int | None:
+    """Return by how many samples `other` is behind `trial`; None if it has another motion.
+
+    `most_s`: largest lag that is tried.  `identical`: largest RMS difference of rope and knee, relative to their
+    standard deviation.  A servo that replays a recorded motion repeats it to some 0.1 %; a controller that leads END
+    moves the rope by 2 % otherwise where friction changed.
+    `covered`: least share of the trial in which `other` has its motion.
+    """
+    own, known = (_motion(each) for each in (trial, other))
+    rate, other_rate = (np.gradient(each[1]) for each in (own, known))
+    most = round(most_s / GRID_S)
+    size = 1 << int(np.ceil(np.log2(rate.size + other_rate.size)))
+    alike = np.fft.irfft(np.conj(np.fft.rfft(rate, size)) * np.fft.rfft(other_rate, size), size)
+    lag = int(np.argmax(np.concatenate([alike[-most:], alike[:most + 1]]))) - most
+    first, last = max(0, -lag), min(own.shape[1], known.shape[1] - lag)
+    if last - first < covered * own.shape[1]:
+        return None
+    difference = own[:, first:last] - known[:, first + lag:last + lag]
+    spread = np.maximum(own[:, first:last].std(axis=1), 1e-4)  # m and rad; a locked knee hardly moves
+    return lag if float((difference.std(axis=1) / spread).max()) <= identical else None
+
+
+def _motion(trial: Recording) -> Array:
+    """Return rope position, m, and knee angle, rad, shape (2, samples)."""
+    return np.stack([trial.sampled(name) for name in ("servo_position_m", "knee_angle_rad")])
+
+
+def _difference(fit: ReferenceFit, other: Recording, observed: Observed, number: int, lag: int,
+                inflation: float = 1.5) -> Observed:
+    """Return the trial less the residual of the reference trial `other`, which is `lag` samples behind.
+
+    `inflation`: factor on the variance.  Without it a healthy pair of `tests/diagnosis/test_diagnosis_gates.py` has a
+    lack of fit (1.9 times the variance), since a residual at its own mode is smaller than that of another trial.
+    """
+    trial, known = observed.trials[0], fit.observe(other)
+    q, c = fit.identified[number]
+    missed = known.data - known.predicted(q) - known.features @ c
+    at = (np.arange(trial.bins) + trial.skip) * trial.width + lag
+    have = (np.arange(other.bins) + other.skip) * other.width
+    inside = (at >= have[0]) & (at <= have[-1])
+    errors = {name: np.interp(at, have, error) for name, error in fit.model.errors(other, missed).items()}
+    made = copy.copy(trial)
+    made.data = trial.data - fit.model.weighed(trial, errors)
+    variance = []
+    for k, name in enumerate(fit.outputs):
+        # weights are 1/(τ·(model error + noise)), of which the sensor noise has no τ
+        model = 1.0 / observed.part(observed.weight, k) - observed.tau[k] * trial.noise_n[name] ** 2
+        variance.append(trial.noise_n[name] ** 2 + other.noise_n[name] ** 2
+                        + fit.model.session_share**2 * np.maximum(model, 0.0))
+    weight = np.where(np.tile(inside, len(fit.outputs)), 1.0 / (inflation * np.concatenate(variance)), 0.0)
+    return replace(observed, trials=(made,), weight=weight, tau=np.ones(len(fit.outputs)))
+
+
+def _prior(fit: ReferenceFit, number: int) -> Gaussian:
+    """Return the prior of the trial about the mode of the reference trial: the difference of two sessions."""
+    q, c = fit.identified[number]
+    free = list(fit.model.constants.free)
+    session = np.diag(fit.prior.covariance - fit.bench.covariance)
+    return Gaussian(fit.origin, np.concatenate([(q - fit.origin)[free], c]), np.diag(2.0 * session))

@@ -1,0 +1,94 @@
+"""A reference trial of the trial's own motion: recognised with any lag, and only the difference counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from diagnosis.evidence import shape_family
+from diagnosis.evidence.evidence_finder import EvidenceFinder
+from diagnosis.evidence.identical_motion import paired
+from estimation.data.table import Table, table
+from estimation.path_model import PATH_MODEL
+from estimation.posterior import mode
+from estimation.reference_fit import ReferenceFit
+from physics.effects.hypotheses import HYPOTHESES
+from tests.hidden.family import Job, case
+
+BENCH = Job(39, (), 9)
+"""In the reference condition, with one or more reference trials of other gaits."""
+
+
+def again(given: Table, end_gain: float = 1.0, shift_s: float = 0.0, noise_n: float = 0.05) -> Table:
+    """Return a trial once more: another noise of the sensors, END with a gain, and the first `shift_s` cut off."""
+    random = np.random.default_rng(5)
+    keep = given["time_s"] >= given["time_s"][0] + shift_s
+    columns = {name: values[keep] for name, values in given.columns.items()}
+    for name, gain in (("tension_start_n", 1.0), ("tension_end_n", end_gain)):
+        columns[name] = gain * columns[name] + noise_n * random.normal(size=columns[name].size)
+    return table("again.csv", columns)
+
+
+@pytest.fixture(scope="module")
+def bench() -> tuple[EvidenceFinder, ReferenceFit, Table]:
+    """The diagnosis of a bench with its reference fit, and a trial of another motion than the reference trial's."""
+    made = case(BENCH)
+    finder = EvidenceFinder(made.healthy[:1])
+    return finder, finder.reference([made.trial]), made.trial
+
+
+def test_the_motion_is_recognised_with_a_lag_and_no_other_motion_is(
+    bench: tuple[EvidenceFinder, ReferenceFit, Table]
+) -> None:
+    finder, fit, other = bench
+    reference = finder._tables[0]
+    known = [PATH_MODEL.record(reference)]
+    for shift_s in (0.0, 0.6):
+        found = paired(fit, known, fit.observe(PATH_MODEL.record(again(reference, shift_s=shift_s))))
+        assert found is not None
+        assert found.reference == 0
+    assert paired(fit, known, fit.observe(PATH_MODEL.record(other))) is None
+
+
+def test_what_the_model_misses_is_gone_from_the_difference(bench: tuple[EvidenceFinder, ReferenceFit, Table]) -> None:
+    finder, fit, _ = bench
+    reference = finder._tables[0]
+    made = paired(fit, [PATH_MODEL.record(reference)], fit.observe(PATH_MODEL.record(again(reference, noise_n=0.0))))
+    assert made is not None
+    q, c = fit.identified[0]
+    left = made.observed.data - made.observed.predicted(q) - made.observed.features @ c
+    assert float(np.abs(left[made.observed.weight > 0.0]).max()) < 1e-6
+
+
+@pytest.mark.exhaustive
+def test_an_effect_is_named_from_the_difference_and_a_repeat_names_nothing(
+    bench: tuple[EvidenceFinder, ReferenceFit, Table]
+) -> None:
+    finder, _, _ = bench
+    reference = finder._tables[0]
+    assert finder.diagnose([again(reference)]).verdict == "none"
+    changed = finder.diagnose([again(reference, end_gain=1.04)])
+    assert "end_gain" in changed.rivals
+    assert any("has the motion of the trial" in warning for warning in changed.warnings)
+
+
+@pytest.mark.exhaustive
+def test_an_effect_without_shape_has_the_evidence_of_its_mode(
+    bench: tuple[EvidenceFinder, ReferenceFit, Table]
+) -> None:
+    """Readings have exact equations; shapes cost at most ln(number of shapes) where the data do not need them."""
+    finder, fit, other = bench
+    observed = fit.observe(finder.model.record(other))
+    prior, sd = fit.prior_of(observed), shape_family.feature_sd(fit)
+    constants = finder.model.constants.named(fit.bench_coordinates())
+    for name, free in (("end_gain", False), ("cable_friction", True)):
+        (variant,) = HYPOTHESES[name].variants(constants)
+        at = mode(observed, prior, [variant])
+        columns = shape_family.shape_columns(observed, prior, at, [variant])
+        assert bool(columns.shape[1]) == free
+        family = len(PATH_MODEL.session_shares) * (len(PATH_MODEL.shape_shares) if free else 1)
+        told = shape_family.averaged(observed, prior, at, [variant], sd)
+        assert told >= at.log_evidence - np.log(family) - 1e-9
+        # without columns the residual is that of the mode, up to the last step of a descent that ends at 0.15 nats
+        left = shape_family.residual(at, columns[:, :0], (0.0,))
+        assert np.std(left - at.residual) < 0.05 * np.std(at.residual)

@@ -1,0 +1,210 @@
+"""Trials of two simulated rigs whose structure shares nothing with the product's model, and an oracle of their effects.
+
+The rigs are not part of the project: `TRUTHS` is their folder, and what needs it is skipped where it is absent.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+
+from physics.effects.hypotheses import HYPOTHESES
+from physics.laws import Array
+
+TRUTHS: Final = Path(__file__).resolve().parents[3] / "shared" / "truths"
+STRUCTURES: Final = ("truth1", "truth2")
+EFFECTS: Final[Mapping[str, str]] = {
+    "mu1": "cable_friction", "mu2": "fabric_friction", "stiff": "stiffness", "presl": "presliding", "strib": "stribeck",
+    "vis": "viscous_friction", "blash": "knee_backlash", "creep": "fabric_creep", "gain_e": "end_gain",
+    "gain_s": "start_gain", "drift_e": "end_drift", "delay": "end_delay", "lpf": "end_filter", "mass": "end_mass",
+    "ecc": "drum_eccentricity", "k3": "moment_arm", "kphi": "fabric_wrap", "kbend": "cable_bend",
+    "fdrift": "friction_drift", "kml": "load_dependent_friction"}
+"""Effect of a rig → effect of the catalogue."""
+OUTSIDE: Final = ("X_slip", "X_vib", "X_pulse", "X_gainstep")
+ALIKE: Final = (
+    ("fabric_wrap", "fabric_friction"), ("end_gain", "start_gain", "stiffness"), ("moment_arm", "drum_eccentricity"),
+    ("end_delay", "end_filter", "timestamp_skew"))
+"""Effects that no gait separates in principle: each is right for the others."""
+SEPARABLE: Final = 132.0
+"""χ² of the effect in the trial's sensor noise, session constants adapted, from which a case counts."""
+
+
+@dataclass(frozen=True, order=True)
+class Question:
+    """One case: the rig's structure, what is hidden (names of the rig), and the seed of bench and trial."""
+
+    structure: str
+    hidden: tuple[str, ...]
+    seed: int
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the catalogue that are hidden."""
+        return tuple(EFFECTS[name] for name in self.hidden if name in EFFECTS)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Columns of one case: two reference trials, one of the trial's own motion, and the trial.
+
+    `separation`: χ² of the oracle.  `clean`: START and END of the effect alone, N, shape (2, samples).  `adapted_n`:
+    RMS of what remains of it after the session's constants are adapted.
+    """
+
+    references: tuple[dict[str, Array], ...]
+    same_motion: dict[str, Array]
+    trial: dict[str, Array]
+    separation: float
+    clean: Array
+    adapted_n: float
+
+    def gain_percent(self, error_n: float) -> float:
+        """Return the gain of the effect itself, %, beside a model that has it and misses the trial by `error_n`, N."""
+        return 100.0 * (1.0 - error_n / float(np.hypot(error_n, self.adapted_n)))
+
+
+@functools.cache
+def rig(structure: str) -> ModuleType:
+    """Return the module of one rig."""
+    if str(TRUTHS) not in sys.path:
+        sys.path.insert(0, str(TRUTHS))
+    spec = importlib.util.spec_from_file_location(structure, TRUTHS / f"{structure}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def draw(asked: Question) -> Drawn:
+    """Return the trials of one case, drawn as the rig's own command draws them."""
+    return (_first if asked.structure == "truth1" else _second)(asked)
+
+
+def alike(name: str) -> tuple[str, ...]:
+    """Return the effects that are right where `name` is hidden, itself first."""
+    return (name, *(other for group in ALIKE if name in group for other in group if other != name))
+
+
+def part(name: str) -> str:
+    """Return the part of the bench in which an effect is."""
+    return HYPOTHESES[name].part
+
+
+def questions(structure: str, first: int, singles: int, healthy: int, pairs: int = 0, outside: int = 0
+              ) -> list[Question]:
+    """Return cases of one structure with the seeds from `first` on: effects in turns, nothing, pairs, no catalogue's.
+    """
+    names = list(EFFECTS)
+    nothing = "null_alt"
+    random = np.random.default_rng(first)
+    order = [names[int(i)] for i in random.permutation(len(names))]
+    hidden: list[tuple[str, ...]] = [(order[i % len(order)],) for i in range(singles)]
+    hidden += [(nothing if i % 2 else "null",) for i in range(healthy)]
+    hidden += [tuple(str(n) for n in random.choice(names, 2, replace=False)) for _ in range(pairs)]
+    hidden += [(OUTSIDE[i % len(OUTSIDE)],) for i in range(outside)]
+    return [Question(structure, one, first + i) for i, one in enumerate(hidden)]
+
+
+def _second(asked: Question) -> Drawn:
+    module, seed = rig("truth2"), asked.seed
+    random = np.random.default_rng(770000 + seed)
+    bench = module.bench(random)
+    bench["rate"] = int(random.choice([500, 1000]))
+    references = tuple(module.make(["null"], bench, np.random.default_rng(90000 + 7 * seed + k), 12,
+                                   random.uniform(.06, .3))[0] for k in range(2))
+    noise, held, drawn = (random.uniform(.06, .3), random.uniform(.06, .3)), [], module.motion
+
+    def made(effects: Sequence[str], number: int, sd: float, values: Mapping[str, Any] = bench,
+             shift_mm: float = 0.0, draws: bool = True) -> dict[str, Array]:
+        def motion(*given: Any) -> Any:
+            own = drawn(*given) if draws else None
+            held[:] = held or [own]
+            return (held[0][0], held[0][1] + shift_mm, *held[0][2:])
+        return _with(module, "motion", motion, lambda: module.make(
+            list(effects), values, np.random.default_rng(number), 10, sd)[0])
+
+    trial = made(asked.hidden, seed, noise[0])
+    same = made(["null"], 50000 + seed, noise[1], draws=False)
+    base = made(["null"], seed, 0.0)
+    clean = _difference(made(asked.hidden, seed, 0.0), base)
+    steps = [_difference(made(["null"], seed, 0.0, {**bench, name: bench[name] * (1.0 + sd)}), base)
+             for name, sd in (("mu1", 0.03), ("mu2", 0.05), ("kf0", 0.03))]
+    steps.append(_difference(made(["null"], seed, 0.0, bench, 0.2), base))
+    separation, adapted_n = _separation(clean, steps, base, noise[0])
+    return Drawn(references, same, trial, separation, clean, adapted_n)
+
+
+def _first(asked: Question) -> Drawn:
+    module, seed = rig("truth1"), asked.seed
+    references = tuple(module.make(["null"], np.random.default_rng(90000 + 7 * seed + k), ncyc=12)[0]
+                       for k in range(2))
+    nominal, held, drawn = dict(module.P0), [], module.trajectory
+
+    def made(effects: Sequence[str], number: int, values: Mapping[str, Any] = nominal, sd: float = 0.0,
+             draws: bool = True) -> dict[str, Array]:
+        def trajectory(*given: Any) -> Any:
+            own = drawn(*given) if draws else None
+            held[:] = held or [own]
+            return held[0]
+        module.P0.update(values)
+        try:
+            return _with(module, "trajectory", trajectory, lambda: module.make(
+                list(effects), np.random.default_rng(number), noise=sd)[0])
+        finally:
+            module.P0.update(nominal)
+
+    trial = made(asked.hidden, seed, sd=0.2)
+    same = made(["null"], 50000 + seed, sd=0.2, draws=False)
+    base = made(["null"], seed)
+    still = np.zeros_like(_tensions(base))
+    clean = _difference(made(asked.hidden, seed), base) if asked.effects else still
+    steps = [_difference(made(["null"], seed, {**nominal, name: value}), base) for name, value in (
+        ("mu1", 1.03 * nominal["mu1"]), ("mu2", 1.05 * nominal["mu2"]), ("kf0", 1.03 * nominal["kf0"]), ("x0", 0.2))]
+    separation, adapted_n = _separation(clean, steps, base, 0.2)
+    return Drawn(references, same, trial, separation, clean, adapted_n)
+
+
+def _with(module: ModuleType, name: str, other: Any, run: Callable[[], dict[str, Array]]) -> dict[str, Array]:
+    """Return the result of `run` while the function `name` of a rig is `other`."""
+    own = getattr(module, name)
+    setattr(module, name, other)
+    try:
+        return run()
+    finally:
+        setattr(module, name, own)
+
+
+def _tensions(columns: Mapping[str, Array]) -> Array:
+    return np.stack([columns["tension_start_n"], columns["tension_end_n"]])
+
+
+def _difference(first: Mapping[str, Array], second: Mapping[str, Array]) -> Array:
+    return np.asarray(_tensions(first) - _tensions(second))
+
+
+def _separation(clean: Array, steps: Sequence[Array], base: Mapping[str, Array], noise_n: float
+                ) -> tuple[float, float]:
+    """Return χ² of `clean` in white noise, and what remains of it, RMS, N, with the session's constants adapted.
+
+    Gains and offsets of like benches are adapted, too.  `steps`: change of the tensions by 1σ of each constant between
+    sessions.
+    """
+    still = np.zeros(clean.shape[1])
+    start, end = _tensions(base)
+    columns = [*steps, np.stack([0.003 * start, still]), np.stack([still, 0.003 * end]),
+               np.stack([still + 0.1, still]), np.stack([still, still + 0.1])]
+    spread = np.stack([c.ravel() for c in columns], axis=1) / noise_n
+    effect = clean.ravel() / noise_n
+    along = spread.T @ effect
+    moved = np.linalg.solve(np.eye(along.size) + spread.T @ spread, along)
+    return float(effect @ effect - along @ moved), noise_n * float(np.sqrt(np.mean((effect - spread @ moved) ** 2)))
+
