@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import simulation_fit, wire_faults
-from diagnosis.bench_fit import oriented, turned
+from diagnosis import wire_faults
 from diagnosis.evidence.evidence_finder import NO_REFERENCE, EvidenceFinder
 from diagnosis.evidence.held_out import cycles_of
 from diagnosis.findings import Findings
 from diagnosis.wire_faults import WireFindings
+from estimation import simulation_fit
+from estimation.bench_fit import oriented, turned
 from estimation.data import integrity, scales, table
 from estimation.data.table import Table
 from estimation.likelihood_data import MOTION

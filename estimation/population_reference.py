@@ -46,6 +46,8 @@ def stated_values(calibration: Mapping[str, Any] | None) -> dict[str, Stated]:
     1σ has the difference between the value's equation and that of the path, too (`SURROGATE`).
     """
     model = bench_model.from_tables(calibration or {}, "calibration")
+    if model.simulation:
+        model = replace(model, values=model.simulation, evidence=model.simulation_evidence, simulation={})
     middle, variance = _simulated(model), dict[str, float]()
     for name, known in model.evidence.items():
         if not math.isfinite(known.low + known.high):

@@ -122,6 +122,21 @@ class ReferenceFit:
         q[free] += self.bench.mean[:len(free)]
         return q
 
+    def unlike(self, trial: Recording, source: str) -> str:
+        """Return a sentence if the reference trials do not fit the model, so that they are of another rig; else "".
+
+        `trial`: one of them, from the file `source`.
+        """
+        name = self.model.judged[0]
+        missed = float(np.sqrt(np.mean(self.model_error[self.outputs.index(name)])))
+        spread = float(np.std(trial.measured(name)))
+        if missed <= self.model.unlike_share * spread:
+            return ""
+        what, unit = ("START" if name == "tension_start_n" else name), self.model.signals[name]
+        return (f"{source}: the reference trials do not fit: the model misses {what} by {missed:.3g} {unit} of "
+                f"{spread:.3g} {unit}; expected below {100 * self.model.unlike_share:g} %. Give reference trials of "
+                "this bench, recorded as the trial is.")
+
     @property
     def rmse_n(self) -> float:
         """RMS error of a reference trial's model on another reference trial, over the model's judged outputs."""

@@ -27,10 +27,12 @@ FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
 RIG: Final = "rig"
 """The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
+SIMULATION: Final = "simulation"
+"""The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
 OLDER: Final = "constants"
 """Former name of the table `[parameters.NAME]` of `bowden fit`."""
 TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 OLDER)
+                 SIMULATION, OLDER)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -42,8 +44,9 @@ class BenchModel:
     `values`: by name of `physics.parameters`, in any form of `physics.conversions`; `evidence`: 95 % interval, R²,
     date and trial by the same names; `effects`: name → parameter → value; `found`: the data that the effects were
     found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
-    another kind by name, each with value, unit and interval; `bench`: the bench's name ("": none); `label`: the file,
-    or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END.
+    another kind by name, each with value, unit and interval; `simulation`: parameters of the simulation that were
+    fitted by themselves, with their evidence, in place of those converted from `values`; `bench`: the bench's name
+    ("": none); `label`: the file, or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END.
     """
 
     values: Values = field(default_factory=dict)
@@ -55,6 +58,8 @@ class BenchModel:
     fitted: Mapping[str, Any] = field(default_factory=dict)
     rig: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: EndDiscrepancy | None = None
+    simulation: Values = field(default_factory=dict)
+    simulation_evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         """Return a table for a notebook: each value with its unit and 95 % interval, then the effects."""
@@ -82,7 +87,7 @@ class BenchModel:
 
         A value outside the simulation's bounds is replaced by the bound, with a `Remark`.
         """
-        told = converted(SIMULATED, converted(UNRELATED, self.values))
+        told = converted(SIMULATED, converted(UNRELATED, self.values)) | converted(UNRELATED, self.simulation)
         tables: dict[str, dict[str, float]] = {}
         for key, name in BY_PLANT.items():
             if name in told:
@@ -100,7 +105,7 @@ class BenchModel:
 
     def related(self) -> dict[str, float]:
         """Return the inputs of the diagnosis' prediction equations, without effects, as far as they are given."""
-        told = converted(RELATED, converted(SIMULATED, self.values))
+        told = converted(RELATED, converted(SIMULATED, self.values)) | dict(self.simulation)
         return {name: told[name] for name in RELATION_PARAMETERS if name in told}
 
     def at_work(self) -> dict[str, float]:
@@ -115,6 +120,7 @@ class BenchModel:
                  *end_discrepancy.rows(self.discrepancy)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
+        lines += calibration.rows(self.simulation, self.simulation_evidence, SIMULATION)
         for name, row in self.rig.items():
             lines += ["", f"[{RIG}.{name}]", *(f"{key} = {_cell(value)}" for key, value in row.items())]
         if self.found:
@@ -171,6 +177,7 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
     values, evidence = calibration.stated(
         tables if OLDER not in tables else {**tables, "version": VERSION, "parameters": tables[OLDER]}, where)
+    simulation, simulation_evidence = calibration.stated(tables, where, SIMULATION)
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):
         raise InputError(f"{where}: {EVIDENCE} is not a table; write it as [{EVIDENCE}].")
@@ -179,4 +186,4 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where))
+                      end_discrepancy.stated(tables, where), simulation, simulation_evidence)

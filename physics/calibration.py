@@ -24,6 +24,8 @@ VERSION = 2
 READ = (1, VERSION)
 """Versions of the file that are read: 1 has [scalars.NAME] with a calibration's names."""
 NOMINAL = "nominal"
+PARAMETER_TABLE = "parameters"
+"""Table of a bench model with the scalars of its calibration."""
 FLAT = 0.05
 """Share of (10)'s linear term below which a slope is taken for flat."""
 LATER = ("stretch_short", "stretch_wide", "identified_to", "fabric_breakaway", "load_slope", "viscous",
@@ -152,26 +154,27 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where))
 
 
-def stated(tables: Mapping[str, Any], where: str) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
-    """Return values and evidence by name of the table of parameters, as a bench model's tables state them.
+def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
+           ) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
+    """Return values and evidence by name of the table of parameters, as the table `name` of a bench model states them.
 
     `[parameters.NAME]`, or `[scalars.NAME]` with a calibration's names, as version 1 has it.  Raises `InputError`.
     """
-    name = "scalars" if "scalars" in tables else "parameters"
+    name = "scalars" if name == PARAMETER_TABLE and "scalars" in tables else name
     rows = tables.get(name, {})
     if not isinstance(rows, Mapping):
         raise InputError(f"{where}: {name} is not a table; expected one [{name}.NAME] table per parameter.")
     if rows and tables.get("version") not in READ:
         raise InputError(
             f"{where}: version = {tables.get('version')!r}, expected {VERSION}; run bowden identify again.")
-    if name == "parameters":
+    if name != "scalars":
         rows = current_names(rows, where)
     values: dict[str, float] = {}
     evidence: dict[str, ScalarEvidence] = {}
     for key, row in rows.items():
         known = BY_CALIBRATION if name == "scalars" else PARAMETERS
         if key not in known:
-            raise InputError(f"{where}: unknown {name[:-1]} {key}; expected one of {', '.join(known)}.")
+            raise InputError(f"{where}: unknown {name.removesuffix('s')} {key}; expected one of {', '.join(known)}.")
         p = PARAMETERS[BY_CALIBRATION[key] if name == "scalars" else key]
         values[p.name] = _value(where, key, p, row)
         low, high = _interval(where, key, row)
@@ -253,12 +256,13 @@ def values_of(calibration: Calibration) -> tuple[dict[str, float], dict[str, Sca
             {BY_CALIBRATION[name]: known for name, known in calibration.evidence.items()})
 
 
-def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence]) -> list[str]:
+def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], table: str = PARAMETER_TABLE
+         ) -> list[str]:
     """Return the lines of `[parameters.NAME]`, in the order of `values`; `stated` reads them back."""
     lines = []
     for name, value in values.items():
         p, known = PARAMETERS[name], evidence.get(name)
-        lines += ["", f"[parameters.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
+        lines += ["", f"[{table}.{name}]  # {p.meaning}", f"value = {value!r}", f'unit = "{p.unit}"']
         if known is not None and math.isfinite(known.low + known.high):
             lines.append(f"interval = [{known.low!r}, {known.high!r}]")
         if known is not None and math.isfinite(known.repeatability):

@@ -20,7 +20,7 @@ from trial.paths import PATHS
 from trial.signals import of_bench
 
 if TYPE_CHECKING:
-    from master.identification.calibration_fit import Segment
+    from estimation.calibration_fit import Segment
     from physics.calibration import Calibration
 
 
@@ -193,7 +193,7 @@ def fit(
     """
     import tomllib
 
-    from diagnosis import bench_fit
+    from estimation import bench_fit
     from physics import bench_model
 
     with progress.waiting("fitting"):

@@ -61,7 +61,7 @@ def simulate(model: Model | None, trial: Trial | str | Path, *, progress: Progre
 def _under_motion(known: BenchModel, path: Path) -> Simulation:
     """Return both tensions as the simulation has them under the measured motion of a file's rope and knee."""
     from bowden.replay.plant_residuals import figure
-    from diagnosis import bench_fit, simulation
+    from estimation import bench_fit, simulation
     from estimation.data import table
     from trial.signals import SIGNALS
 

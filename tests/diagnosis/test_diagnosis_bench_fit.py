@@ -12,7 +12,7 @@ import pytest
 
 import bowden
 from bowden.cli.app import run
-from diagnosis import bench_fit, simulation
+from estimation import bench_fit, simulation
 from estimation.data.table import Table, table
 from parameters import Remark
 from physics.plant import PlantParameters, imposed

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from master.identification import calibration_fit, discrepancy_fit, identify
-from master.identification.calibration_fit import Rest, Segment
+from estimation import calibration_fit, discrepancy_fit
+from estimation.calibration_fit import Rest, Segment
+from master.identification import identify
 from parameters import InputError
 from physics import end_discrepancy, inverse
 from physics.calibration import Calibration, nominal

@@ -11,7 +11,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from diagnosis.bench_fit import FittedBench
+    from estimation.bench_fit import FittedBench
 
 Trials = Annotated[list[Path], typer.Argument(
     metavar="TRIAL…", help="Healthy trials of one bench: MCAP, or CSV (.gz) with canonical headers.",
@@ -39,7 +39,7 @@ def fit(
     """
     from bowden import output_files
     from bowden.trials import force_paths, session
-    from diagnosis import bench_fit
+    from estimation import bench_fit
     from estimation.data import table
     from parameters.files import write_whole
 

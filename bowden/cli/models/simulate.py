@@ -11,7 +11,7 @@ from bowden.cli import options, terminal
 from bowden.cli.app import app
 
 if TYPE_CHECKING:
-    from diagnosis.bench_fit import FittedBench
+    from estimation.bench_fit import FittedBench
     from estimation.data.table import Table
     from physics.simulated_bench import SimulatedTensions
 
@@ -38,7 +38,7 @@ def simulate(
     Example: bowden simulate trial.mcap --model model.toml
     """
     from bowden import output_files
-    from diagnosis import bench_fit, simulation
+    from estimation import bench_fit, simulation
     from estimation.data import table
 
     output_files.refuse([output], overwrite=overwrite, inputs=[trial, model])
@@ -61,7 +61,7 @@ def _write(output: Path, given: Table, told: SimulatedTensions) -> None:
 
     import numpy as np
 
-    from diagnosis.simulation import SIGNALS
+    from estimation.simulation import SIGNALS
     from parameters.files import write_whole
 
     columns = {"time_s": given["time_s"]}

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from master.control.homing_fit import adapt, lag_compensated, smoothed
-from master.identification.jackknife import LineFit, Measured, half_width
+from estimation.homing_fit import adapt, lag_compensated, smoothed
+from estimation.jackknife import LineFit, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
 from physics.calibration import Calibration, ScalarEvidence
@@ -93,7 +93,7 @@ _UNKNOWNS = (
     _Unknown("stiffness_c", 1e-4, -0.5, 0.5), _Unknown("stretch_short", 1e-5, -1e-4, 4e-3, 2e-4),
     _Unknown("stretch_wide", 1e-5, -1e-4, 2e-3, 2e-4), _Unknown("cable_compliance", 1e-5, 2e-6, 2e-4),
     _Unknown("fabric_share", 0.1, 0.02, 0.98, 0.3), _Unknown("cable_exponent", 0.05, 0.0, 1.0),
-    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0),
+    _Unknown("fabric_friction", 0.05, 0.0, 1.0), _Unknown("wrap_offset", 0.2, 0.0, 6.0, 0.3),
     _Unknown("presliding", 5e-5, 1e-5, 3e-3), _Unknown("fabric_presliding", 5e-5, 1e-5, 3e-3),
     _Unknown("swing_k", 1e-3, 0.005, 0.2), _Unknown("load_slope", 0.1, -0.6, 1.0, 0.2),
     _Unknown("viscous", 5.0, 0.0, 100.0, 20.0), _Unknown("viscous_tension", 5.0, 0.5, 60.0, 15.0),

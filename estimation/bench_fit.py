@@ -1,9 +1,8 @@
 """`bowden fit`: identification of the constants of one bench or rig, and the file model.toml that holds them.
 
-The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`: constants that prediction equations,
-simulation and controller load, each with its 95 % interval.  `[fitted]`: trials and errors of the fit.
-`[effects.NAME]`: effects that a diagnosis may have added.  A constant that the data do not determine has
-`determined = false` and keeps its prior value.
+The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`, `[discrepancy]`: calibration of the bench, as
+`bowden identify` writes it.  `[simulation.NAME]`: parameters of the many-segment simulation, fitted to the same trials.
+`[fitted]`: trials and errors of the fit.  A value that the data do not determine has no interval and is its prior's.
 """
 
 from __future__ import annotations
@@ -19,24 +18,22 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from diagnosis import rig_fit, simulation, simulation_fit
-from diagnosis.rig_fit import Constant
-from diagnosis.simulation_fit import IdentifiedBench, identified
+from estimation import rig_fit, simulation, simulation_fit, trial_calibration
 from estimation.data import integrity, table
 from estimation.data.table import Table
 from estimation.path_model import PATH_MODEL, can_be_of_bench
-from parameters import InputError, declarations, read_toml
-from physics import bench_model
-from physics.bench_model import FITTED, OLDER, RIG, BenchModel
-from physics.calibration import VERSION, Calibration, nominal
-from physics.conversions import UNRELATED, converted, to_scalars
+from estimation.rig_fit import Constant
+from estimation.simulation_fit import IdentifiedBench, identified
+from parameters import InputError
+from physics import bench_model, end_discrepancy
+from physics.bench_model import FITTED, RIG, SIMULATION, BenchModel
+from physics.calibration import VERSION, Calibration, rows, values_of
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
 
 Values = Mapping[str, float]
 
-BENCH: Final = "parameters"
 HEAD: Final = ("# The constants of one bench, fitted to its healthy trials: value with 95 % interval, SI.\n"
-               "# determined = false: these trials do not say it, and it keeps what is known of such benches.\n")
+               "# Without an interval: these trials do not determine it, and it is the one of like benches.\n")
 HEAD_OF_RIG: Final = "# The constants of a rig, fitted to its reference trials: value with 95 % interval, SI.\n"
 ROPE: Final = ("servo_position_m", "servo_target_m", "servo_velocity_m_s")
 """Columns of the rope's motion; their sign is reversed if the rope position falls where the rope is pulled."""
@@ -50,7 +47,8 @@ class FittedBench:
 
     `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output,
     in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  Field `told`: parameters of the
-    prediction equations converted from another form, such as that of `bowden identify`.  `rig`: terms of a rig of
+    simulation converted from another form, such as that of `bowden identify`.  `calibration`: the controller's
+    view of the bench, with its discrepancy; None for a rig and for a model that was read.  `rig`: terms of a rig of
     another kind; None for a bench, which is a rope over a knee.
     """
 
@@ -63,20 +61,13 @@ class FittedBench:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     told: Mapping[str, float] = field(default_factory=dict)
     rig: tuple[str, ...] | None = None
+    calibration: Calibration | None = None
 
     @property
     def values(self) -> dict[str, float]:
         """All parameters of the prediction equations and the simulation; nominal if the model has no value."""
         brought = {name: value for row in self.effects.values() for name, value in row.items()}
         return {**healthy(), **self.told, **{n: c.value for n, c in self.constants.items()}, **brought}
-
-    @property
-    def calibration(self) -> Calibration:
-        """Calibration whose scalars follow from these constants, each inside its bounds; other scalars are nominal."""
-        told, base = to_scalars({**self.values, **converted(UNRELATED, self.values)}), nominal()
-        bounds = {name: declared for name, _, declared in declarations(Calibration)}
-        inside: dict[str, Any] = {n: min(max(v, bounds[n].low), bounds[n].high) for n, v in told.items() if n in bounds}
-        return dataclasses.replace(base, **inside)
 
     @property
     def undetermined(self) -> list[str]:
@@ -100,10 +91,12 @@ class FittedBench:
             lines += [f"terms = {json.dumps(list(self.rig))}"]
             lines += [f"{name} = {{ unseen_rms = {row['unseen']!r}, unit = {json.dumps(row['unit'])} }}"
                       for name, row in self.relations.items() if row["unseen"] is not None]
+        if self.calibration is not None:
+            lines += [*rows(*values_of(self.calibration)), *end_discrepancy.rows(self.calibration.discrepancy)]
         for name, c in self.constants.items():
-            lines += ["", f"[{BENCH if self.rig is None else RIG}.{name}]  # {PARAMETERS[name].meaning}",
-                      f"value = {c.value!r}", f'unit = "{c.unit}"', f"interval = [{c.low!r}, {c.high!r}]"]
-            lines += [f"determined = {str(c.determined).lower()}"] if self.rig is None else []
+            lines += ["", f"[{SIMULATION if self.rig is None else RIG}.{name}]  # {PARAMETERS[name].meaning}",
+                      f"value = {c.value!r}", f'unit = "{c.unit}"']
+            lines += [f"interval = [{c.low!r}, {c.high!r}]"] if c.determined else []
         return "\n".join(lines) + "\n"
 
 
@@ -112,24 +105,13 @@ def read(path: str | Path) -> FittedBench:
 
     Raises `InputError` for an unknown table or a value that is not a number.
     """
-    given = read_toml(Path(path))
-    model = bench_model.read(path)
-    rows = given.get(OLDER, given.get(BENCH, {}))
-    constants = {name: _constant(row, model, name) for name, row in rows.items() if name in RELATION_PARAMETERS}
-    return dataclasses.replace(of_model(model), constants=constants)
+    return of_model(bench_model.read(path))
 
 
 def of_model(model: BenchModel) -> FittedBench:
-    """Return a bench model as the parameters of prediction equations and simulation; nominal where it has no value."""
+    """Return a bench model as the parameters of the simulation; nominal where it has no value."""
     return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
                        effects=model.effects, told=model.related())
-
-
-def _constant(row: Any, model: BenchModel, name: str) -> Constant:
-    value, known = model.values[name], model.evidence.get(name)
-    said = known is not None and math.isfinite(known.low + known.high)
-    low, high = (known.low, known.high) if known is not None and said else (value, value)
-    return Constant(value, low, high, RELATION_PARAMETERS[name].unit, bool(row.get("determined", True)))
 
 
 def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> FittedBench:
@@ -170,7 +152,14 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
     whole = identified(tables)
     values = simulation_fit.fitted(tables, whole)
     return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
-                       pulls=pulls, warnings=tuple(f.text for f in findings))
+                       pulls=pulls, warnings=tuple(f.text for f in findings),
+                       calibration=trial_calibration.calibrated(tables, whole.values, whole.scalars))
+
+
+def calibrated(trials: Sequence[Table]) -> Calibration:
+    """Return the calibration that `fit` would find, without a fit of the simulation; trials of a bench, as recorded."""
+    bench = identified(trials)
+    return trial_calibration.calibrated(trials, bench.values, bench.scalars)
 
 
 def oriented(tables: Sequence[Table]) -> tuple[list[Table], int]:

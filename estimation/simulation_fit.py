@@ -7,18 +7,20 @@ starting from these parameters.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from diagnosis import simulation
-from diagnosis.evidence.evidence_finder import EvidenceFinder
+from estimation import simulation
 from estimation.data.table import Table
 from estimation.likelihood_data import LOWPASS_HZ
-from estimation.reference_fit import ReferenceFit
+from estimation.path_model import PATH_MODEL
+from estimation.reference_fit import ReferenceFit, fit_reference
+from estimation.rig_fit import determined
+from estimation.trial_calibration import scalars_of
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array
@@ -45,7 +47,8 @@ OWN: Final = {name: float(SESSION_SD[INDEX[row]]) for name, row in (
 class IdentifiedBench:
     """Parameters of the simulation, SI, converted from a fitted force path.
 
-    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `unlike`: sentence on why the trials are not of a
+    `sigma` and `prior_sigma`: posterior and prior 1σ by parameter.  `scalars`: posterior 1σ of the scalars of a
+    calibration that the trials determine.  `unlike`: sentence on why the trials are not of a
     rope over a knee ("": they are).
     """
 
@@ -53,24 +56,36 @@ class IdentifiedBench:
     sigma: Values
     prior_sigma: Values
     unlike: str = ""
+    scalars: Values = dataclasses.field(default_factory=dict)
 
 
 def identified(trials: Sequence[Table]) -> IdentifiedBench:
     """Fit the force path to reference trials of one bench and return it as parameters of the simulation."""
-    finder = EvidenceFinder(trials)
-    unlike = finder.unlike(trials)
-    if unlike:
-        return IdentifiedBench({}, {}, {}, unlike)
-    return identified_by(finder.reference(trials))
+    outputs = [n for n in PATH_MODEL.signals if all(n in t for t in trials)]
+    recordings = [PATH_MODEL.record(dataclasses.replace(t, columns={
+        n: v for n, v in t.columns.items() if n not in PATH_MODEL.signals or n in outputs})) for t in trials]
+    try:
+        fit = fit_reference(PATH_MODEL, recordings)
+    except (ZeroDivisionError, np.linalg.LinAlgError):  # no rope has such constants
+        return IdentifiedBench({}, {}, {}, f"{trials[0].source}: no constants of the model predict the trials.")
+    unlike = fit.unlike(recordings[0], trials[0].source)
+    return IdentifiedBench({}, {}, {}, unlike) if unlike else identified_by(fit)
 
 
 def identified_by(fit: ReferenceFit) -> IdentifiedBench:
     """Return a fitted force path as parameters of the simulation."""
     names, free = _determined(fit.outputs), list(fit.model.constants.free)
     size = len(free)
-    return IdentifiedBench(simulation_values(_path(fit, fit.bench.mean[:size])),
-                           _sigma(fit, fit.bench.covariance[:size, :size], names),
-                           _sigma(fit, np.diag(fit.model.constants.bench_sd[free] ** 2), names))
+    values = simulation_values(_path(fit, fit.bench.mean[:size]))
+    after, before = fit.bench.covariance[:size, :size], np.diag(fit.model.constants.bench_sd[free] ** 2)
+    scalars = list(scalars_of(values))
+    prior = _sigma(fit, before, scalars, _scalars)
+    return IdentifiedBench(values, _sigma(fit, after, names), _sigma(fit, before, names), scalars={
+        name: sd for name, sd in _sigma(fit, after, scalars, _scalars).items() if determined(sd, prior[name])})
+
+
+def _scalars(path: Values) -> dict[str, float]:
+    return scalars_of(simulation_values(path))
 
 
 def bench_model_of(fit: ReferenceFit) -> BenchModel:
@@ -93,16 +108,17 @@ def _determined(outputs: Sequence[str]) -> list[str]:
             and ("servo_force_n" in outputs or not n.startswith(("drive_", "demand_")))]
 
 
-def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str]) -> dict[str, float]:
-    """Return 1σ of each parameter by the delta method: √(gᵀΣg), g its gradient by the coordinates of the force path."""
+def _sigma(fit: ReferenceFit, covariance: Array, names: Sequence[str],
+           convert: Callable[[Values], Values] = simulation_values) -> dict[str, float]:
+    """Return 1σ of each quantity that `convert` returns: √(gᵀΣg), g its gradient by the coordinates of the path."""
     here = fit.bench.mean[:covariance.shape[0]]
-    base = simulation_values(_path(fit, here))
+    base = convert(_path(fit, here))
     step = 0.3 * fit.model.constants.session_sd[list(fit.model.constants.free)]
     slopes = np.zeros((len(names), here.size))
     for k, size in enumerate(step):
         moved = here.copy()
         moved[k] += size
-        values = simulation_values(_path(fit, moved))
+        values = convert(_path(fit, moved))
         slopes[:, k] = [(values[n] - base[n]) / size for n in names]
     variance = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)
     return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))

@@ -1,0 +1,121 @@
+"""Calibration of a bench from trials of any motion: what `bowden identify` estimates from its own experiments.
+
+The scalars start at the fitted force path, converted, and are those of the transfer model that controllers invert,
+fitted to all trials jointly (`calibration_fit.loops`).  The discrepancy START → END follows from trials with END.
+An interval is that of the force path's posterior, widened by the difference between the two models' estimates.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from estimation import calibration_fit, discrepancy_fit
+from estimation.calibration_fit import Rest, Segment
+from estimation.data.table import Table
+from estimation.homing_fit import lag_compensated
+from physics import inverse, laws, stretch
+from physics.calibration import Calibration, ScalarEvidence, nominal
+from physics.conversions import UNRELATED, converted, to_scalars
+from physics.laws import Array
+from physics.parameters import BY_CALIBRATION, PARAMETERS
+
+Values = Mapping[str, float]
+
+LOWPASS_HZ: Final = 25.0
+"""Zero-phase low-pass on all signals: START's noise must not turn the model's friction over."""
+LEAST_WRAP: Final = 0.05
+"""Least growth of the wrap, 1/rad, that is scaled to 1; a smaller one would make the offset exceed its bound."""
+HELD_N: Final = 20.0
+"""START tension of (11), N, to which `swing_p` refers."""
+
+
+def scalars_of(values: Values) -> dict[str, float]:
+    """Return the scalars of a calibration, each inside its bounds, from parameters of the simulation.
+
+    Of the wrap φ0 + κ·|θk| and μ2 only the products μ2·φ0 and μ2·κ act: κ is scaled to 1, as identification assumes.
+    """
+    known = to_scalars({**converted(UNRELATED, values), **values})
+    known.pop("home_preload", None)
+    slope = known.get("wrap_slope", 0.0)
+    if slope > LEAST_WRAP:
+        known |= {"fabric_friction": known["fabric_friction"] * slope, "wrap_offset": known["wrap_offset"] / slope,
+                  "wrap_slope": 1.0}
+    known["fabric_breakaway"] = known["breakaway"]
+    bounds = {name: PARAMETERS[BY_CALIBRATION[name]].assumed for name in known}
+    return {name: value if (row := bounds[name]) is None else min(max(value, row.low), row.high)
+            for name, value in known.items()}
+
+
+def calibrated(trials: Sequence[Table], path: Values, sigma: Mapping[str, float]) -> Calibration:
+    """Return the calibration of the bench of `trials`, with its discrepancy if END was measured.
+
+    `path`: parameters of the simulation as the force path was fitted.  `sigma`: 1σ of the scalars that follow from
+    it and that the trials determine.
+    """
+    inverse.prepare()
+    still = Rest(path["start_offset"], path["end_offset"], _noise(trials))
+    start: dict[str, Any] = scalars_of(path)
+    guess = dataclasses.replace(nominal(), **start)
+    ramps = [_segment(given, "ramp") for given in trials]
+    found, proof = calibration_fit.loops(ramps, guess, still)
+    more: dict[str, Any] = {"start_offset": still.start_offset, "start_noise": still.start_noise,
+                            "swing_p": float(stretch.position(found, HELD_N)) - found.swing_k * float(
+                                laws.knee_angle(laws.STIFFNESS_KNEE_PERCENT))}
+    if all("servo_target_m" in given for given in trials):
+        more["drive_bandwidth"] = calibration_fit.bandwidth(ramps).value
+    found = dataclasses.replace(found, **more)
+    names = ", ".join(given.source.rpartition("/")[2] for given in trials)
+    evidence = {name: _evidence(float(getattr(found, name)), start[name], sd, proof.get(name), names)
+                for name, sd in sigma.items()}
+    gaits = [_estimated(ramp._replace(kind="gait"), found, still) for ramp in ramps
+             if not np.isnan(ramp.end).any()]
+    beyond = discrepancy_fit.fit([*gaits, *ramps], found, still) if gaits else None
+    return dataclasses.replace(found, evidence=evidence, discrepancy=beyond, label=names)
+
+
+def _evidence(value: float, by_path: float, sd: float, fitted: ScalarEvidence | None, trial: str) -> ScalarEvidence:
+    half = 1.96 * math.hypot(sd, value - by_path)
+    again = math.nan if fitted is None else fitted.repeatability
+    return ScalarEvidence(value - half, value + half, trial=trial, repeatability=again)
+
+
+def _noise(trials: Sequence[Table]) -> float:
+    """Return the standard deviation of a sample of START, N, from third differences, about 0 for a smooth signal."""
+    thirds = np.concatenate([np.diff(given["tension_start_n"], 3) for given in trials])
+    return float(np.median(np.abs(thirds))) / 0.6745 / math.sqrt(20.0)
+
+
+def _segment(given: Table, kind: str) -> Segment:
+    """Return a trial as one experiment, its signals low-passed; END is NaN if it was not measured.
+
+    Where no desired force is recorded, the measured END is taken for it.
+    """
+    period_s = float(np.median(np.diff(given["time_s"])))
+    smooth = butter(2, min(2.0 * LOWPASS_HZ * period_s, 0.9), output="sos")
+
+    def column(name: str) -> Array:
+        values = given[name]
+        known = np.isfinite(values)
+        at = np.arange(values.size)
+        return np.asarray(sosfiltfilt(smooth, np.interp(at, at[known], values[known])))
+
+    position = column("servo_position_m")
+    end = column("tension_end_n") if "tension_end_n" in given else np.full(position.size, np.nan)
+    desired = given["desired_force_n"] if "desired_force_n" in given else np.full(position.size, np.nan)
+    desired = np.where(np.isfinite(desired), desired, np.maximum(end, 0.0))
+    target = given.columns.get("servo_target_m", position)
+    return Segment(kind, period_s, target, position, column("knee_angle_rad"), column("tension_start_n"), end, desired)
+
+
+def _estimated(segment: Segment, calibration: Calibration, still: Rest) -> Segment:
+    """Return the segment with END as the calibrated transfer model estimates it from START."""
+    start = lag_compensated((segment.start - still.start_offset) / calibration.start_gain, segment.period_s,
+                            calibration.start_lag)
+    drag, exponent = inverse.loss(inverse.law(calibration, segment.period_s), segment.desired, segment.knee)
+    return segment._replace(estimated=(start - drag) * np.exp(-exponent))
