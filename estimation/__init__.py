@@ -5,6 +5,7 @@
 
 y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
 
+    transfer               fits of the transfer model that controllers invert
     data                   reading of trials and tables, checks for contradictions
     likelihood_data        signals on one time grid
     forward_model          interface of a forward model
@@ -13,4 +14,8 @@ y: measured outputs of a trial, m: its measured motion.  Modules, lowest first:
     posterior              modes and evidence of one trial
     reference_fit          joint fit of the reference trials
     population_reference   reference condition without reference trials
+    simulation             many-segment simulation under the measured motion of a trial
+    simulation_fit         its parameters, from the fitted force path
+    rig_fit                constants of another rig
+    bench_fit              the file of `bowden fit`
 """

@@ -18,16 +18,18 @@ from typing import Any, Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimation import rig_fit, simulation, simulation_fit, trial_calibration
+from estimation import rig_fit, simulation, simulation_fit
 from estimation.data import integrity, table
 from estimation.data.table import Table
 from estimation.path_model import PATH_MODEL, can_be_of_bench
 from estimation.rig_fit import Constant
 from estimation.simulation_fit import IdentifiedBench, identified
+from estimation.transfer import trial_calibration
 from parameters import InputError
 from physics import bench_model, end_discrepancy
 from physics.bench_model import FITTED, RIG, SIMULATION, BenchModel
-from physics.calibration import VERSION, Calibration, rows, values_of
+from physics.calibration import Calibration, rows, values_of
+from physics.older_files import VERSION
 from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
 
 Values = Mapping[str, float]

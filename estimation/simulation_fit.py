@@ -20,7 +20,7 @@ from estimation.likelihood_data import LOWPASS_HZ
 from estimation.path_model import PATH_MODEL
 from estimation.reference_fit import ReferenceFit, fit_reference
 from estimation.rig_fit import determined
-from estimation.trial_calibration import scalars_of
+from estimation.transfer.trial_calibration import scalars_of
 from physics.bench_model import BenchModel
 from physics.calibration import ScalarEvidence
 from physics.laws import Array

@@ -16,11 +16,12 @@ from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
 from physics import calibration, end_discrepancy
-from physics.calibration import READ, VERSION, Calibration, ScalarEvidence
+from physics.calibration import Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
+from physics.older_files import OLDER_TABLES, READ, VERSION, translated
 from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
 
 FITTED: Final = "fitted"
@@ -29,10 +30,8 @@ RIG: Final = "rig"
 """The table that `bowden fit` writes of a rig of another kind in place of parameters: nothing simulates it."""
 SIMULATION: Final = "simulation"
 """The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
-OLDER: Final = "constants"
-"""Former name of the table `[parameters.NAME]` of `bowden fit`."""
-TABLES: Final = ("version", "bench", "parameters", "scalars", end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 SIMULATION, OLDER)
+TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
+                 SIMULATION)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -175,8 +174,8 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
     """
     if "version" in tables and tables["version"] not in READ:
         raise InputError(f"{where}: version = {tables['version']!r}, expected {VERSION}; run bowden identify again.")
-    values, evidence = calibration.stated(
-        tables if OLDER not in tables else {**tables, "version": VERSION, "parameters": tables[OLDER]}, where)
+    tables = translated(tables, where)
+    values, evidence = calibration.stated(tables, where)
     simulation, simulation_evidence = calibration.stated(tables, where, SIMULATION)
     found = tables.get(EVIDENCE, {})
     if not isinstance(found, Mapping):

@@ -18,11 +18,9 @@ from parameters import InputError, Remark, checked, declarations, read_toml
 from physics import end_discrepancy, stretch
 from physics.conversions import UNRELATED, converted, to_scalars
 from physics.end_discrepancy import EndDiscrepancy
-from physics.parameters import BY_CALIBRATION, CALIBRATION_UNITS, PARAMETERS, Parameter, assumed, current_names
+from physics.older_files import READ, VERSION, translated
+from physics.parameters import BY_CALIBRATION, PARAMETERS, Parameter, assumed
 
-VERSION = 2
-READ = (1, VERSION)
-"""Versions of the file that are read: 1 has [scalars.NAME] with a calibration's names."""
 NOMINAL = "nominal"
 PARAMETER_TABLE = "parameters"
 """Table of a bench model with the scalars of its calibration."""
@@ -142,40 +140,34 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     Raises `InputError` for another version, another bench, an unknown or missing parameter, a wrong unit or range.
     """
     where = str(path)
-    tables = read_toml(Path(path))
+    tables = translated(read_toml(Path(path)), where)
     owner = str(tables.get("bench", ""))
     if bench and owner and owner != bench:
         raise InputError(f"{where}: bench = {owner!r}, but the bench on the bus is {bench!r}; identify that bench.")
     values, evidence = stated(tables, where)
     if not values:
         raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
-    if tables.get("version") == 1:
-        _whole(values, where)
     return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where))
 
 
 def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
            ) -> tuple[dict[str, float], dict[str, ScalarEvidence]]:
-    """Return values and evidence by name of the table of parameters, as the table `name` of a bench model states them.
+    """Return values and evidence by parameter, as the table `name` of a bench model states them.
 
-    `[parameters.NAME]`, or `[scalars.NAME]` with a calibration's names, as version 1 has it.  Raises `InputError`.
+    Raises `InputError`.
     """
-    name = "scalars" if name == PARAMETER_TABLE and "scalars" in tables else name
     rows = tables.get(name, {})
     if not isinstance(rows, Mapping):
         raise InputError(f"{where}: {name} is not a table; expected one [{name}.NAME] table per parameter.")
     if rows and tables.get("version") not in READ:
         raise InputError(
             f"{where}: version = {tables.get('version')!r}, expected {VERSION}; run bowden identify again.")
-    if name != "scalars":
-        rows = current_names(rows, where)
     values: dict[str, float] = {}
     evidence: dict[str, ScalarEvidence] = {}
     for key, row in rows.items():
-        known = BY_CALIBRATION if name == "scalars" else PARAMETERS
-        if key not in known:
-            raise InputError(f"{where}: unknown {name.removesuffix('s')} {key}; expected one of {', '.join(known)}.")
-        p = PARAMETERS[BY_CALIBRATION[key] if name == "scalars" else key]
+        if key not in PARAMETERS:
+            raise InputError(f"{where}: unknown parameter {key}; expected one of {', '.join(PARAMETERS)}.")
+        p = PARAMETERS[key]
         values[p.name] = _value(where, key, p, row)
         low, high = _interval(where, key, row)
         evidence[p.name] = ScalarEvidence(low, high, float(row.get("r_squared", math.nan)), str(row.get("date", "")),
@@ -186,7 +178,7 @@ def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
 def _value(where: str, key: str, p: Parameter, row: Any) -> float:
     if not isinstance(row, Mapping) or "value" not in row:
         raise InputError(f"{where}: {key} has no value; write [parameters.{p.name}] with value and unit.")
-    if row.get("unit", p.unit) not in (p.unit, CALIBRATION_UNITS.get(p.name)):
+    if row.get("unit", p.unit) != p.unit:
         raise InputError(f"{where}: {key} is in {row['unit']!r}, expected {p.unit!r}; convert it.")
     value = row["value"]
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -215,12 +207,6 @@ def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, flo
     if low > high:
         raise InputError(f"{where}: interval of {name} is [{low:g}, {high:g}], low above high; swap them.")
     return low, high
-
-
-def _whole(values: Mapping[str, float], where: str) -> None:
-    for name in scalars():
-        if BY_CALIBRATION[name] not in values and name not in LATER:
-            raise InputError(f"{where}: scalar {name} is missing; add [scalars.{name}] with value and unit.")
 
 
 def of_values(

@@ -8,12 +8,11 @@ effects read its row. All values are SI. A quantity with another name in a table
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from parameters import Remark, parameter
+from parameters import parameter
 from physics import laws
 
 Range = tuple[float, float]
@@ -462,19 +461,6 @@ BY_PLANT: Final[Mapping[str, str]] = {key: p.name for p in PARAMETERS.values() f
 """Names by "table.key" of a plant model."""
 BY_CALIBRATION: Final[Mapping[str, str]] = {p.calibration: p.name for p in PARAMETERS.values() if p.calibration}
 """Names by a calibration's scalar."""
-RENAMED: Final[Mapping[str, str]] = {"moment_arm_m": "rope_per_knee", "moment_arm": "rope_per_knee_quadratic",
-                                     "knee_ratio": "rope_per_knee"}
-"""Names that older files give to parameters, and today's."""
-
-
-def current_names(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Return `table` with today's names; one `Remark`, beginning with `where`, lists the renamed ones."""
-    old = [name for name in table if name in RENAMED]
-    if old:
-        told = ", ".join(f"{name} is called {RENAMED[name]} today" for name in old)
-        warnings.warn(f"{where}: {told}; read as such.", Remark, stacklevel=2)
-    return {RENAMED.get(name, name): value for name, value in table.items()}
-
 
 def declared(name: str) -> Any:
     """Declare a field of a table of the simulation: nominal value, unit, meaning, bounds and source of `name`."""

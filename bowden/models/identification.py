@@ -20,7 +20,7 @@ from trial.paths import PATHS
 from trial.signals import of_bench
 
 if TYPE_CHECKING:
-    from estimation.calibration_fit import Segment
+    from estimation.transfer.calibration_fit import Segment
     from physics.calibration import Calibration
 
 

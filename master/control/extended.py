@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from estimation.homing_fit import HomingFit
+from estimation.transfer.homing_fit import HomingFit
 from master.control import learning
 from master.control.controller_io import ControllerInput, ControllerOutput, Trace
 from master.control.friction_following import (

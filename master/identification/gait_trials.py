@@ -12,7 +12,7 @@ from typing import Any, Final
 import can
 
 from eds.bench.bench_network import Network
-from estimation.calibration_fit import Segment
+from estimation.transfer.calibration_fit import Segment
 from master.control.gait_table import samples_of
 from master.cycle.exchange import Exchange
 from master.cycle.log import CycleSink

@@ -31,9 +31,9 @@ import can
 import numpy as np
 
 from eds.bench.bench_network import Network, wire
-from estimation import calibration_fit, discrepancy_fit
-from estimation.calibration_fit import Segment
-from estimation.jackknife import LineFit
+from estimation.transfer import calibration_fit, discrepancy_fit
+from estimation.transfer.calibration_fit import Segment
+from estimation.transfer.jackknife import LineFit
 from master.cycle import drives
 from master.cycle.exchange import Exchange
 from master.cycle.inputs import Inputs, KeptCycle

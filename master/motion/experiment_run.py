@@ -14,7 +14,7 @@ from typing import Any
 import can
 
 from eds.bench.bench_network import Network
-from estimation.homing_fit import HomingFit
+from estimation.transfer.homing_fit import HomingFit
 from master import settings
 from master.control import controller
 from master.control.controller import Conditions, Controller, ControllerInput

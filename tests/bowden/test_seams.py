@@ -48,7 +48,6 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.xfail(strict=True, reason="fit writes home_preload = 0, with which homing finds no crossing")
 @pytest.mark.parametrize("controller", ["extended", "paper"])
 def test_a_fitted_model_controls_the_bench_about_as_well_as_an_identified_one(
     bowden: Run, bench: Path, here: Path, controller: str,
@@ -61,7 +60,6 @@ def test_a_fitted_model_controls_the_bench_about_as_well_as_an_identified_one(
     assert missed["model"] <= 1.5 * missed["calibration"]
 
 
-@pytest.mark.xfail(strict=True, reason="fit writes parameters of the simulation and no discrepancy")
 def test_a_fitted_model_has_every_scalar_that_an_identified_one_has(bench: Path) -> None:
     from physics import bench_model
 

@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from estimation import homing_fit
-from estimation.homing_fit import HomingFit
+from estimation.transfer import homing_fit
+from estimation.transfer.homing_fit import HomingFit
 from master.control import extended, friction_following, learning
 from master.control.controller_io import ControllerInput
 from master.control.friction_following import Followed

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from estimation.calibration_fit import _UNKNOWNS, END_LAG
-from estimation.homing_fit import HomingFit
+from estimation.transfer.calibration_fit import _UNKNOWNS, END_LAG
+from estimation.transfer.homing_fit import HomingFit
 from master.control import extended
 from master.control.gait_table import tabulate
 from master.motion import gait

@@ -17,7 +17,8 @@ from physics.conversions import MEASURED, RELATED, SIMULATED, UNRELATED, convert
 from physics.converter import SensorParameters
 from physics.effects.catalogue import CATALOGUE
 from physics.effects.effects_table import stated
-from physics.parameters import BY_CALIBRATION, BY_PLANT, PARAMETERS, RELATION_PARAMETERS, RENAMED
+from physics.older_files import RENAMED
+from physics.parameters import BY_CALIBRATION, BY_PLANT, PARAMETERS, RELATION_PARAMETERS
 from physics.plant.state_layout import PlantParameters
 from virtual_bus.machine import plant_model
 from virtual_bus.machine.scatter import LAWS

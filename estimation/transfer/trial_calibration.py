@@ -15,10 +15,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from estimation import calibration_fit, discrepancy_fit
-from estimation.calibration_fit import Rest, Segment
 from estimation.data.table import Table
-from estimation.homing_fit import lag_compensated
+from estimation.transfer import calibration_fit, discrepancy_fit
+from estimation.transfer.calibration_fit import Rest, Segment
+from estimation.transfer.homing_fit import lag_compensated
 from physics import inverse, laws, stretch
 from physics.calibration import Calibration, ScalarEvidence, nominal
 from physics.conversions import UNRELATED, converted, to_scalars

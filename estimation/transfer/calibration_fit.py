@@ -21,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
-from estimation.homing_fit import adapt, lag_compensated, smoothed
-from estimation.jackknife import LineFit, Measured, half_width
+from estimation.transfer.homing_fit import adapt, lag_compensated, smoothed
+from estimation.transfer.jackknife import LineFit, Measured, half_width
 from parameters import InputError
 from physics import inverse, stretch
 from physics.calibration import Calibration, ScalarEvidence
