@@ -8,7 +8,6 @@ The file is a bench model (`physics.bench_model`).  `[parameters.NAME]`, `[discr
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,11 +25,9 @@ from estimation.rig_fit import Constant
 from estimation.simulation_fit import IdentifiedBench, identified
 from estimation.transfer import trial_calibration
 from parameters import InputError
-from physics import bench_model, end_discrepancy
-from physics.bench_model import FITTED, RIG, SIMULATION, BenchModel
-from physics.calibration import Calibration, rows, values_of
-from physics.older_files import VERSION
-from physics.parameters import PARAMETERS, RELATION_PARAMETERS, healthy
+from physics.bench_model import BenchModel, of_calibration
+from physics.calibration import Calibration, ScalarEvidence
+from physics.parameters import RELATION_PARAMETERS
 
 Values = Mapping[str, float]
 
@@ -47,29 +44,27 @@ FIXED: Final = ("theta1", "phi0", "home_preload", "drum_radius")
 class FittedBench:
     """Bench or rig as fitted.
 
-    `figures`: RMS error of the simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output,
-    in its unit.  `pulls`: 1 if a growing rope position pulls, −1 if it lets out.  Field `told`: parameters of the
-    simulation converted from another form, such as that of `bowden identify`.  `calibration`: the controller's
-    view of the bench, with its discrepancy; None for a rig and for a model that was read.  `rig`: terms of a rig of
-    another kind; None for a bench, which is a rope over a knee.
+    `model`: what model.toml holds.  `constants`: of the simulation, or of a rig, by name.  `figures`: RMS error of the
+    simulated START and END, N, on held-out rows.  `relations`: of a rig, errors by output, in its unit.  `rig`: terms
+    of a rig of another kind; None for a bench, which is a rope over a knee.
     """
 
+    model: BenchModel
     constants: Mapping[str, Constant]
     figures: Mapping[str, Any] = field(default_factory=dict)
     relations: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    trials: tuple[str, ...] = ()
-    pulls: int = 1
     warnings: tuple[str, ...] = ()
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    told: Mapping[str, float] = field(default_factory=dict)
     rig: tuple[str, ...] | None = None
-    calibration: Calibration | None = None
 
     @property
     def values(self) -> dict[str, float]:
-        """All parameters of the prediction equations and the simulation; nominal if the model has no value."""
-        brought = {name: value for row in self.effects.values() for name, value in row.items()}
-        return {**healthy(), **self.told, **{n: c.value for n, c in self.constants.items()}, **brought}
+        """All parameters of the simulation; nominal if the model has no value."""
+        return self.model.simulation_values()
+
+    @property
+    def pulls(self) -> int:
+        """1 if a growing rope position pulls, −1 if it lets out."""
+        return int(self.model.fitted["pulls"])
 
     @property
     def undetermined(self) -> list[str]:
@@ -78,42 +73,15 @@ class FittedBench:
 
     def as_json(self) -> dict[str, Any]:
         """Return the model as a dictionary of JSON values."""
-        return {"trials": list(self.trials), "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
+        return {"trials": list(self.model.fitted["trials"]),
+                "constants": {n: dataclasses.asdict(c) for n, c in self.constants.items()},
                 "not_determined": self.undetermined, "simulation": dict(self.figures),
                 "rig": None if self.rig is None else list(self.rig),
                 "relations": {n: dict(r) for n, r in self.relations.items()}, "warnings": list(self.warnings)}
 
     def text(self) -> str:
         """Return the model as the text of model.toml."""
-        lines = [HEAD if self.rig is None else HEAD_OF_RIG, f"version = {VERSION}", 'bench = ""', "", f"[{FITTED}]",
-                 f"trials = {json.dumps(list(self.trials), ensure_ascii=False)}", f"pulls = {self.pulls}"]
-        lines += [f"{end} = {{ unseen_rms_n = {row['rms_n']!r}, peak_n = {row['peak_n']!r} }}"
-                  for end, row in self.figures.items() if row["rms_n"] is not None]
-        if self.rig is not None:
-            lines += [f"terms = {json.dumps(list(self.rig))}"]
-            lines += [f"{name} = {{ unseen_rms = {row['unseen']!r}, unit = {json.dumps(row['unit'])} }}"
-                      for name, row in self.relations.items() if row["unseen"] is not None]
-        if self.calibration is not None:
-            lines += [*rows(*values_of(self.calibration)), *end_discrepancy.rows(self.calibration.discrepancy)]
-        for name, c in self.constants.items():
-            lines += ["", f"[{SIMULATION if self.rig is None else RIG}.{name}]  # {PARAMETERS[name].meaning}",
-                      f"value = {c.value!r}", f'unit = "{c.unit}"']
-            lines += [f"interval = [{c.low!r}, {c.high!r}]"] if c.determined else []
-        return "\n".join(lines) + "\n"
-
-
-def read(path: str | Path) -> FittedBench:
-    """Read a bench model that any command has written.
-
-    Raises `InputError` for an unknown table or a value that is not a number.
-    """
-    return of_model(bench_model.read(path))
-
-
-def of_model(model: BenchModel) -> FittedBench:
-    """Return a bench model as the parameters of the simulation; nominal where it has no value."""
-    return FittedBench({}, trials=tuple(model.fitted.get("trials", ())), pulls=int(model.fitted.get("pulls", 1)),
-                       effects=model.effects, told=model.related())
+        return (HEAD if self.rig is None else HEAD_OF_RIG) + self.model.text()
 
 
 def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> FittedBench:
@@ -121,7 +89,7 @@ def fit(trials: Sequence[str | Path | Table], lowpass: float | None = None) -> F
 
     `lowpass`: cut-off, Hz, of the zero-phase low-pass that every signal first passes (None: no filter).  Trials of
     another rig than a rope over a knee are fitted by `rig_fit`.
-    Raises `InputError` for contradictory trials, and for columns that allow no prediction equation.
+    Raises `InputError` for contradictory trials, and for columns that allow no prediction.
     """
     if not trials:
         raise InputError("fit: no trial given; name at least one healthy trial.")
@@ -153,9 +121,15 @@ def _fitted(given: Sequence[Table], lowpass: float | None) -> FittedBench:
         return _rig(usable, given, findings)
     whole = identified(tables)
     values = simulation_fit.fitted(tables, whole)
-    return FittedBench(_constants(values, whole), unseen, trials=tuple(Path(t.source).name for t in given),
-                       pulls=pulls, warnings=tuple(f.text for f in findings),
-                       calibration=trial_calibration.calibrated(tables, whole.values, whole.scalars))
+    constants = _constants(values, whole)
+    known = of_calibration(trial_calibration.calibrated(tables, whole.values, whole.scalars))
+    figures = {end: {"unseen_rms_n": row["rms_n"], "peak_n": row["peak_n"]} for end, row in unseen.items()
+               if row["rms_n"] is not None}
+    model = dataclasses.replace(
+        known, fitted={"trials": [Path(t.source).name for t in given], "pulls": pulls, **figures},
+        simulation={n: c.value for n, c in constants.items()},
+        simulation_evidence={n: ScalarEvidence(c.low, c.high) for n, c in constants.items() if c.determined})
+    return FittedBench(model, constants, unseen, warnings=tuple(f.text for f in findings))
 
 
 def calibrated(trials: Sequence[Table]) -> Calibration:
@@ -188,8 +162,12 @@ def _rig(usable: Sequence[Table], given: Sequence[Table], findings: Sequence[int
     found = rig_fit.fit(first, rest, usable)
     blind = (f"{name}: the last part of each trial is predicted no better than by a constant; record longer trials, "
              "or more kinds of motion." for name, row in found.signals.items() if row["unseen"] > row["spread"])
-    return FittedBench(found.constants, {}, found.signals, tuple(Path(t.source).name for t in given),
-                       warnings=(*(f.text for f in findings), *blind), rig=found.effects)
+    errors = {name: {"unseen_rms": row["unseen"], "unit": row["unit"]} for name, row in found.signals.items()
+              if row["unseen"] is not None}
+    model = BenchModel(
+        fitted={"trials": [Path(t.source).name for t in given], "pulls": 1, "terms": list(found.effects), **errors},
+        rig={n: {"value": c.value, "unit": c.unit, "interval": [c.low, c.high]} for n, c in found.constants.items()})
+    return FittedBench(model, found.constants, {}, found.signals, (*(f.text for f in findings), *blind), found.effects)
 
 
 def _part(given: Table, low: float, high: float) -> Table:
@@ -239,8 +217,6 @@ def _constants(values: Values, found: IdentifiedBench) -> dict[str, Constant]:
                         for n in FIXED}
 
 
-def as_fitted(given: Table, model: FittedBench) -> Table:
+def as_fitted(given: Table, model: BenchModel) -> Table:
     """Return a trial whose rope position has the sign of the model's trials."""
-    if model.pulls > 0:
-        return given
-    return turned(given)
+    return turned(given) if model.fitted.get("pulls", 1) < 0 else given

@@ -15,14 +15,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from parameters import InputError, Remark, read_toml
-from physics import calibration, end_discrepancy
+from physics import calibration, correlation, end_discrepancy
 from physics.calibration import Calibration, ScalarEvidence
 from physics.conversions import RELATED, SIMULATED, UNRELATED, converted
+from physics.correlation import Correlation
 from physics.effects.catalogue import CATALOGUE, complete
 from physics.effects.effects_table import EVIDENCE, TABLE, stated
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import OLDER_TABLES, READ, VERSION, translated
-from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS
+from physics.parameters import BY_PLANT, PARAMETERS, RELATION_PARAMETERS, healthy
 
 FITTED: Final = "fitted"
 """The table that `bowden fit` writes beside the parameters: what its figures are."""
@@ -31,7 +32,7 @@ RIG: Final = "rig"
 SIMULATION: Final = "simulation"
 """The table of `bowden fit` of the parameters of the many-segment simulation, fitted to the same trials."""
 TABLES: Final = ("version", "bench", "parameters", *OLDER_TABLES, end_discrepancy.TABLE, TABLE, EVIDENCE, FITTED, RIG,
-                 SIMULATION)
+                 SIMULATION, correlation.TABLE)
 """Tables of a bench model; a plant model may hold tables of nominal values, too."""
 Values = Mapping[str, float]
 
@@ -45,7 +46,8 @@ class BenchModel:
     found on; `fitted`: figures of `bowden fit` (empty: the values are not from a fit); `rig`: constants of a rig of
     another kind by name, each with value, unit and interval; `simulation`: parameters of the simulation that were
     fitted by themselves, with their evidence, in place of those converted from `values`; `bench`: the bench's name
-    ("": none); `label`: the file, or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END.
+    ("": none); `label`: the file, or "nominal"; `discrepancy`: START → END beyond the values, of gait trials with END;
+    `correlation`: of the values that were estimated together.
     """
 
     values: Values = field(default_factory=dict)
@@ -57,6 +59,7 @@ class BenchModel:
     fitted: Mapping[str, Any] = field(default_factory=dict)
     rig: Mapping[str, Any] = field(default_factory=dict)
     discrepancy: EndDiscrepancy | None = None
+    correlation: Correlation | None = None
     simulation: Values = field(default_factory=dict)
     simulation_evidence: Mapping[str, ScalarEvidence] = field(default_factory=dict)
 
@@ -79,7 +82,12 @@ class BenchModel:
     def calibration(self) -> Calibration:
         """Return the controller's view; an unknown scalar has its assumed value and is named in `lacking`."""
         return calibration.of_values(self.values, self.evidence, label=self.label, bench=self.bench,
-                                     beyond=self.discrepancy)
+                                     beyond=self.discrepancy, together=self.correlation)
+
+    def simulation_values(self) -> dict[str, float]:
+        """Return every parameter of the simulation, with the effects; nominal where the model has none."""
+        return {**healthy(), **self.related(), **{
+            name: value for row in self.effects.values() for name, value in row.items()}}
 
     def simulated(self) -> dict[str, dict[str, float]]:
         """Return the values that the simulation runs on, table → key → value, without effects.
@@ -116,7 +124,7 @@ class BenchModel:
     def text(self) -> str:
         """Return the model as TOML; `read` gives the same one back, comments and intervals of effects aside."""
         lines = [f"version = {VERSION}", f'bench = "{self.bench}"', *calibration.rows(self.values, self.evidence),
-                 *end_discrepancy.rows(self.discrepancy)]
+                 *correlation.lines(self.correlation), *end_discrepancy.rows(self.discrepancy)]
         if self.fitted:
             lines += ["", f"[{FITTED}]", *(f"{key} = {_cell(value)}" for key, value in self.fitted.items())]
         lines += calibration.rows(self.simulation, self.simulation_evidence, SIMULATION)
@@ -149,7 +157,7 @@ def of_calibration(known: Calibration, effects: Mapping[str, Values] | None = No
     """Return the model of a calibration, with `effects` beyond it."""
     values, evidence = calibration.values_of(known)
     return BenchModel(values, evidence, dict(effects or {}), {}, known.bench, known.label,
-                      discrepancy=known.discrepancy)
+                      discrepancy=known.discrepancy, correlation=known.correlation)
 
 
 def read(path: str | Path, *, bench: str = "") -> BenchModel:
@@ -185,4 +193,5 @@ def from_tables(tables: Mapping[str, Any], where: str, *, rigs: bool = False) ->
         raise InputError(f"{where}: tells the constants of a rig of another kind, which nothing simulates; diagnose "
                          "its trials with its reference trials, --healthy.")
     return BenchModel(values, evidence, stated(tables, where), found, str(tables.get("bench", "")), where, fitted, rig,
-                      end_discrepancy.stated(tables, where), simulation, simulation_evidence)
+                      end_discrepancy.stated(tables, where), correlation.stated(tables, where), simulation,
+                      simulation_evidence)

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from parameters import InputError, Remark, checked, declarations, read_toml
-from physics import end_discrepancy, stretch
+from physics import correlation, end_discrepancy, stretch
 from physics.conversions import UNRELATED, converted, to_scalars
+from physics.correlation import Correlation
 from physics.end_discrepancy import EndDiscrepancy
 from physics.older_files import READ, VERSION, translated
 from physics.parameters import BY_CALIBRATION, PARAMETERS, Parameter, assumed
@@ -62,7 +63,8 @@ class ScalarEvidence:
 class Calibration:
     """Scalars of one bench, SI; `label` is "nominal" or the file it was read from, `bench` the bench it belongs to.
 
-    `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.
+    `discrepancy`: START → END beyond the scalars' prediction; None without a gait trial.  `correlation`: of the scalars
+    that were estimated together, by their names in the table of parameters.
     """
 
     stiffness_a: float = assumed("stiffness_a")
@@ -102,6 +104,7 @@ class Calibration:
     bench: str = ""
     lacking: tuple[str, ...] = ()
     discrepancy: EndDiscrepancy | None = None
+    correlation: Correlation | None = None
 
     @property
     def turning_point_n(self) -> float:
@@ -147,7 +150,8 @@ def read(path: str | Path, *, bench: str = "") -> Calibration:
     values, evidence = stated(tables, where)
     if not values:
         raise InputError(f"{where}: states no parameter; give a file that bowden identify wrote.")
-    return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where))
+    return of_values(values, evidence, label=where, bench=owner, beyond=end_discrepancy.stated(tables, where),
+                     together=correlation.stated(tables, where))
 
 
 def stated(tables: Mapping[str, Any], where: str, name: str = PARAMETER_TABLE
@@ -211,9 +215,9 @@ def _interval(where: str, name: str, row: Mapping[str, Any]) -> tuple[float, flo
 
 def of_values(
     values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], *, label: str, bench: str = "",
-    beyond: EndDiscrepancy | None = None,
+    beyond: EndDiscrepancy | None = None, together: Correlation | None = None,
 ) -> Calibration:
-    """Return the controller's view of a bench's `values`, by name of the table and in any form, and its discrepancy.
+    """Return the controller's view of a bench's `values`, by name of the table and in any form.
 
     A scalar that does not follow from them has its assumed value and is named in `lacking`.
     """
@@ -227,7 +231,7 @@ def of_values(
     known = {name: evidence[BY_CALIBRATION[name]] for name in scalars() if BY_CALIBRATION[name] in evidence}
     fields: dict[str, Any] = {name: float(value) for name, value in told.items()}
     return checked(Calibration(**fields, evidence=known, label=label, bench=bench, lacking=lacking,
-                               discrepancy=beyond), where=label)
+                               discrepancy=beyond, correlation=together), where=label)
 
 
 def _inside(name: str, value: float) -> float:
@@ -262,8 +266,9 @@ def rows(values: Mapping[str, float], evidence: Mapping[str, ScalarEvidence], ta
 
 def write(calibration: Calibration) -> str:
     """Return the calibration as the TOML text of a bench model; `read` gives the same one back."""
-    return "\n".join([f"version = {VERSION}", f'bench = "{calibration.bench}"',
-                      *rows(*values_of(calibration)), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
+    return "\n".join([
+        f"version = {VERSION}", f'bench = "{calibration.bench}"', *rows(*values_of(calibration)),
+        *correlation.lines(calibration.correlation), *end_discrepancy.rows(calibration.discrepancy)]) + "\n"
 
 
 def said_of(calibration: Calibration, start_n: float) -> list[str]:

@@ -191,11 +191,8 @@ def fit(
     zero-phase low-pass on every signal, Hz. Errors on held-out trials are in `BenchModel.fitted`; the constants of a
     rig of another kind are in `BenchModel.rig`. Raises `InputError`.
     """
-    import tomllib
-
     from estimation import bench_fit
-    from physics import bench_model
 
     with progress.waiting("fitting"):
-        found = bench_fit.fit([each.path if isinstance(each, Trial) else Path(each) for each in trials], lowpass_hz)
-    return bench_model.from_tables(tomllib.loads(found.text()), "fit", rigs=True)
+        paths = [each.path if isinstance(each, Trial) else Path(each) for each in trials]
+        return dataclasses.replace(bench_fit.fit(paths, lowpass_hz).model, label="fit")

@@ -219,7 +219,9 @@ def calibrate(what: str, segments: Sequence[Segment], guess: Calibration, *, ben
         told["identified_to"] = fitted.identified_to, ScalarEvidence(math.nan, math.nan)
     evidence = dict(guess.evidence) | {
         name: dataclasses.replace(proof, date=date, trial=trial) for name, (_, proof) in told.items()}
-    return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial)
+    together = fitted.correlation if "ramp" in kinds else guess.correlation
+    return dataclasses.replace(_replaced(guess, told), evidence=evidence, bench=bench, label=trial,
+                               correlation=together)
 
 
 def _as_homed(
